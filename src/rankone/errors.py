@@ -1,0 +1,124 @@
+"""Errors and warnings: what was given, where, what was expected, what to do.
+
+Every error of the library derives from :class:`RankoneError` and carries, as far as
+they apply, the equation (``.equation``), the term (``.term``) and a way out (``.remedy``).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rankone.solution import Solution
+
+__all__ = [
+    "BlowUpError",
+    "ConvergenceError",
+    "EvaluationError",
+    "OptionError",
+    "ProblemError",
+    "RankoneError",
+    "RankoneWarning",
+    "SeparationError",
+    "StorageError",
+]
+
+
+class RankoneError(Exception):
+    """Base class of all errors raised by rankone.
+
+    Parameters
+    ----------
+    message : str
+        What was given and what was expected.
+    equation : int, optional
+        Number of the equation concerned, counted from 1 as the user wrote them.
+    term : object, optional
+        The term, symbol or value concerned, as the user wrote it.
+    remedy : str, optional
+        What to do about it; appended to the message.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        equation: int | None = None,
+        term: object = None,
+        remedy: str | None = None,
+    ) -> None:
+        self.equation = equation
+        self.term = term
+        self.remedy = remedy
+        text = message if equation is None else f"equation {equation}: {message}"
+        super().__init__(text if remedy is None else f"{text}; remedy: {remedy}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (type(self), self.args, self.__dict__)
+
+
+def _restore(cls: type[RankoneError], args: tuple[Any, ...], state: dict[str, Any]) -> RankoneError:
+    """Rebuild a pickled error without formatting its message a second time."""
+    error = cls.__new__(cls)
+    error.args = args
+    error.__dict__.update(state)
+    return error
+
+
+class ProblemError(RankoneError, ValueError):
+    """The problem as written is incomplete or contradictory."""
+
+
+class SeparationError(ProblemError):
+    """A term does not factor into functions of one coordinate and a monomial of the unknowns."""
+
+
+class OptionError(RankoneError, ValueError):
+    """An option of the solver is out of its range."""
+
+
+class EvaluationError(RankoneError, ValueError):
+    """A solution was asked for a value it does not hold (outside the box, unknown name)."""
+
+
+class StorageError(RankoneError, ValueError):
+    """A file cannot be read or written as a rankone solution."""
+
+
+class ConvergenceError(RankoneError, RuntimeError):
+    """The tolerance asked for was not reached; ``.solution`` holds what was reached."""
+
+    def __init__(self, message: str, *, solution: Solution | None = None, **where: Any) -> None:
+        super().__init__(message, **where)
+        self.solution = solution
+
+
+class BlowUpError(ConvergenceError):
+    """A trajectory leaves every bound inside the horizon.
+
+    Attributes
+    ----------
+    time : float
+        Time near which the earliest blow-up was seen.
+    parameters : dict of str to float
+        Parameter values at which it was seen.
+    solution : Solution or None
+        The verified part of the solution, up to shortly before ``time``.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        time: float,
+        parameters: dict[str, float],
+        solution: Solution | None = None,
+        **where: Any,
+    ) -> None:
+        super().__init__(message, solution=solution, **where)
+        self.time = time
+        self.parameters = parameters
+
+
+class RankoneWarning(UserWarning):
+    """Something is probably not what was meant, but the result is well defined."""

@@ -1,0 +1,95 @@
+"""What a generated module offers: the contract between code generation and the solvers.
+
+A generated module is plain NumPy. It holds a *quadratic* system in separated form: products of
+more than two states are lowered by auxiliary algebraic states ("products", ``w = s_a s_b``), which
+follow the differential states in ``STATES``. Terms are grouped by *signature*: the tuple of
+parameter-factor rows they share, so that one contraction over the parameters serves a whole group.
+
+Within the group ``g`` the right-hand side is
+
+    prod_j parameter_factors(j, p_j)[SIGNATURES[g][j]]
+        * (constant_g(t) + linear_g(t) x + quadratic_g(t)(x, x)),
+
+and the kernels below evaluate the bracket on ``P`` time points for ``r`` columns at once.
+
+=====================================  ===========================================================
+kernel                                 meaning (n states in all, P points)
+=====================================  ===========================================================
+``constant(phi)``                      y (n, P)
+``linear(phi, x)``                     x (n, P, r) -> y (n, P, r)
+``linear_adjoint(phi, w)``             w (n, P, s) -> v (n, P, s): <w, linear(x)> = <v, x>
+``quadratic(phi, x, z)``               x (n, P, r), z (m, P, r, s) -> y (n, P, s); for every monomial
+                                       x_a x_b of row c with b = PAIRED[g][k]:
+                                       y[c][P, s] += coefficient phi sum_r x[a][P, r] z[k][P, r, s]
+``quadratic_adjoint(phi, x, w)``       x (n, P, r), w (n, P, s) -> v (m, P, r, s):
+                                       v[k][P, r, s] += coefficient phi x[a][P, r] w[c][P, s]
+=====================================  ===========================================================
+
+``phi`` is the array of time factors at the P points, shape (number of time factors, P).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Array", "Kernel", "System"]
+
+Array = NDArray[np.float64]
+Kernel = Callable[..., Array]
+
+
+class System(Protocol):
+    """The names a generated module defines."""
+
+    STATES: tuple[str, ...]
+    """Differential states, then the auxiliary products."""
+    N_DIFFERENTIAL: int
+    """Number of differential states."""
+    PRODUCTS: tuple[tuple[int, int], ...]
+    """For each auxiliary state the indices (a, b) of the states multiplied."""
+    PARAMETERS: tuple[str, ...]
+    TIME: tuple[float, float]
+    BOX: tuple[tuple[float, float], ...]
+    SIGNATURES: tuple[tuple[int, ...], ...]
+    """For each group and parameter the row of ``parameter_factors``; row 0 is one."""
+    INITIAL: tuple[tuple[float, int, tuple[int, ...]], ...]
+    """Initial values: (coefficient, differential state, row for each parameter)."""
+    CONSTANT: tuple[Kernel | None, ...]
+    LINEAR: tuple[Kernel | None, ...]
+    LINEAR_ADJOINT: tuple[Kernel | None, ...]
+    QUADRATIC: tuple[Kernel | None, ...]
+    QUADRATIC_ADJOINT: tuple[Kernel | None, ...]
+    PAIRED: tuple[tuple[int, ...], ...]
+    """For each group the second states of its quadratic monomials (the order of z and v)."""
+
+    @staticmethod
+    def time_factors(t: Array) -> Array:
+        """Time factors at the points t (P,): shape (number of factors, P); row 0 is one."""
+
+    @staticmethod
+    def parameter_factors(dimension: int, p: Array) -> Array:
+        """Factors of one parameter at the points p (N,): shape (number, N); row 0 is one."""
+
+    @staticmethod
+    def rhs(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """Pointwise f(t, u, p): u (N_DIFFERENTIAL, ...), p (d, ...) -> (N_DIFFERENTIAL, ...)."""
+
+    @staticmethod
+    def jacobian(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """Pointwise df/du, shape (N_DIFFERENTIAL, N_DIFFERENTIAL, ...)."""
+
+    @staticmethod
+    def lift(u: Sequence[Any] | Array) -> Array:
+        """Append the products: (N_DIFFERENTIAL, ...) -> (len(STATES), ...)."""
+
+    @staticmethod
+    def lifted_jacobian(t: Any, x: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """Jacobian of the quadratic system at x (len(STATES), ...), shape (n, n, ...).
+
+        Rows of the differential states hold f with products as states; the row of a product
+        holds the derivative of ``s_a s_b - w``.
+        """
