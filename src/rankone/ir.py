@@ -77,7 +77,7 @@ class Term:
     derivative: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class SeparatedForm:
     """A parametric first-order system as a sum of separated terms.
 
@@ -100,3 +100,20 @@ class SeparatedForm:
     factors: tuple[tuple[Factor, ...], ...]
     terms: tuple[Term, ...]
     initial: tuple[Term, ...]
+
+    def __str__(self) -> str:
+        from rankone.display import text_table
+
+        return text_table(self)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        from rankone.display import html_table
+
+        return html_table(self)
+
+    def _repr_latex_(self) -> str:
+        from rankone.display import latex_sums
+
+        return latex_sums(self)

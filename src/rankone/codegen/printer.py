@@ -1,0 +1,276 @@
+"""Printing: SymPy expressions as NumPy text, or as text for people.
+
+The only user of ``sympy.printing``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import sympy as sp
+from sympy.printing.precedence import PRECEDENCE, precedence
+from sympy.printing.printer import Printer
+from sympy.printing.str import sstr
+
+from rankone.errors import SeparationError
+
+__all__ = ["common_subexpressions", "number", "numpy_text", "plain_text"]
+
+UFUNCS = {
+    "Abs": "abs",
+    "acos": "arccos",
+    "acosh": "arccosh",
+    "asin": "arcsin",
+    "asinh": "arcsinh",
+    "atan": "arctan",
+    "atan2": "arctan2",
+    "atanh": "arctanh",
+    "ceiling": "ceil",
+    "cos": "cos",
+    "cosh": "cosh",
+    "exp": "exp",
+    "floor": "floor",
+    "log": "log",
+    "sign": "sign",
+    "sin": "sin",
+    "sinh": "sinh",
+    "tan": "tan",
+    "tanh": "tanh",
+}
+"""SymPy functions whose NumPy namesake takes the same arguments."""
+
+RECIPROCALS = {
+    sp.sec: sp.cos,
+    sp.csc: sp.sin,
+    sp.cot: sp.tan,
+    sp.sech: sp.cosh,
+    sp.csch: sp.sinh,
+    sp.coth: sp.tanh,
+}
+
+
+class NumPyText(Printer):  # type: ignore[misc]
+    """Prints an expression of real symbols as a NumPy expression.
+
+    Parameters
+    ----------
+    names : dict of Symbol to str
+        How each symbol is written.
+    """
+
+    printmethod = "_numpy_text"
+
+    def __init__(self, names: dict[sp.Symbol, str]) -> None:
+        super().__init__()
+        self.names = names
+
+    def operand(self, expr: sp.Expr, level: int, *, strict: bool = False) -> str:
+        """Text of an operand, in parentheses unless it binds tighter than ``level``."""
+        text = str(self._print(expr))
+        own = PRECEDENCE["Add"] if text.startswith("-") else precedence(expr)
+        if isinstance(expr, sp.Rational) and expr.q != 1:
+            own = min(own, PRECEDENCE["Mul"])
+        if isinstance(expr, sp.Pow) and (expr.exp == -1 or text.startswith("1 / ")):
+            own = PRECEDENCE["Mul"]
+        if isinstance(expr, CALLS):
+            own = PRECEDENCE["Atom"]
+        return f"({text})" if own < level or (strict and own == level) else text
+
+    def arguments(self, expr: sp.Basic) -> str:
+        return ", ".join(str(self._print(arg)) for arg in expr.args)
+
+    def _print_Symbol(self, expr: sp.Symbol) -> str:
+        return self.names[expr] if expr in self.names else str(expr.name)
+
+    def _print_Integer(self, expr: sp.Integer) -> str:
+        return str(int(expr))
+
+    def _print_Rational(self, expr: sp.Rational) -> str:
+        return f"{expr.p} / {expr.q}"
+
+    def _print_Float(self, expr: sp.Float) -> str:
+        return repr(float(expr))
+
+    def _print_NumberSymbol(self, expr: sp.NumberSymbol) -> str:
+        return repr(float(expr))
+
+    def _print_Pi(self, expr: sp.Expr) -> str:
+        return "np.pi"
+
+    def _print_Exp1(self, expr: sp.Expr) -> str:
+        return "np.e"
+
+    def _print_BooleanTrue(self, expr: sp.Basic) -> str:
+        return "True"
+
+    def _print_BooleanFalse(self, expr: sp.Basic) -> str:
+        return "False"
+
+    def _print_Add(self, expr: sp.Add) -> str:
+        terms = sorted(expr.as_ordered_terms(), key=lambda term: term.could_extract_minus_sign())
+        text = self.operand(terms[0], PRECEDENCE["Add"])
+        if text.startswith("(-"):
+            text = str(self._print(terms[0]))
+        for term in terms[1:]:
+            if term.could_extract_minus_sign():
+                text += f" - {self.operand(-term, PRECEDENCE['Add'], strict=True)}"
+            else:
+                text += f" + {self.operand(term, PRECEDENCE['Add'])}"
+        return text
+
+    def _print_Mul(self, expr: sp.Mul) -> str:
+        coefficient, rest = expr.as_coeff_Mul()
+        if coefficient.is_negative:
+            return f"-{self.operand(sp.Mul(-coefficient, rest), PRECEDENCE['Mul'])}"
+        above: list[sp.Expr] = []
+        below: list[sp.Expr] = []
+        for factor in expr.as_ordered_factors():
+            base, exponent = factor.as_base_exp()
+            if isinstance(factor, sp.Rational) and factor.q != 1:
+                above += [] if factor.p == 1 else [sp.Integer(factor.p)]
+                below.append(sp.Integer(factor.q))
+            elif isinstance(factor, sp.Pow) and exponent.is_number and exponent.is_negative:
+                below.append(base**-exponent)
+            else:
+                above.append(factor)
+        top = " * ".join(self.operand(factor, PRECEDENCE["Mul"]) for factor in above) or "1"
+        if not below:
+            return top
+        bottom = " * ".join(self.operand(factor, PRECEDENCE["Mul"]) for factor in below)
+        strict = len(below) > 1 or self.operand(below[0], PRECEDENCE["Mul"], strict=True) != bottom
+        return f"{top} / ({bottom})" if strict else f"{top} / {bottom}"
+
+    def _print_Pow(self, expr: sp.Pow) -> str:
+        base, exponent = expr.base, expr.exp
+        if exponent.is_number and exponent.is_negative:
+            below = self.operand(base**-exponent, PRECEDENCE["Mul"], strict=True)
+            return f"1 / {below}"
+        if exponent == sp.Rational(1, 2):
+            return f"np.sqrt({self._print(base)})"
+        if base == sp.E:
+            return f"np.exp({self._print(exponent)})"
+        left = self.operand(base, PRECEDENCE["Pow"], strict=True)
+        right = self.operand(exponent, PRECEDENCE["Pow"], strict=True)
+        simple = re.fullmatch(r"[\w.]+", left) and re.fullmatch(r"[\w.]+", right)
+        return f"{left}**{right}" if simple else f"{left} ** {right}"
+
+    def _print_Function(self, expr: sp.Function) -> str:
+        name = type(expr).__name__
+        if name in UFUNCS:
+            return f"np.{UFUNCS[name]}({self.arguments(expr)})"
+        raise unprintable(name, expr)
+
+    def _print_Heaviside(self, expr: sp.Heaviside) -> str:
+        return f"np.heaviside({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+
+    def _print_sinc(self, expr: sp.Function) -> str:
+        return f"np.sinc({self.operand(expr.args[0], PRECEDENCE['Mul'])} / np.pi)"
+
+    def _print_Mod(self, expr: sp.Mod) -> str:
+        return f"np.mod({self.arguments(expr)})"
+
+    def _print_Min(self, expr: sp.Min) -> str:
+        return self.nested("np.minimum", expr)
+
+    def _print_Max(self, expr: sp.Max) -> str:
+        return self.nested("np.maximum", expr)
+
+    def nested(self, function: str, expr: sp.Basic) -> str:
+        """A binary function of two or more arguments, in a deterministic order."""
+        first, *others = sorted(expr.args, key=sp.default_sort_key)
+        text = str(self._print(first))
+        for other in others:
+            text = f"{function}({text}, {self._print(other)})"
+        return text
+
+    def _print_And(self, expr: sp.And) -> str:
+        return self.nested("np.logical_and", expr)
+
+    def _print_Or(self, expr: sp.Or) -> str:
+        return self.nested("np.logical_or", expr)
+
+    def _print_Not(self, expr: sp.Not) -> str:
+        return f"np.logical_not({self._print(expr.args[0])})"
+
+    def _print_Relational(self, expr: Any) -> str:
+        return f"{self._print(expr.lhs)} {expr.rel_op} {self._print(expr.rhs)}"
+
+    def _print_Piecewise(self, expr: sp.Piecewise) -> str:
+        *branches, (value, condition) = expr.args
+        text = str(self._print(value))
+        if condition != sp.true:
+            text = f"np.where({self._print(condition)}, {text}, np.nan)"
+        for value, condition in reversed(branches):
+            text = f"np.where({self._print(condition)}, {self._print(value)}, {text})"
+        return text
+
+    def emptyPrinter(self, expr: Any) -> str:
+        raise unprintable(type(expr).__name__, expr)
+
+
+CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.sinc)
+"""Expressions printed as a call, whatever SymPy says of their precedence."""
+
+
+def unprintable(name: str, expr: Any) -> SeparationError:
+    """The error for a function without a NumPy counterpart."""
+    return SeparationError(
+        f"the function `{name}` in `{sstr(expr)}` cannot be written with NumPy",
+        term=expr,
+        remedy="rewrite it with elementary functions or Piecewise, or approximate it beforehand",
+    )
+
+
+def numpy_text(expr: sp.Expr, names: dict[sp.Symbol, str]) -> str:
+    """NumPy text of an expression.
+
+    >>> k = sp.Symbol("k")
+    >>> numpy_text(sp.exp(-k) / (3 * k**2), {k: "k"})
+    'np.exp(-k) / (3 * k**2)'
+
+    Raises
+    ------
+    SeparationError
+        If a function has no NumPy counterpart.
+    """
+    for function, inverse in RECIPROCALS.items():
+        if expr.has(function):
+            expr = expr.replace(function, lambda arg, inverse=inverse: 1 / inverse(arg))
+    return str(NumPyText(names).doprint(expr))
+
+
+def plain_text(expr: sp.Expr) -> str:
+    """Text of an expression for people, in parentheses if it is a sum."""
+    text = sstr(expr)
+    return f"({text})" if isinstance(expr, sp.Add) else str(text)
+
+
+def common_subexpressions(
+    expressions: Sequence[sp.Expr], names: dict[sp.Symbol, str], temporaries: Iterator[str]
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """NumPy text of several expressions, with what they share named first.
+
+    Returns
+    -------
+    shared : list of (str, str)
+        Names taken from ``temporaries`` and their text, each using only what precedes it.
+    texts : list of str
+        One for each expression.
+    """
+    symbols = (sp.Dummy(name) for name in temporaries)
+    replacements, reduced = sp.cse(expressions, symbols=symbols, order="canonical", list=True)
+    written = {**names, **{symbol: symbol.name for symbol, _ in replacements}}
+    shared = [(symbol.name, numpy_text(value, written)) for symbol, value in replacements]
+    return shared, [numpy_text(value, written) for value in reduced]
+
+
+def number(value: float) -> str:
+    """Shortest text that reads back as the same number, for people: no trailing ``.0``.
+
+    >>> number(2.0), number(0.1)
+    ('2', '0.1')
+    """
+    text = repr(float(value))
+    return text.removesuffix(".0")

@@ -1,0 +1,139 @@
+"""Sums of products: shared factors computed once, common factors taken out of sums.
+
+Works on symbols numbered by the caller, who says how each is written. The result is text ready
+for :func:`rankone.codegen.text.assignment` and a count of its operations.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rankone.codegen.lowering import extract_pairs
+
+__all__ = ["Product", "SharedSums", "share"]
+
+Product = tuple[float, tuple[int, ...]]
+"""A coefficient and the symbols multiplied."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedSums:
+    """Several sums of products over common intermediate terms.
+
+    Attributes
+    ----------
+    intermediate : tuple of (str, str)
+        Names and expressions, each using only what precedes it.
+    sums : tuple of tuple of str
+        For each sum its terms, all but the first starting with their sign.
+    operations : int
+        Number of additions and multiplications.
+    """
+
+    intermediate: tuple[tuple[str, str], ...]
+    sums: tuple[tuple[str, ...], ...]
+    operations: int
+
+
+def share(
+    sums: Sequence[Sequence[Product]],
+    symbols: Sequence[str],
+    temporaries: Iterator[str],
+    *,
+    width: int = 80,
+) -> SharedSums:
+    """Write sums of products with few operations.
+
+    Pairs of symbols that occur more than once become intermediate terms; then each sum is
+    factored by its most frequent symbol, ``k*x - k*y`` to ``k * (x - y)``, unless a factored
+    term would be longer than ``width``.
+
+    Parameters
+    ----------
+    sums : sequence of sequence of Product
+        The sums, in the order they are to be written.
+    symbols : sequence of str
+        Text of each symbol.
+    temporaries : iterator of str
+        Fresh names for intermediate terms.
+    """
+    flat = [symbols_ for terms in sums for _, symbols_ in terms]
+    pairs, rewritten = extract_pairs(flat, len(symbols), degree=1, repeats=2)
+    names = [*symbols]
+    intermediate = []
+    for a, b in pairs:
+        name = next(temporaries)
+        intermediate.append((name, f"{names[a]} * {names[b]}"))
+        names.append(name)
+    operations = len(pairs)
+    remaining = iter(rewritten)
+    written = []
+    for terms in sums:
+        shared = [(coefficient, next(remaining)) for coefficient, _ in terms]
+        chunks, count = _factored(shared, names)
+        if any(len(chunk) > width for chunk in chunks):
+            chunks, count = _plain(shared, names)
+        written.append(tuple(chunks))
+        operations += count
+    return SharedSums(tuple(intermediate), tuple(written), operations)
+
+
+def _factored(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str], int]:
+    """Terms of a sum with its most frequent symbol taken out, again and again, and operations."""
+    often = Counter(symbol for _, symbols in terms for symbol in set(symbols))
+    common = min(often, key=lambda symbol: (-often[symbol], symbol), default=None)
+    if common is None or often[common] < 2:
+        return _plain(terms, names)
+    inside, outside = [], []
+    for coefficient, symbols in terms:
+        if common in symbols:
+            rest = list(symbols)
+            rest.remove(common)
+            inside.append((coefficient, tuple(rest)))
+        else:
+            outside.append((coefficient, symbols))
+    sum_inside, count_inside = _factored(inside, names)
+    if len(sum_inside) == 1:  # a product again: k * (x * (a + b)) needs no outer parentheses
+        sign, factor = _split_sign(sum_inside[0])
+        first = f"{sign}{names[common]} * {factor}"
+    else:
+        first = f"{names[common]} * ({' '.join(sum_inside)})"
+    sum_outside, count_outside = _factored(outside, names)
+    if sum_outside and sum_outside[0][0] != "-":
+        sum_outside[0] = f"+ {sum_outside[0]}"
+    elif sum_outside:
+        sum_outside[0] = f"- {sum_outside[0][1:]}"
+    count = count_inside + 1 + count_outside + bool(outside)
+    return [first, *sum_outside], count
+
+
+def _plain(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str], int]:
+    """Terms of a sum as they are, and the number of operations."""
+    chunks: list[str] = []
+    operations = max(len(terms) - 1, 0)
+    positive = next((i for i, term in enumerate(terms) if term[0] > 0), 0)  # y - x, not -x + y
+    for coefficient, symbols in [
+        *terms[positive : positive + 1],
+        *terms[:positive],
+        *terms[positive + 1 :],
+    ]:
+        size = abs(coefficient)
+        factors = [names[symbol] for symbol in symbols]
+        if size != 1.0 or not factors:
+            factors.insert(0, repr(size))
+        operations += len(factors) - 1
+        minus = coefficient < 0
+        sign = ("-" if minus else "") if not chunks else ("- " if minus else "+ ")
+        chunks.append(sign + " * ".join(factors))
+    return chunks, operations
+
+
+def _split_sign(chunk: str) -> tuple[str, str]:
+    """Separate the sign of a first term.
+
+    >>> _split_sign("-x"), _split_sign("x")
+    (('-', 'x'), ('', 'x'))
+    """
+    return ("-", chunk[1:]) if chunk.startswith("-") else ("", chunk)

@@ -1,0 +1,95 @@
+"""Layout of generated Python text: statements and tables as ``ruff format`` would write them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+__all__ = [
+    "WIDTH",
+    "Nested",
+    "assignment",
+    "commented",
+    "docstring",
+    "statement",
+    "table",
+    "unpacking",
+]
+
+WIDTH = 100
+INDENT = "    "
+
+Nested: TypeAlias = "str | Sequence[Nested]"
+"""A text, or a tuple of them."""
+
+
+def assignment(target: str, terms: Sequence[str]) -> list[str]:
+    """``target = sum of terms``; all terms but the first start with their sign.
+
+    >>> assignment("y", ["a * b", "- c"])
+    ['    y = a * b - c']
+    """
+    return statement(f"{target} =", terms)
+
+
+def statement(start: str, terms: Sequence[str]) -> list[str]:
+    """A statement that ends in a sum, such as ``return a - b``, wrapped if it is long."""
+    joined = " ".join(terms)
+    line = f"{INDENT}{start} {joined}"
+    if len(line) <= WIDTH:
+        return [line]
+    inner = INDENT * 2
+    body = [inner + joined] if len(inner + joined) <= WIDTH else [inner + term for term in terms]
+    return [f"{INDENT}{start} (", *body, f"{INDENT})"]
+
+
+def commented(line: str, comment: str) -> str:
+    """The line with a comment, left out if it does not fit."""
+    longer = f"{line}  # {comment}"
+    return longer if len(longer) <= WIDTH else line
+
+
+def unpacking(names: Sequence[str], source: str) -> list[str]:
+    """``a, b = source``; nothing if every name is ``_``."""
+    if all(name == "_" for name in names):
+        return []
+    targets = f"({names[0]},)" if len(names) == 1 else ", ".join(names)
+    line = f"{INDENT}{targets} = {source}"
+    if len(line) <= WIDTH:
+        return [line]
+    return [f"{INDENT}(", *(f"{INDENT * 2}{name}," for name in names), f"{INDENT}) = {source}"]
+
+
+def table(name: str, items: Sequence[Nested]) -> list[str]:
+    """A tuple bound to a name, on one line if it fits.
+
+    >>> table("PAIRED", [["0", "2"], ["1"]])
+    ['PAIRED = ((0, 2), (1,))']
+    """
+    return _wrapped(f"{name} = ", items, "", indent="")
+
+
+def _wrapped(start: str, item: Nested, end: str, indent: str) -> list[str]:
+    """A tuple between two texts, one line for each of its items if it is too long for one."""
+    line = f"{indent}{start}{_one_line(item)}{end}"
+    if len(line) <= WIDTH or isinstance(item, str):
+        return [line]
+    inner = [row for part in item for row in _wrapped("", part, ",", indent + INDENT)]
+    return [f"{indent}{start}(", *inner, f"{indent}){end}"]
+
+
+def _one_line(item: Nested) -> str:
+    """A text as it is, or a tuple in one line."""
+    if isinstance(item, str):
+        return item
+    parts = [_one_line(part) for part in item]
+    return f"({parts[0]},)" if len(parts) == 1 else f"({', '.join(parts)})"
+
+
+def docstring(lines: Sequence[str], indent: str = INDENT) -> list[str]:
+    """A docstring of a summary and further lines, safe for backslashes and quotes."""
+    safe = [line.replace("\\", "\\\\").replace('"""', r"\"\"\"") for line in lines]
+    if len(safe) == 1 and not safe[0].endswith('"'):
+        return [f'{indent}"""{safe[0]}"""']
+    body = [(indent + line).rstrip() for line in safe[1:]]
+    return [f'{indent}"""{safe[0]}', *body, f'{indent}"""']

@@ -1,0 +1,189 @@
+"""Nodal bases on an interval, one element (spectral) or several: the parameter discretisation.
+
+No derivative in a parameter ever occurs in an ODE system, so collocation at the nodes of a
+discrete inner product equals Galerkin projection with that quadrature, and every parameter
+operator is diagonal.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+__all__ = ["BASES", "Basis1D", "ChebyshevBasis", "LegendreBasis", "legendre_values"]
+
+Array = NDArray[np.float64]
+
+
+def legendre_values(xi: Array, count: int) -> Array:
+    """Legendre polynomials on [-1, 1], orthonormal for the uniform probability measure.
+
+    Parameters
+    ----------
+    xi : ndarray (N,)
+        Points in [-1, 1].
+    count : int
+        Number of polynomials, degrees 0 to ``count - 1``.
+
+    Returns
+    -------
+    ndarray (N, count)
+        ``sqrt(2 m + 1) P_m(xi)``, by the three-term recurrence (DLMF 18.9.1).
+    """
+    values = np.empty((count, xi.size))
+    values[0] = 1.0
+    if count > 1:
+        values[1] = xi
+    for m in range(1, count - 1):
+        values[m + 1] = ((2 * m + 1) * xi * values[m] - m * values[m - 1]) / (m + 1)
+    values *= np.sqrt(2.0 * np.arange(count) + 1.0)[:, None]
+    return values.T
+
+
+def chebyshev_values(xi: Array, count: int) -> Array:
+    """Chebyshev polynomials on [-1, 1], orthonormal for the arcsine probability measure.
+
+    Shapes as in :func:`legendre_values`; ``sqrt(2) T_m(xi)`` for m > 0.
+    """
+    values = np.empty((count, xi.size))
+    values[0] = 1.0
+    if count > 1:
+        values[1] = xi
+    for m in range(1, count - 1):
+        np.multiply(2.0 * xi, values[m], out=values[m + 1])
+        values[m + 1] -= values[m - 1]
+    values[1:] *= np.sqrt(2.0)
+    return values.T
+
+
+@dataclass(frozen=True)
+class Basis1D(ABC):
+    """A nodal basis on [lower, upper] in equal elements, with a discrete inner product.
+
+    Functions are held by their values at the nodes times the square root of the weights
+    ("scaled values"), so that the Euclidean product is the discrete inner product.
+
+    Parameters
+    ----------
+    lower, upper : float
+        The interval, in the unit of the coordinate.
+    degree : int
+        Nodes per element.
+    elements : int
+        Number of equal elements.
+    """
+
+    lower: float
+    upper: float
+    degree: int
+    elements: int = 1
+
+    kind: ClassVar[str]
+
+    @staticmethod
+    @abstractmethod
+    def _rule(count: int) -> tuple[Array, Array]:
+        """Nodes in [-1, 1], ascending, and weights of sum one."""
+
+    @staticmethod
+    @abstractmethod
+    def _values(xi: Array, count: int) -> Array:
+        """Values of the polynomials orthonormal under the rule, (N, count)."""
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return self.degree * self.elements
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Nodes of all elements, ascending, shape (size,)."""
+        xi, _ = self._rule(self.degree)
+        width = (self.upper - self.lower) / self.elements
+        starts = self.lower + width * np.arange(self.elements)
+        points: Array = (starts[:, None] + 0.5 * width * (xi + 1.0)).ravel()
+        return points
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of the discrete inner product, of sum one, shape (size,)."""
+        _, weights = self._rule(self.degree)
+        return np.asarray(np.tile(weights / self.elements, self.elements))
+
+    @cached_property
+    def to_modal(self) -> Array:
+        """Orthogonal map from scaled values to coefficients of the modes, (size, size).
+
+        Modes are the orthonormal polynomials of each element, element after element.
+        """
+        xi, weights = self._rule(self.degree)
+        block = (self._values(xi, self.degree) * np.sqrt(weights)[:, None]).T
+        return np.asarray(np.kron(np.eye(self.elements), block))
+
+    @cached_property
+    def tail(self) -> Array:
+        """Rows of ``to_modal`` that belong to the two highest modes of each element."""
+        top = np.arange(self.size) % self.degree >= max(self.degree - 2, 1)
+        return np.asarray(self.to_modal[top])
+
+    def modal_values(self, points: Array) -> Array:
+        """Values of the modes at points (N,) of the interval: shape (N, size)."""
+        position = (points - self.lower) * (self.elements / (self.upper - self.lower))
+        if self.elements == 1:
+            return self._values(2.0 * position - 1.0, self.degree)
+        element = np.clip(position.astype(int), 0, self.elements - 1)
+        local = self._values(2.0 * (position - element) - 1.0, self.degree)
+        values = np.zeros((points.size, self.elements, self.degree))
+        values[np.arange(points.size), element] = local * np.sqrt(self.elements)
+        return values.reshape(points.size, self.size)
+
+    def transfer(self, other: Basis1D) -> Array:
+        """Map scaled values on this basis to those on another, (other.size, size)."""
+        values = self.modal_values(other.nodes) @ self.to_modal
+        return np.asarray(np.sqrt(other.weights)[:, None] * values)
+
+    def refined(self, largest_degree: int) -> Self:
+        """The next finer basis: more nodes, or twice the elements once the degree is spent."""
+        degree = self.degree + max(2, self.degree // 4)
+        if degree <= largest_degree:
+            return replace(self, degree=degree)
+        return replace(self, degree=max(largest_degree // 2, 3), elements=2 * self.elements)
+
+
+class LegendreBasis(Basis1D):
+    """Gauss-Legendre nodes: truncation is optimal in the mean square over the interval."""
+
+    kind = "legendre"
+    _values = staticmethod(legendre_values)
+
+    @staticmethod
+    def _rule(count: int) -> tuple[Array, Array]:
+        xi, weights = leggauss(count)
+        return xi, 0.5 * weights
+
+
+class ChebyshevBasis(Basis1D):
+    """Chebyshev-Gauss nodes with equal weights: truncation is nearly uniform over the interval.
+
+    The arcsine measure weighs the ends of the interval more than the mean square does, so that
+    the largest error over the box stays close to the root mean square one
+    (Trefethen, Approximation Theory and Approximation Practice, ch. 4 and 8).
+    """
+
+    kind = "chebyshev"
+    _values = staticmethod(chebyshev_values)
+
+    @staticmethod
+    def _rule(count: int) -> tuple[Array, Array]:
+        xi = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        return xi, np.full(count, 1.0 / count)
+
+
+BASES: dict[str, type[Basis1D]] = {cls.kind: cls for cls in (ChebyshevBasis, LegendreBasis)}
+"""The bases by name."""

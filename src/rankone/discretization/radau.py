@@ -1,0 +1,80 @@
+"""Right Radau collocation on one time slab."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre as npl
+from numpy.typing import NDArray
+
+from rankone.discretization.basis import legendre_values
+
+__all__ = ["RadauCollocation"]
+
+Array = NDArray[np.float64]
+
+
+class RadauCollocation:
+    """Collocation at the K right Radau points of the unit slab (0, 1].
+
+    The polynomial of degree K through the start value ``u_0`` and the K node values has, at the
+    nodes, the derivative ``derivative @ u - start * u_0``. The end of the slab is the last node;
+    the scheme is the K-stage Radau IIA method, of order 2 K - 1 there
+    (Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5).
+
+    Attributes
+    ----------
+    nodes : ndarray (K,)
+        Radau points in (0, 1], ascending, the last is 1.
+    derivative : ndarray (K, K)
+    start : ndarray (K,)
+        Equal to the row sums of ``derivative``.
+    to_modal : ndarray (K + 1, K + 1)
+        From the values at 0 and at the nodes to coefficients of orthonormal Legendre polynomials.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.nodes = _radau_points(count)
+        points = np.concatenate([[0.0], self.nodes])
+        full = _differentiation(points)[1:]
+        self.derivative = full[:, 1:]
+        self.start = -full[:, 0]
+        self.to_modal = np.linalg.inv(legendre_values(2.0 * points - 1.0, count + 1))
+
+    @property
+    def count(self) -> int:
+        """Number of nodes K."""
+        return self.nodes.size
+
+    @staticmethod
+    @lru_cache(maxsize=32)
+    def of(count: int) -> RadauCollocation:
+        """A shared instance with ``count`` nodes."""
+        return RadauCollocation(count)
+
+
+def _radau_points(count: int) -> Array:
+    """Zeros of P_{K-1} - P_K on (0, 1], polished by Newton steps."""
+    if count == 1:
+        return np.ones(1)
+    series = np.zeros(count + 1)
+    series[count - 1], series[count] = 1.0, -1.0
+    inner = np.sort(npl.legroots(series).real)[:-1]
+    slope = npl.legder(series)
+    for _ in range(3):
+        inner -= npl.legval(inner, series) / npl.legval(inner, slope)
+    return np.concatenate([0.5 * (inner + 1.0), [1.0]])
+
+
+def _differentiation(points: Array) -> Array:
+    """Differentiation matrix on distinct points, by barycentric weights."""
+    gaps = points[:, None] - points[None, :]
+    np.fill_diagonal(gaps, 1.0)
+    weights = 1.0 / np.prod(gaps, axis=1)
+    matrix = (weights[None, :] / weights[:, None]) / gaps
+    np.fill_diagonal(matrix, 0.0)
+    np.fill_diagonal(matrix, -matrix.sum(axis=1))
+    return np.asarray(matrix)
+
+

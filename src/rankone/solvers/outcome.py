@@ -1,0 +1,106 @@
+"""What an engine returns: separated tensors per slab, what was measured, and how it went."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["Measured", "Outcome", "SlabRecord", "Status"]
+
+
+class Status(Enum):
+    """How a solve ended; the value is the sentence a user reads first."""
+
+    CONVERGED = "the measured error is within the tolerance"
+    UNCHECKED = "no check was asked for, so the error is not known"
+    TOLERANCE = "the measured error is above the tolerance"
+    RANK_LIMIT = "the rank limit was reached"
+    NODE_LIMIT = "the limit of parameter nodes was reached"
+    SLAB_LIMIT = "the limit of time slabs was reached"
+    MEMORY_LIMIT = "the memory limit was reached"
+    TIME_LIMIT = "the time limit was reached"
+    NO_CONVERGENCE = "the sweeps did not converge on any slab length"
+    BLOW_UP = "a trajectory blows up inside the horizon"
+
+
+@dataclass(frozen=True, slots=True)
+class SlabRecord:
+    """One accepted or rejected slab.
+
+    Attributes
+    ----------
+    attempt : int
+        Number of the solve (0, 1, ...): a solve is repeated with a tighter inner tolerance when
+        the check asks for it.
+    start, end : float
+        The slab.
+    accepted : bool
+    tolerance : float
+        Inner tolerance of the slab, in units of each state's size.
+    residuals : tuple of float
+        Largest change of the train in each sweep, in the same unit.
+    ranks : tuple of int
+        Ranks at the end of the sweeps.
+    nodes : tuple of int
+        Parameter nodes in each dimension.
+    """
+
+    attempt: int
+    start: float
+    end: float
+    accepted: bool
+    tolerance: float
+    residuals: tuple[float, ...]
+    ranks: tuple[int, ...]
+    nodes: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Errors against SciPy trajectories over the whole horizon, relative to each state's size.
+
+    Attributes
+    ----------
+    interior : tuple of float
+        For each state the largest error over random interior parameter points (and, for up to
+        three parameters, over the corners of the box).
+    corners : tuple of float
+        For each state the largest error over corners of the box; empty without parameters.
+    points : int
+        Number of trajectories compared.
+    method : str
+        The SciPy method of the reference.
+    """
+
+    interior: tuple[float, ...]
+    corners: tuple[float, ...]
+    points: int
+    method: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of an engine.
+
+    Attributes
+    ----------
+    slabs : tuple of SlabTrain
+        Consecutive slabs, all differential states.
+    status : Status
+    message : str
+        One or two sentences: how it ended, why, and what to do.
+    measured : Measured or None
+        None when no check was made.
+    history : tuple of SlabRecord
+    timings : dict of str to float
+        Seconds by stage: ``reference``, ``march``, ``check``.
+    """
+
+    slabs: tuple[SlabTrain, ...]
+    status: Status
+    message: str
+    measured: Measured | None
+    history: tuple[SlabRecord, ...]
+    timings: dict[str, float] = field(default_factory=dict)

@@ -1,0 +1,155 @@
+"""The operators of one time slab: collocation, mean Jacobian and the preconditioned Volterra form.
+
+On the slab [s, s + h] the unknown solves, at the Radau nodes, ``M u' = f(u)``, where M is one for
+differential states and zero for the auxiliary products. With the Jacobian A(t) along the
+trajectory at the centre of the box this is rewritten as
+
+    U = E U_s + S (f(U) - A U),    S = (D M / h - A)^{-1},  E = S (d_0 M / h),
+
+a second-kind equation, near the identity, that treats the stiffness common to the box exactly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from rankone.discretization import RadauCollocation
+from rankone.solvers.train.groups import CONSTANT, LINEAR, Group
+from rankone.system import Array, System
+
+__all__ = ["SlabOperator"]
+
+
+class SlabOperator:
+    """Right-hand side kernels and preconditioner of one slab, on scaled states.
+
+    Parameters
+    ----------
+    system : System
+        The generated module.
+    collocation : RadauCollocation
+        Time nodes.
+    start, length : float
+        The slab [start, start + length].
+    scale : ndarray (n,)
+        Size of each state; cores hold states divided by ``scale * sqrt(K)``, so that the Euclidean
+        norm of a core is a root mean square over the nodes in units of the size.
+    jacobian : ndarray (n, n, K)
+        Jacobian of the quadratic system at the nodes, along the trajectory at the box centre.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        collocation: RadauCollocation,
+        start: float,
+        length: float,
+        scale: Array,
+        jacobian: Array,
+    ) -> None:
+        self.system = system
+        self.collocation = collocation
+        self.start, self.length = start, length
+        n, count = scale.size, collocation.count
+        self.shape = (n, count)
+        self.times = start + length * collocation.nodes
+        self.phi = system.time_factors(self.times)
+        self._units = scale * np.sqrt(count)
+        self.jacobian = jacobian * (scale[None, :, None] / scale[:, None, None])
+        mass = np.zeros(n)
+        mass[: system.N_DIFFERENTIAL] = 1.0 / length
+        matrix = np.zeros((n, count, n, count))
+        index, nodes = np.arange(n), np.arange(count)
+        matrix[index, :, index, :] = mass[:, None, None] * collocation.derivative
+        matrix[:, nodes, :, nodes] -= np.moveaxis(self.jacobian, 2, 0)
+        factored = scipy.linalg.lu_factor(matrix.reshape(n * count, n * count), check_finite=False)
+        start_columns = np.zeros((n, count, n))
+        start_columns[index, :, index] = mass[:, None] * collocation.start
+        start_columns = start_columns[:, :, : system.N_DIFFERENTIAL]
+        self.solution_operator = scipy.linalg.lu_solve(
+            factored, np.eye(n * count), check_finite=False
+        )
+        self.propagator = self.solution_operator @ start_columns.reshape(n * count, -1)
+
+    # Kernels act on x (n, P, r) with P = K * repeat points, time-major.
+
+    def tiled(self, repeat: int) -> Array:
+        """Time factors at K * repeat points."""
+        return self.phi if repeat == 1 else np.repeat(self.phi, repeat, axis=1)
+
+    def constant(self, group: Group, phi: Array) -> Array:
+        kernel = self.system.CONSTANT[group.index]
+        assert kernel is not None
+        return kernel(phi) / self._units[:, None]
+
+    def linear(self, group: Group, phi: Array, x: Array) -> Array:
+        kernel = self.system.LINEAR[group.index]
+        assert kernel is not None
+        units = self._units[:, None, None]
+        return kernel(phi, x * units) / units
+
+    def quadratic(self, group: Group, phi: Array, x: Array, env: Array) -> Array:
+        """Right-hand side of a quadratic group, contracted with env (r, r, s)."""
+        kernel = self.system.QUADRATIC[group.index]
+        assert kernel is not None
+        x = x * self._units[:, None, None]
+        paired = x[list(self.system.PAIRED[group.index])]
+        m, points, r = paired.shape
+        z = (paired.reshape(m * points, r) @ env.reshape(r, -1)).reshape(m, points, r, -1)
+        return kernel(phi, x, z) / self._units[:, None, None]
+
+    def minus_jacobian(self, x: Array, repeat: int) -> Array:
+        """-A x at x (n, K * repeat, r)."""
+        n, count = self.shape
+        blocks = x.reshape(n, count, -1)
+        product = np.matmul(np.moveaxis(self.jacobian, 2, 0), np.moveaxis(blocks, 1, 0))
+        return -np.moveaxis(product, 0, 1).reshape(x.shape)
+
+    def solve(self, y: Array) -> Array:
+        """S y for y (n, K * repeat, r): acts on (state, time), time-major points."""
+        n, count = self.shape
+        return (self.solution_operator @ y.reshape(n * count, -1)).reshape(y.shape)
+
+    # Left environments: test functions w = S^T L against the kernels on x.
+
+    def adjoint(self, tests: Array) -> Array:
+        """S^T tests for tests (n, K, s)."""
+        n, count = self.shape
+        flat = tests.reshape(n * count, -1)
+        return (self.solution_operator.T @ flat).reshape(n, count, -1)
+
+    def left(self, group: Group, weighted: Array, x: Array) -> Array:
+        """<weighted_s, group(x)>: (s,), (s, r) or (s, r, r) by the degree of the group.
+
+        ``weighted`` is the adjoint of the test functions, (n, K, s).
+        """
+        if group.degree == CONSTANT:
+            return np.tensordot(weighted, self.constant(group, self.phi), axes=([0, 1], [0, 1]))
+        units = self._units[:, None, None]
+        x, weighted = x * units, weighted / units
+        n, count, r = x.shape
+        s = weighted.shape[2]
+        if group.degree == LINEAR:
+            kernel = self.system.LINEAR_ADJOINT[group.index]
+            assert kernel is not None
+            v = kernel(self.phi, weighted)
+            return v.reshape(n * count, s).T @ x.reshape(n * count, r)
+        kernel = self.system.QUADRATIC_ADJOINT[group.index]
+        assert kernel is not None
+        v = kernel(self.phi, x, weighted)
+        paired = x[list(self.system.PAIRED[group.index])].reshape(-1, r)
+        env = (paired.T @ v.reshape(paired.shape[0], r * s)).reshape(r, r, s)
+        return np.moveaxis(0.5 * (env + env.swapaxes(0, 1)), 2, 0)
+
+    def left_minus_jacobian(self, weighted: Array, x: Array) -> Array:
+        """<weighted_s, -A x>: (s, r)."""
+        return np.tensordot(weighted, self.minus_jacobian(x, 1), axes=([0, 1], [0, 1])).reshape(
+            weighted.shape[2], x.shape[2]
+        )
+
+    def initial(self, start: Array) -> Array:
+        """E u_s for start values in scaled states (n_differential, r): (n, K, r)."""
+        n, count = self.shape
+        values = self.propagator @ start
+        return np.asarray(values.reshape(n, count, -1)) / np.sqrt(count)

@@ -1,0 +1,369 @@
+"""Two-site alternating sweeps for the fixed point U = E U_s + S (f(U) - A U) on one slab.
+
+The unknown is one tensor train over [(state, time)] | p_1 | ... | p_d. All cores but one (the
+centre) are orthonormal; the orthonormal cores to the left and right of a pair of neighbours form a
+frame. One step contracts the right-hand side with that frame, which gives a new value for the
+pair, and splits it by a truncated SVD: the rank adapts itself (this is the enrichment).
+
+A contraction is stored per *key* (degree, remaining factor rows): ``left[b][key]`` collects all
+terms that agree from parameter b on, ``right[b][key]`` holds the parameters b, ..., d.
+Bond b lies between core b - 1 and core b; core 0 is (state, time), core j is parameter j.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.solvers.train.groups import (
+    CONSTANT,
+    LINEAR,
+    QUADRATIC,
+    Group,
+    Key,
+    ParameterOperators,
+)
+from rankone.solvers.train.slab import SlabOperator
+from rankone.system import Array
+from rankone.tensors.truncation import truncated_svd
+
+__all__ = ["Sweeper"]
+
+
+def _pairs(rank: int) -> tuple[Array, Array, Array]:
+    """Indices (i <= j) of a symmetric matrix and the multiplicity of each entry."""
+    i, j = np.triu_indices(rank)
+    return i, j, np.where(i == j, 1.0, 2.0)
+
+
+@dataclass
+class Sweeper:
+    """The state of the sweeps on one slab.
+
+    Parameters
+    ----------
+    operator : SlabOperator
+        Kernels and preconditioner.
+    groups : tuple of Group
+        The term groups of the system.
+    parameters : ParameterOperators
+        Diagonal parameter operators on the current bases.
+    cores : list of ndarray
+        Core 0 (n, K, r_1), the centre; cores j >= 1 (r_j, n_j, r_{j+1}), right-orthonormal.
+    source : list of ndarray
+        The train U_s at the start of the slab: core 0 (n_differential, r), the rest alike.
+    """
+
+    operator: SlabOperator
+    groups: tuple[Group, ...]
+    parameters: ParameterOperators
+    cores: list[Array]
+    source: list[Array]
+    max_rank: int = 200
+
+    def __post_init__(self) -> None:
+        d = self.dimensions
+        self._keys: list[list[Key]] = [[] for _ in range(d + 2)]
+        for b in range(1, d + 2):
+            found = {(g.degree, g.signature[b - 1 :]): None for g in self.groups}
+            found[(LINEAR, (0,) * (d + 1 - b))] = None
+            self._keys[b] = list(found)
+        self._right: list[dict[Key, Array | None]] = [{} for _ in range(d + 2)]
+        self._left: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
+        self._right_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
+        self._left_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
+        self._source_right: list[Array] = [np.ones((1, 1)) for _ in range(d + 2)]
+        self._source_left: list[Array] = [np.ones((1, 1)) for _ in range(d + 2)]
+        for key in self._keys[d + 1]:
+            self._right[d + 1][key] = None if key[0] == LINEAR else np.ones((1,) * (key[0] + 1))
+        self.initial = self.operator.initial(self.source[0])
+        for b in range(d, 0, -1):
+            self._contract_right(b)
+
+    @property
+    def dimensions(self) -> int:
+        return len(self.cores) - 1
+
+    @property
+    def ranks(self) -> tuple[int, ...]:
+        return tuple(core.shape[0] for core in self.cores[1:])
+
+    # -- the first core alone: cheap fixed-point steps in a frozen parameter frame ---------------
+
+    def settle(self, tolerance: float, steps: int) -> float:
+        """Iterate the first core in the present frame; return the last change."""
+        change = np.inf
+        for _ in range(steps):
+            new = self._first_block(self.cores[0], 1, None)
+            previous, change = change, float(np.linalg.norm(new - self.cores[0]))
+            self.cores[0] = new
+            if change <= tolerance or not np.isfinite(change) or change > 2.0 * previous:
+                break
+        return change
+
+    def _first_block(self, x: Array, bond: int, row: int | None) -> Array:
+        """Right-hand side of the fixed point on core 0 (bond 1) or on cores 0 and 1 (bond 2).
+
+        ``x`` is (n, K, r_1), or (n, K, n_1, r_2); ``row`` is unused for bond 1.
+        """
+        n, count = self.operator.shape
+        repeat = 1 if bond == 1 else x.shape[2]
+        flat = x.reshape(n, count * repeat, -1)
+        rank = flat.shape[2]
+        phi = self.operator.tiled(repeat)
+        total = self.operator.minus_jacobian(flat, repeat)
+        for group in self.groups:
+            rest = group.signature[bond - 1 :]
+            env = self._right[bond][(group.degree, rest)]
+            if group.degree == CONSTANT:
+                assert env is not None
+                y = self.operator.constant(group, phi)[:, :, None] * env
+            elif group.degree == LINEAR:
+                y = self.operator.linear(group, phi, flat)
+                if env is not None:
+                    y = (y.reshape(-1, rank) @ env).reshape(n, -1, rank)
+            else:
+                assert env is not None
+                y = self.operator.quadratic(group, phi, flat, env)
+            if bond == 2:
+                vector = self.parameters.vector(group.key, 0)
+                y = (y.reshape(n, count, repeat, rank) * vector[:, None]).reshape(n, -1, rank)
+            total += y
+        total = self.operator.solve(total)
+        if bond == 1:
+            start = self.initial @ self._source_right[1]
+        else:
+            start = self.initial.reshape(n * count, -1) @ self._source_right_half(1)
+        return np.asarray(total.reshape(x.shape) + start.reshape(x.shape))
+
+    # -- contractions from the right: parameters b, ..., d --------------------------------------
+
+    def _contract_right(self, b: int) -> None:
+        """``right[b]`` from ``right[b + 1]`` and the orthonormal core b."""
+        core = self.cores[b]
+        r = core.shape[0]
+        flat = core.reshape(r, -1)
+        self._right[b] = {}
+        for key in self._keys[b]:
+            degree, rows = key
+            if degree == LINEAR and rows[0] == 0 and self._right[b + 1][(degree, rows[1:])] is None:
+                self._right[b][key] = None
+                continue
+            env = self._right_half(b, key) @ flat.T
+            if degree == CONSTANT:
+                env = env[0]
+            elif degree == QUADRATIC:
+                i, j, _ = _pairs(r)
+                full = np.empty((r, r, r))
+                full[i, j] = env
+                full[j, i] = env
+                env = full
+            self._right[b][key] = env
+        self._source_right[b] = self._source_right_half(b) @ flat.T
+        if b > 1:
+            self._right_halves[b - 1] = {}
+
+    def _right_half(self, b: int, key: Key) -> Array:
+        """``right[b + 1]`` extended by the trial core b: (trial, size * right rank).
+
+        The trial index is 1, r, or the packed pairs of r.
+        """
+        cached = self._right_halves[b].get(key)
+        if cached is not None:
+            return cached
+        degree, rows = key
+        core = self.cores[b]
+        r, size, s = core.shape
+        env = self._right[b + 1][(degree, rows[1:])]
+        vector = self.parameters.vector(key, b - 1)
+        if degree == CONSTANT:
+            assert env is not None
+            half = np.outer(vector, env)
+        elif degree == LINEAR:
+            half = core if env is None else (core.reshape(-1, s) @ env).reshape(r, size, s)
+            half = half if rows[0] == 0 else half * vector[:, None]
+        else:
+            assert env is not None
+            half = self._products(env, core, vector)
+        half = half.reshape(-1, size * env.shape[-1] if env is not None else size * s)
+        self._right_halves[b][key] = half
+        return half
+
+    def _source_right_half(self, b: int) -> Array:
+        """Overlap of the source train with the frame, extended by the source core b."""
+        other = self.source[b]
+        flat = other.reshape(-1, other.shape[2]) @ self._source_right[b + 1]
+        return flat.reshape(other.shape[0], -1)
+
+    @staticmethod
+    def _products(env: Array, core: Array, vector: Array) -> Array:
+        """Right half contraction of a quadratic key: (packed pairs of r, size * s).
+
+        ``env`` (s, s, s) is fully symmetric, ``core`` (r, size, s).
+        """
+        r, size, s = core.shape
+        nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
+        once = (nodes.reshape(size * r, s) @ env.reshape(s, s * s)).reshape(size, r * s, s)
+        twice = np.matmul(once, nodes.swapaxes(1, 2)).reshape(size, r, s, r)
+        i, j, _ = _pairs(r)
+        packed = twice.transpose(1, 3, 0, 2)[i, j] * vector[:, None]
+        return packed.reshape(i.size, size * s)
+
+    # -- contractions from the left: (state, time) and the parameters 1, ..., b - 1 --------------
+
+    def _left_half(self, b: int) -> dict[Key, Array]:
+        """``left[b]`` extended by the trial core b, by the keys of bond b + 1.
+
+        Each is (left rank * size, trial): the trial index is 1, s, or the packed pairs of s.
+        """
+        halves = self._left_halves[b]
+        if halves:
+            return halves
+        core = self.cores[b]
+        for key, env in self._left[b].items():
+            degree, rows = key
+            vector = self.parameters.vector(key, b - 1)
+            size, s = core.shape[1:]
+            if degree == CONSTANT:
+                half = np.outer(env, vector).reshape(-1, 1)
+            elif degree == LINEAR:
+                half = env @ core.reshape(core.shape[0], -1)
+                if rows[0] != 0:
+                    half = half.reshape(-1, size, s) * vector[:, None]
+                half = half.reshape(-1, s)
+            else:
+                half = self._products_left(env, core, vector)
+            rest = (degree, rows[1:])
+            halves[rest] = halves[rest] + half if rest in halves else half
+        return halves
+
+    @staticmethod
+    def _products_left(env: Array, core: Array, vector: Array) -> Array:
+        """Left half contraction of a quadratic key: (tests * size, packed pairs of s).
+
+        ``env`` (tests, r, r) is symmetric in the last two, ``core`` (r, size, s). The packed
+        entries carry their multiplicity.
+        """
+        tests = env.shape[0]
+        r, size, s = core.shape
+        nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
+        once = (env.reshape(tests * r, r) @ core.reshape(r, size * s)).reshape(tests, r, size, s)
+        once = np.ascontiguousarray(once.transpose(2, 0, 3, 1)).reshape(size, tests * s, r)
+        twice = np.matmul(once, nodes).reshape(size, tests, s, s)
+        i, j, multiplicity = _pairs(s)
+        packed = twice.transpose(2, 3, 1, 0)[i, j] * multiplicity[:, None, None]
+        return np.ascontiguousarray((packed * vector).reshape(i.size, -1).T)
+
+    def _contract_left(self, b: int) -> None:
+        """``left[b]`` from ``left[b - 1]`` and the left-orthonormal core b - 1."""
+        core = self.cores[b - 1]
+        self._left[b] = {}
+        self._left_halves[b] = {}
+        if b == 1:
+            weighted = self.operator.adjoint(core)
+            for group in self.groups:
+                self._left[1][group.key] = self.operator.left(group, weighted, core)
+            trivial = (LINEAR, (0,) * self.dimensions)
+            jacobian = self.operator.left_minus_jacobian(weighted, core)
+            self._left[1][trivial] = self._left[1].get(trivial, 0.0) + jacobian
+            self._source_left[1] = np.tensordot(core, self.initial, axes=([0, 1], [0, 1]))
+            return
+        s = core.shape[2]
+        flat = core.reshape(-1, s)
+        for key, half in self._left_half(b - 1).items():
+            env = flat.T @ half.reshape(flat.shape[0], -1)
+            if key[0] == CONSTANT:
+                env = env[:, 0]
+            elif key[0] == QUADRATIC:
+                i, j, multiplicity = _pairs(s)
+                full = np.empty((s, s, s))
+                full[:, i, j] = env / multiplicity
+                full[:, j, i] = full[:, i, j]
+                env = full
+            self._left[b][key] = env
+        self._source_left[b] = flat.T @ self._source_left_half(b - 1)
+
+    def _source_left_half(self, b: int) -> Array:
+        other = self.source[b]
+        half = self._source_left[b] @ other.reshape(other.shape[0], -1)
+        return half.reshape(-1, other.shape[2])
+
+    # -- pairs ----------------------------------------------------------------------------------
+
+    def _pair_block(self, b: int) -> tuple[Array, Array]:
+        """New and present value of the cores (b, b + 1) as matrices (left * size, size * right)."""
+        core, neighbour = self.cores[b], self.cores[b + 1]
+        width = neighbour.shape[1] * neighbour.shape[2]
+        if b == 0:
+            n, count, r = core.shape
+            present = core.reshape(n * count, r) @ neighbour.reshape(r, width)
+            block = present.reshape(n, count, *neighbour.shape[1:])
+            return self._first_block(block, 2, None).reshape(n * count, width), present
+        r, size, s = core.shape
+        present = core.reshape(r * size, s) @ neighbour.reshape(s, width)
+        new = self._source_left_half(b) @ self._source_right_half(b + 1)
+        for key, half in self._left_half(b).items():
+            new += half @ self._right_half(b + 1, key)
+        return new, present
+
+    def iterate(self, tolerance: float) -> tuple[float, list[float]]:
+        """One sweep to the last pair and back; the centre starts and ends at core 0.
+
+        Returns the residual (largest change of a pair) and, for each parameter, the norm of the
+        highest Legendre modes.
+        """
+        largest = 0.0
+        tails = [0.0] * self.dimensions
+        last = self.dimensions - 1
+        for b in range(last):
+            if b == 0 or ONEWAY:
+                self._shift_right(b)
+            else:
+                new, present = self._pair_block(b)
+                largest = max(largest, float(np.linalg.norm(new - present)))
+                self._split(b, new, tolerance, towards="right")
+            self._contract_left(b + 1)
+        for b in range(last, -1, -1):
+            new, present = self._pair_block(b)
+            largest = max(largest, float(np.linalg.norm(new - present)))
+            tails[b] = self._split(b, new, tolerance, towards="left")
+            self._contract_right(b + 1)
+        return largest, tails
+
+    def _shift_right(self, b: int) -> None:
+        """Move the centre from core b to core b + 1 without a change of the train."""
+        core, neighbour = self.cores[b], self.cores[b + 1]
+        rows = core.reshape(-1, core.shape[-1])
+        q, r = np.linalg.qr(rows)
+        self.cores[b] = q.reshape(*core.shape[:-1], q.shape[1])
+        self.cores[b + 1] = (r @ neighbour.reshape(neighbour.shape[0], -1)).reshape(
+            q.shape[1], *neighbour.shape[1:]
+        )
+        self._changed(b)
+
+    def _split(self, b: int, block: Array, tolerance: float, towards: str) -> float:
+        """Replace the cores (b, b + 1) by the truncated factors of ``block``."""
+        left, weights, right = truncated_svd(block, tolerance, self.max_rank, None)
+        shape, rank = self.cores[b + 1].shape, weights.size
+        if towards == "right":
+            right = weights[:, None] * right
+            tail = 0.0
+        else:
+            weighted = (weights[:, None] * right).reshape(rank, *shape[1:])
+            tail = float(np.linalg.norm(np.matmul(self.parameters.bases[b].tail, weighted)))
+            left = left * weights
+        self.cores[b] = left.reshape(*self.cores[b].shape[:-1], rank)
+        self.cores[b + 1] = right.reshape(rank, *shape[1:])
+        self._changed(b)
+        return tail
+
+    def _changed(self, b: int) -> None:
+        """Forget what was contracted with the cores b and b + 1."""
+        for halves in (self._left_halves, self._right_halves):
+            halves[b] = {}
+            halves[b + 1] = {}
+
+
+ONEWAY = False

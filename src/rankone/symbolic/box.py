@@ -1,0 +1,121 @@
+"""The coordinates of a problem: the time interval and the box of the parameters, validated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import sympy as sp
+
+from rankone.errors import ProblemError
+from rankone.symbolic.wording import quote
+
+__all__ = ["Box", "Time", "check_parameters", "check_time"]
+
+Time = tuple[sp.Symbol, float, float]
+Box = dict[sp.Symbol, tuple[float, float]]
+
+
+def check_time(time: Any) -> Time:
+    """Return (symbol, start, end) of ``time=(t, t0, t1)``."""
+    remedy = "give the symbol, the start and the end, for example time=(t, 0, 6)"
+    if not isinstance(time, tuple | list | sp.Tuple) or len(time) != 3:
+        raise ProblemError(f"time is {quote(time)}", term=time, remedy=remedy)
+    symbol, start, end = time
+    if not isinstance(symbol, sp.Symbol):
+        raise ProblemError(f"time {quote(symbol)} is not a SymPy symbol", term=time, remedy=remedy)
+    t0, t1 = _real(start, "the start of time", remedy), _real(end, "the end of time", remedy)
+    if not t1 > t0:
+        kind = "zero" if t1 == t0 else "negative"
+        raise ProblemError(
+            f"the time horizon from {t0:g} to {t1:g} is {kind}",
+            term=time,
+            remedy="let time end after it starts",
+        )
+    return symbol, t0, t1
+
+
+def check_parameters(parameters: Any, time: sp.Symbol) -> Box:
+    """Return the box of ``parameters={symbol: (lower, upper)}`` as floats."""
+    if not isinstance(parameters, Mapping):
+        raise ProblemError(
+            f"parameters are {quote(parameters)}, not a mapping",
+            term=parameters,
+            remedy="give {symbol: (lower, upper), ...}, or {} if there are none",
+        )
+    box: Box = {}
+    for symbol, bounds in parameters.items():
+        if not isinstance(symbol, sp.Symbol):
+            raise ProblemError(
+                f"parameter {symbol!r} is not a SymPy symbol",
+                term=symbol,
+                remedy="use the symbols that appear in the equations as keys",
+            )
+        if symbol.name == time.name:
+            raise ProblemError(
+                f"{quote(symbol)} is both the time and a parameter",
+                term=symbol,
+                remedy="rename one of them",
+            )
+        box[symbol] = _interval(symbol, bounds)
+    return box
+
+
+def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:
+    remedy = f"give numbers (lower, upper), for example {{{symbol}: (0.5, 1.5)}}"
+    try:
+        lower, upper = bounds
+    except (TypeError, ValueError):
+        raise ProblemError(
+            f"the box of parameter {quote(symbol)} is {quote(bounds)}, not a pair of numbers",
+            term=symbol,
+            remedy=remedy,
+        ) from None
+    low = _real(lower, f"the lower bound of parameter {quote(symbol)}", remedy)
+    high = _real(upper, f"the upper bound of parameter {quote(symbol)}", remedy)
+    shown = f"the box ({low:g}, {high:g}) of parameter {quote(symbol)}"
+    if low == high:
+        raise ProblemError(
+            f"{shown} is empty",
+            term=symbol,
+            remedy="widen it, or write the number itself in the equations",
+        )
+    if low > high:
+        raise ProblemError(f"{shown} is reversed", term=symbol, remedy=f"write ({high:g}, {low:g})")
+    if not symbol.is_commutative or symbol.is_extended_real is False:
+        raise ProblemError(
+            f"parameter {quote(symbol)} is declared not to be real",
+            term=symbol,
+            remedy=f"declare it as sympy.Symbol({symbol.name!r})",
+        )
+    contradicted = {
+        "integer": symbol.is_integer,
+        "positive": symbol.is_positive and low < 0,
+        "nonnegative": symbol.is_nonnegative and low < 0,
+        "negative": symbol.is_negative and high > 0,
+        "nonpositive": symbol.is_nonpositive and high > 0,
+    }
+    for assumption, holds in contradicted.items():
+        if holds:
+            raise ProblemError(
+                f"{shown} contradicts the assumption that {symbol} is {assumption}",
+                term=symbol,
+                remedy="change the box or the assumption",
+            )
+    return low, high
+
+
+def _real(value: Any, what: str, remedy: str) -> float:
+    """Return a finite float, or say what the value is a wrong value of."""
+    try:
+        if isinstance(value, str | bool):
+            raise TypeError
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ProblemError(
+            f"{what} is {value!r}, not a real number", term=value, remedy=remedy
+        ) from None
+    if not math.isfinite(number):
+        raise ProblemError(f"{what} is {number}, not finite", term=value, remedy=remedy)
+    return number

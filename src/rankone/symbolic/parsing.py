@@ -1,0 +1,218 @@
+"""Text to SymPy: arithmetic, the usual functions and the user's own names, and nothing else.
+
+The text is parsed by :mod:`ast` and translated node by node, so that no text is ever evaluated as
+Python, and names such as ``S``, ``N``, ``E``, ``I``, ``beta`` or ``lambda`` mean what the user
+says they mean.
+"""
+
+from __future__ import annotations
+
+import ast
+import keyword
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import sympy as sp
+
+from rankone.errors import ProblemError
+from rankone.symbolic.wording import did_you_mean, quote
+
+__all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
+
+FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
+    "sin": sp.sin,
+    "cos": sp.cos,
+    "tan": sp.tan,
+    "asin": sp.asin,
+    "acos": sp.acos,
+    "atan": sp.atan,
+    "sinh": sp.sinh,
+    "cosh": sp.cosh,
+    "tanh": sp.tanh,
+    "asinh": sp.asinh,
+    "acosh": sp.acosh,
+    "atanh": sp.atanh,
+    "exp": sp.exp,
+    "log": sp.log,
+    "ln": sp.log,
+    "sqrt": sp.sqrt,
+    "abs": sp.Abs,
+    "Abs": sp.Abs,
+    "sign": sp.sign,
+    "Heaviside": sp.Heaviside,
+    "min": sp.Min,
+    "Min": sp.Min,
+    "max": sp.Max,
+    "Max": sp.Max,
+}
+"""Functions known by name; all take one argument but ``min`` and ``max``."""
+
+CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
+"""Constants known by name, unless the user gives the name another meaning."""
+
+_VARIADIC = {"min", "Min", "max", "Max"}
+_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+}
+_WORD = re.compile(r"[^\W\d]\w*")
+_KEYWORD_SUFFIX = "_as_a_name_"
+_LONGEST_POWER_BITS = 4096
+
+
+def parse_expression(
+    text: str,
+    names: Mapping[str, sp.Expr],
+    *,
+    where: str,
+    equation: int | None = None,
+) -> sp.Expr:
+    """Translate a formula into a SymPy expression.
+
+    Parameters
+    ----------
+    text : str
+        A formula in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls
+        of :data:`FUNCTIONS`.
+    names : mapping of str to Expr
+        What the user's names stand for; they come before :data:`CONSTANTS`. A name that stands
+        for an applied function ``x(t)`` may be written ``x`` or ``x(t)``.
+    where : str
+        What the formula is, for messages: ``"right-hand side of `x`"``.
+    equation : int, optional
+        Number of the equation, for messages.
+
+    Raises
+    ------
+    ProblemError
+        If the text is not such a formula; the message quotes it.
+    """
+    try:
+        tree = ast.parse(_protect_keywords(" ".join(text.split())), mode="eval")
+        value: sp.Expr = _Translator(text, names, where, equation).visit(tree.body)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        if isinstance(error, ProblemError):
+            raise
+        reason = f" ({error.msg})" if isinstance(error, SyntaxError) else ""
+        raise ProblemError(
+            f"the {where}, {quote(text)}, is not a formula{reason}",
+            equation=equation,
+            term=text,
+            remedy="write it as in Python, for example `-k*x**2 + sin(t)`",
+        ) from None
+    return value
+
+
+def _protect_keywords(text: str) -> str:
+    """Turn ``lambda`` and its like into ordinary names."""
+
+    def protect(match: re.Match[str]) -> str:
+        word = match.group()
+        return word + _KEYWORD_SUFFIX if keyword.iskeyword(word) else word
+
+    return _WORD.sub(protect, text)
+
+
+class _Translator(ast.NodeVisitor):
+    """Translate the few kinds of nodes a formula consists of; refuse all others."""
+
+    def __init__(
+        self, text: str, names: Mapping[str, sp.Expr], where: str, equation: int | None
+    ) -> None:
+        self.text = text
+        self.names = names
+        self.where = where
+        self.equation = equation
+
+    def error(self, message: str, remedy: str | None = None) -> ProblemError:
+        return ProblemError(
+            f"{message} in the {self.where}, {quote(self.text)}",
+            equation=self.equation,
+            term=self.text,
+            remedy=remedy,
+        )
+
+    def generic_visit(self, node: ast.AST) -> Any:
+        shown = quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ""))
+        raise self.error(
+            f"{shown} is not understood",
+            "use numbers, names, + - * / **, parentheses and functions such as sin, exp, sqrt",
+        )
+
+    def visit_Constant(self, node: ast.Constant) -> sp.Expr:
+        if type(node.value) is int:
+            return sp.Integer(node.value)
+        if type(node.value) is float and math.isfinite(node.value):
+            return sp.Float(node.value)
+        return self.generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> sp.Expr:
+        name = node.id.removesuffix(_KEYWORD_SUFFIX)
+        if name in self.names:
+            return self.names[name]
+        if name in CONSTANTS:
+            return CONSTANTS[name]
+        if name in FUNCTIONS:
+            raise self.error(f"{quote(name)} is a function", f"write {name}(...)")
+        hint = did_you_mean(name, [*self.names, *CONSTANTS])
+        raise self.error(
+            f"unknown name {quote(name)}{hint}", "declare it in `parameters` or give it in `rhs`"
+        )
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> sp.Expr:
+        operand = self.visit(node.operand)
+        if isinstance(node.op, ast.USub):
+            return -operand
+        if isinstance(node.op, ast.UAdd):
+            return operand
+        return self.generic_visit(node)
+
+    def visit_BinOp(self, node: ast.BinOp) -> sp.Expr:
+        left, right = self.visit(node.left), self.visit(node.right)
+        if isinstance(node.op, ast.Pow):
+            return self._power(left, right)
+        if isinstance(node.op, ast.BitXor):
+            raise self.error("`^` is not a power", "write `**`")
+        operator = _OPERATORS.get(type(node.op))
+        if operator is None:
+            return self.generic_visit(node)
+        if isinstance(node.op, ast.Div) and right.is_zero:
+            raise self.error("division by zero")
+        value: sp.Expr = operator(left, right)
+        return value
+
+    def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
+        if base.is_Rational and exponent.is_Integer:
+            bits = max(int(base.p).bit_length(), int(base.q).bit_length())
+            if bits * abs(int(exponent)) > _LONGEST_POWER_BITS:
+                raise self.error(f"{quote(f'{base}**{exponent}')} is too large a number")
+        return base**exponent
+
+    def visit_Call(self, node: ast.Call) -> sp.Expr:
+        if not isinstance(node.func, ast.Name) or node.keywords:
+            return self.generic_visit(node)
+        name = node.func.id.removesuffix(_KEYWORD_SUFFIX)
+        if name in self.names:
+            return self._applied(name, [self.visit(argument) for argument in node.args])
+        if name not in FUNCTIONS:
+            hint = did_you_mean(name, [*FUNCTIONS, *self.names])
+            raise self.error(
+                f"unknown function {quote(name)}{hint}",
+                f"the functions known are {', '.join(sorted(FUNCTIONS))}",
+            )
+        arguments = [self.visit(argument) for argument in node.args]
+        if not arguments or (len(arguments) > 1 and name not in _VARIADIC):
+            raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
+        return FUNCTIONS[name](*arguments)
+
+    def _applied(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
+        """Accept ``x(t)`` for the unknown ``x``."""
+        meant = self.names[name]
+        if not arguments or list(meant.args) != arguments:
+            called = f"{name}({', '.join(map(str, arguments))})"
+            raise self.error(f"{quote(called)} is not understood", f"write {name} alone")
+        return meant

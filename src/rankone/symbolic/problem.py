@@ -1,0 +1,270 @@
+"""Problem: what the user wrote, validated once and immutable."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import sympy as sp
+
+from rankone.errors import ProblemError, RankoneWarning
+from rankone.ir import Coordinate, State
+from rankone.symbolic.box import check_parameters, check_time
+from rankone.symbolic.equations import (
+    check_equations,
+    check_names,
+    check_symbols,
+    check_unknowns,
+)
+from rankone.symbolic.explicit import first_order_states, first_order_system
+from rankone.symbolic.initial import check_initial
+from rankone.symbolic.notation import latex_of, text_of
+from rankone.symbolic.parsing import parse_expression
+from rankone.symbolic.wording import count, did_you_mean, quote
+
+__all__ = ["Problem"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem:
+    """A parametric initial value problem.
+
+    Parameters
+    ----------
+    equations : sequence of Eq or Expr
+        One for each unknown: an equation, or an expression that vanishes. Unknowns are applied
+        functions of time such as ``x(t)``. The equations are linear in the highest derivatives
+        with any coefficients (a mass matrix), and polynomial in everything below.
+    time : tuple
+        ``(t, t0, t1)``: the symbol of time, the start and the end.
+    parameters : mapping of Symbol to (float, float)
+        The box: an interval for each parameter; may be empty.
+    initial : mapping of Expr to Expr or number
+        For each unknown its value at ``t0``, a number or an expression of the parameters. Unknowns
+        of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``.
+    name : str, optional
+        A title.
+
+    Attributes
+    ----------
+    equations, time, parameters, initial, name
+        As given, with numbers as floats and initial values in the order of the states.
+    unknowns : tuple of Expr
+        In the order in which their highest derivatives enter the equations; those that enter in
+        the same equation are in the order of ``initial``.
+    residuals : tuple of Expr
+        For each equation its left minus its right side.
+    states : tuple of State
+        The first-order system: the unknowns, then the derivatives that became states.
+    rhs : tuple of Expr
+        For each state the right-hand side of its derivative.
+    origins : tuple of (int or None)
+        For each state the number, from 1, of the equation that was solved for its derivative; None
+        if several were solved together (a mass matrix that is not diagonal).
+
+    Raises
+    ------
+    ProblemError
+        If the problem is incomplete or contradictory; the message says where and what to do.
+
+    Warns
+    -----
+    RankoneWarning
+        If a parameter appears nowhere.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> t, k = sp.symbols("t k")
+    >>> u = sp.Function("u")(t)
+    >>> Problem([sp.Eq(u.diff(t) + k * u, 0)], (t, 0, 2), {k: (0.5, 5)}, {u: 1})
+    Problem: 1 unknown, 1 parameter
+      k*u + du/dt = 0
+      u(0) = 1
+      t in [0, 2], k in [0.5, 5]
+    """
+
+    equations: Sequence[sp.Basic]
+    time: tuple[sp.Symbol, float, float]
+    parameters: Mapping[sp.Symbol, tuple[float, float]]
+    initial: Mapping[sp.Expr, Any]
+    name: str | None = None
+    unknowns: tuple[sp.Expr, ...] = field(init=False)
+    residuals: tuple[sp.Expr, ...] = field(init=False)
+    states: tuple[State, ...] = field(init=False)
+    rhs: tuple[sp.Expr, ...] = field(init=False)
+    origins: tuple[int | None, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        time = check_time(self.time)
+        box = check_parameters(self.parameters, time[0])
+        equations, residuals = check_equations(self.equations, time[0])
+        unknowns = check_unknowns(residuals, self.initial, time[0])
+        states = first_order_states(residuals, unknowns, time[0])
+        check_names([(state.name, state.expression) for state in states], box, time[0])
+        check_symbols(residuals, unknowns, box, time[0])
+        initial = check_initial(
+            self.initial, [state.expression for state in states], unknowns, box, time
+        )
+        system = first_order_system(residuals, unknowns, _coordinates(time, box))
+        for symbol in _unused(box, [*residuals, *initial.values()]):
+            warnings.warn(
+                f"parameter {quote(symbol)} appears nowhere in the problem; "
+                "remedy: remove it from `parameters`",
+                RankoneWarning,
+                stacklevel=3,
+            )
+        values = {
+            "equations": equations,
+            "time": time,
+            "parameters": MappingProxyType(box),
+            "initial": MappingProxyType(initial),
+            "unknowns": unknowns,
+            "residuals": tuple(residuals),
+            "states": system.states,
+            "rhs": system.rhs,
+            "origins": system.equations,
+        }
+        for attribute, value in values.items():
+            object.__setattr__(self, attribute, value)
+
+    @classmethod
+    def from_strings(
+        cls,
+        rhs: Mapping[str, str],
+        initial: Mapping[str, str | float],
+        parameters: Mapping[str, tuple[float, float]],
+        time: tuple[float, float],
+        name: str | None = None,
+    ) -> Problem:
+        """Build a problem from text.
+
+        Parameters
+        ----------
+        rhs : mapping of str to str
+            For each unknown the right-hand side of its derivative, for example
+            ``{"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}``. ``t`` is time.
+        initial : mapping of str to str or float
+            For each unknown its initial value, a number or a formula of the parameters.
+        parameters : mapping of str to (float, float)
+            The box.
+        time : tuple of float
+            ``(t0, t1)``.
+        name : str, optional
+            A title.
+
+        Raises
+        ------
+        ProblemError
+            As for the class, and if a text is not a formula.
+        """
+        t = sp.Symbol("t")
+        if not isinstance(time, tuple | list) or len(time) != 2:
+            raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
+        for what, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters)):
+            if not isinstance(mapping, Mapping) or not all(isinstance(key, str) for key in mapping):
+                raise ProblemError(
+                    f"{what} is {quote(mapping)}, not a mapping from names",
+                    term=mapping,
+                    remedy="use names (text) as keys",
+                )
+        for state in initial:
+            if state not in rhs:
+                raise ProblemError(
+                    f"`initial` has a value for {quote(state)}, which has no equation"
+                    f"{did_you_mean(state, rhs)}",
+                    term=state,
+                    remedy="remove it, or give its derivative in `rhs`",
+                )
+        unknowns = {state: sp.Function(state)(t) for state in rhs}
+        symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
+        check_names(list(unknowns.items()), symbols.values(), t)
+        names = {"t": t, **symbols, **unknowns}
+        return cls(
+            equations=[
+                sp.Eq(
+                    unknowns[state].diff(t),
+                    _formula(text, names, f"right-hand side of {quote(state)}", number),
+                    evaluate=False,
+                )
+                for number, (state, text) in enumerate(rhs.items(), 1)
+            ],
+            time=(t, time[0], time[1]),
+            parameters={symbols[parameter]: bounds for parameter, bounds in parameters.items()},
+            initial={
+                unknowns[state]: _formula(
+                    initial[state], names, f"initial value of {quote(state)}", None
+                )
+                for state in rhs
+                if state in initial
+            },
+            name=name,
+        )
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The dimensions of the box: time, then the parameters in the order given."""
+        return _coordinates(self.time, self.parameters)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        given = (self.equations, self.time, dict(self.parameters), dict(self.initial), self.name)
+        return type(self), given
+
+    def __repr__(self) -> str:
+        title = "Problem" if self.name is None else f"Problem {self.name!r}"
+        unknowns = count(len(self.unknowns), "unknown")
+        lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
+        lines += [f"  {text_of(equation)}" for equation in self._shown()]
+        at_start = [
+            f"{state.name}({self.time[1]:g}) = {text_of(self.initial[state.expression])}"
+            for state in self.states
+        ]
+        intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
+        return "\n".join([*lines, "  " + ", ".join(at_start), "  " + ", ".join(intervals)])
+
+    def _repr_latex_(self) -> str:
+        lines = [latex_of(equation) for equation in self._shown()]
+        for state in self.states:
+            value = sp.latex(self.initial[state.expression])
+            lines.append(f"{latex_of(state.expression)}({self.time[1]:g}) &= {value}")
+        lines += [
+            rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
+        ]
+        body = " \\\\\n".join(lines)
+        return f"$$\\begin{{aligned}}\n{body}\n\\end{{aligned}}$$"
+
+    def _shown(self) -> list[sp.Eq]:
+        """Return the equations as equations, in full."""
+        return [
+            equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
+            for equation in self.equations
+        ]
+
+
+def _coordinates(
+    time: tuple[sp.Symbol, float, float], box: Mapping[sp.Symbol, tuple[float, float]]
+) -> tuple[Coordinate, ...]:
+    intervals = [time, *((symbol, *bounds) for symbol, bounds in box.items())]
+    return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
+
+
+def _unused(box: Mapping[sp.Symbol, Any], expressions: Sequence[sp.Expr]) -> list[sp.Symbol]:
+    used: set[sp.Symbol] = set().union(*(expression.free_symbols for expression in expressions))
+    return [symbol for symbol in box if symbol not in used]
+
+
+def _formula(
+    text: Any, names: Mapping[str, sp.Expr], where: str, equation: int | None
+) -> sp.Expr | float:
+    """Parse a text; let numbers pass."""
+    if isinstance(text, str):
+        return parse_expression(text, names, where=where, equation=equation)
+    if isinstance(text, int | float | sp.Number) and not isinstance(text, bool):
+        number: sp.Expr = sp.sympify(text)
+        return number
+    raise ProblemError(
+        f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
+    )

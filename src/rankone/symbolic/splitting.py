@@ -1,0 +1,402 @@
+"""Splitting an expression into products of functions of one coordinate.
+
+Sums and products are multiplied out only as far as coordinates and states are mixed. A function of
+a single coordinate stays as the user wrote it: ``exp(-(t - 5)**2)`` multiplied out would overflow,
+``(t - 5)**20`` would lose all digits. Only sums of monomials are distributed, so that like terms
+meet. Time is polynomial in the number of terms; nothing is ever simplified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import sympy as sp
+
+from rankone.ir import Coordinate
+from rankone.symbolic.admissible import sign
+from rankone.symbolic.numbers import exact
+
+__all__ = ["Indivisible", "Product", "Splitter", "Sum", "accumulate"]
+
+
+class Product(NamedTuple):
+    """A product of one function for each coordinate and a monomial in the states."""
+
+    factors: tuple[sp.Expr, ...]
+    """For each dimension a function of its coordinate; one where there is none."""
+    powers: tuple[tuple[int, int], ...]
+    """(state, exponent), ascending; negative exponents may occur on the way."""
+
+
+Sum = dict[Product, sp.Expr]
+"""Products with their coefficients: exact numbers, none of them zero."""
+
+_ADDITION = {
+    sp.sin: ((sp.sin, sp.cos, 1), (sp.cos, sp.sin, 1)),
+    sp.cos: ((sp.cos, sp.cos, 1), (sp.sin, sp.sin, -1)),
+    sp.sinh: ((sp.sinh, sp.cosh, 1), (sp.cosh, sp.sinh, 1)),
+    sp.cosh: ((sp.cosh, sp.cosh, 1), (sp.sinh, sp.sinh, 1)),
+}
+"""Addition theorems f(a + b) = sum of sign g(a) h(b), as (g, h, sign)."""
+
+
+class Indivisible(Exception):
+    """An expression cannot be split.
+
+    Attributes
+    ----------
+    part : Expr
+        The smallest expression that cannot be split.
+    reason : {"couples", "not polynomial", "not real"}
+        It couples coordinates, is not polynomial in the states, or a root or logarithm leaves the
+        real numbers.
+    """
+
+    def __init__(self, part: sp.Expr, reason: str) -> None:
+        super().__init__(part, reason)
+        self.part = part
+        self.reason = reason
+
+
+class Splitter:
+    """Splits expressions over given coordinates and states.
+
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        The dimensions, in the order of ``Product.factors``. The intervals decide the signs
+        under roots: sqrt(k*m) is sqrt(k)*sqrt(m) for positive k and m.
+    states : sequence of Symbol
+        Plain symbols that stand for the states.
+    """
+
+    def __init__(self, coordinates: Sequence[Coordinate], states: Sequence[sp.Symbol]) -> None:
+        self._coordinates = tuple(coordinates)
+        self._dimension = {c.symbol: i for i, c in enumerate(coordinates)}
+        self._state = {symbol: i for i, symbol in enumerate(states)}
+        self._one = Product((sp.S.One,) * len(self._coordinates), ())
+        self._normal: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
+        self._times: dict[tuple[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]] = {}
+
+    def split(self, expression: sp.Expr) -> Sum:
+        """Return an expression as a sum of separated products.
+
+        Raises
+        ------
+        Indivisible
+            If it is not one.
+        """
+        if expression.is_Symbol:
+            if expression in self._state:
+                return {Product(self._one.factors, ((self._state[expression], 1),)): sp.S.One}
+            return self._function(expression, self._dimension[expression])
+        if expression.is_Add:
+            return self._add(self.split(part) for part in expression.args)
+        if expression.is_Mul:
+            return self._split_product(expression)
+        symbols = expression.free_symbols
+        if not symbols:
+            return _nonzero({self._one: exact(expression)})
+        dimension = self._only_dimension(symbols)
+        if dimension is not None:
+            return self._function(expression, dimension)
+        if isinstance(expression, sp.exp):
+            return self._split_exponential(sp.S.Exp1, expression.exp, expression)
+        if expression.is_Pow:
+            return self._split_power(expression)
+        return self._split_function(expression)
+
+    # -- sums and products ------------------------------------------------------------------
+
+    def _split_product(self, expression: sp.Expr) -> Sum:
+        """Multiply out, after collecting what depends on the same coordinate alone."""
+        number: list[sp.Expr] = []
+        alone: dict[int, list[sp.Expr]] = {}
+        mixed: list[sp.Expr] = []
+        for part in expression.args:
+            symbols = part.free_symbols
+            dimension = self._only_dimension(symbols)
+            if not symbols:
+                number.append(part)
+            elif dimension is not None:
+                alone.setdefault(dimension, []).append(part)
+            else:
+                mixed.append(part)
+        product = _nonzero({self._one: exact(sp.Mul(*number))})
+        for dimension, parts in alone.items():
+            symbol = self._coordinates[dimension].symbol
+            if all(_is_sum_of_monomials(part, symbol) for part in parts):
+                for part in parts:
+                    product = self._multiply(product, self.split(part))
+            else:
+                product = self._multiply(product, self._function(sp.Mul(*parts), dimension))
+        for part in mixed:
+            product = self._multiply(product, self.split(part))
+        return product
+
+    def _add(self, sums: Iterable[Sum]) -> Sum:
+        total: Sum = {}
+        for part in sums:
+            accumulate(total, part)
+        return _nonzero(total)
+
+    def _multiply(self, left: Sum, right: Sum) -> Sum:
+        result: Sum = {}
+        for a, a_coefficient in left.items():
+            for b, b_coefficient in right.items():
+                coefficient = a_coefficient * b_coefficient
+                factors = []
+                for f, g in zip(a.factors, b.factors, strict=True):
+                    number, factor = self._product_of(f, g)
+                    coefficient *= number
+                    factors.append(factor)
+                key = Product(tuple(factors), _merge(a.powers, b.powers))
+                result[key] = result.get(key, sp.S.Zero) + coefficient
+        return _nonzero(result)
+
+    def _product_of(self, f: sp.Expr, g: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+        """Return the product of two factors as (number, normal factor)."""
+        if f is sp.S.One:
+            return sp.S.One, g
+        if g is sp.S.One:
+            return sp.S.One, f
+        if (f, g) not in self._times:
+            self._times[f, g] = self._normalise(f * g)
+        return self._times[f, g]
+
+    # -- factors ----------------------------------------------------------------------------
+
+    def _only_dimension(self, symbols: set[sp.Symbol]) -> int | None:
+        """Return the dimension if there is exactly one coordinate and no state."""
+        if len(symbols) != 1:
+            return None
+        return self._dimension.get(next(iter(symbols)))
+
+    def _function(self, expression: sp.Expr, dimension: int) -> Sum:
+        """Return a function of one coordinate as a sum with one product."""
+        number, factor = self._normalise(expression)
+        factors = list(self._one.factors)
+        factors[dimension] = factor
+        return _nonzero({Product(tuple(factors), ()): number})
+
+    def _normalise(self, expression: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+        """Pull out numbers, so that equal factors look equal: 1/(2*k + 2) is 1/(k + 1) / 2."""
+        if expression not in self._normal:
+            number, rest = expression.as_coeff_Mul()
+            number = exact(number)
+            parts = []
+            for part in sp.Mul.make_args(rest):
+                if not part.free_symbols:
+                    number *= exact(part)
+                    continue
+                base, exponent = part.as_base_exp()
+                if base.is_Add and exponent.is_Integer:
+                    leading, base = _monic(base)
+                    number *= leading**exponent
+                    part = base**exponent
+                parts.append(part)
+            self._normal[expression] = number, sp.Mul(*parts)
+        return self._normal[expression]
+
+    # -- powers -----------------------------------------------------------------------------
+
+    def _split_power(self, expression: sp.Expr) -> Sum:
+        base, exponent = expression.as_base_exp()
+        if exponent.free_symbols:
+            if base.free_symbols:
+                raise self._indivisible(expression)
+            return self._split_exponential(base, exponent, expression)
+        if exponent.is_Integer and exponent > 0:
+            return self._integer_power(self.split(base), int(exponent))
+        number, product = self._single(base, expression)
+        if not exponent.is_Integer:
+            number, product = self._positive(number, product, expression)
+        factors = []
+        coefficient = number**exponent
+        for factor in product.factors:
+            scale, normal = self._normalise(factor**exponent)
+            coefficient *= scale
+            factors.append(normal)
+        powers = tuple((state, power * exponent) for state, power in product.powers)
+        if not all(power.is_Integer for _, power in powers):
+            raise Indivisible(expression, "not polynomial")
+        integer = tuple((state, int(power)) for state, power in powers)
+        return {Product(tuple(factors), integer): coefficient}
+
+    def _integer_power(self, base: Sum, exponent: int) -> Sum:
+        result = base
+        for _ in range(exponent - 1):
+            result = self._multiply(result, base)
+        return result
+
+    def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> Sum:
+        """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k)."""
+        constant, parts = self._by_coordinate(exponent, whole)
+        result: Sum = {self._one: base**constant}
+        for dimension, part in parts.items():
+            result = self._multiply(result, self._function(base**part, dimension))
+        return result
+
+    def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Product]:
+        """Return an expression as one (number, product), factoring it if need be."""
+        terms = self.split(expression)
+        if len(terms) > 1:
+            factored = sp.factor(expression)
+            if factored.is_Add or factored == expression:
+                raise self._indivisible(whole)
+            terms = {self._one: sp.S.One}
+            for part in sp.Mul.make_args(factored):
+                base, _ = part.as_base_exp()
+                dimension = self._only_dimension(base.free_symbols)
+                if dimension is not None:
+                    piece = self._function(part, dimension)
+                elif base.is_Add:
+                    raise self._indivisible(whole)
+                else:
+                    piece = self.split(part)
+                terms = self._multiply(terms, piece)
+        if len(terms) != 1:
+            raise self._indivisible(whole)
+        ((product, number),) = terms.items()
+        return number, product
+
+    def _positive(
+        self, number: sp.Expr, product: Product, whole: sp.Expr
+    ) -> tuple[sp.Expr, Product]:
+        """Flip signs so that every factor is nonnegative on its interval."""
+        if product.powers:
+            raise Indivisible(whole, "not polynomial")
+        factors = []
+        for factor, coordinate in zip(product.factors, self._coordinates, strict=True):
+            direction = sign(factor, coordinate)
+            number *= direction
+            factors.append(factor if direction > 0 else -factor)
+        if not number > 0:
+            raise Indivisible(whole, "not real")
+        return number, Product(tuple(factors), ())
+
+    # -- functions --------------------------------------------------------------------------
+
+    def _split_function(self, expression: sp.Expr) -> Sum:
+        if not expression.free_symbols.isdisjoint(self._state) and not expression.is_Piecewise:
+            raise Indivisible(expression, "not polynomial")
+        if isinstance(expression, sp.Piecewise):
+            return self._split_piecewise(expression)
+        if expression.func in _ADDITION:
+            constant, parts = self._by_coordinate(expression.args[0], expression)
+            return self._expand_addition(expression.func, constant, list(parts.items()))
+        if isinstance(expression, sp.log):
+            number, product = self._single(expression.args[0], expression)
+            number, product = self._positive(number, product, expression)
+            logarithms = [
+                self._function(sp.log(factor), dimension)
+                for dimension, factor in enumerate(product.factors)
+                if factor is not sp.S.One
+            ]
+            return self._add([_nonzero({self._one: sp.log(number)}), *logarithms])
+        if isinstance(expression, sp.Abs):
+            number, product = self._single(expression.args[0], expression)
+            result: Sum = {self._one: abs(number)}
+            for dimension, factor in enumerate(product.factors):
+                if factor is not sp.S.One:
+                    result = self._multiply(result, self._function(sp.Abs(factor), dimension))
+            return result
+        raise self._indivisible(expression)
+
+    def _expand_addition(
+        self,
+        function: Callable[[sp.Expr], sp.Expr],
+        constant: sp.Expr,
+        parts: list[tuple[int, sp.Expr]],
+    ) -> Sum:
+        """Apply the addition theorem of a function to a sum of one part for each coordinate."""
+        (dimension, part), *others = parts
+        if not others:
+            return self._function(function(part + constant), dimension)
+        terms = []
+        for g, h, direction in _ADDITION[function]:
+            first = self._function(direction * g(part), dimension)
+            terms.append(self._multiply(first, self._expand_addition(h, constant, others)))
+        return self._add(terms)
+
+    def _split_piecewise(self, expression: sp.Piecewise) -> Sum:
+        """Write a switch in one coordinate as a sum of branches times indicators."""
+        symbols = sp.Tuple(*[condition for _, condition in expression.args]).free_symbols
+        if not symbols.isdisjoint(self._state):
+            raise Indivisible(expression, "not polynomial")
+        dimension = self._only_dimension(symbols)
+        if dimension is None:
+            raise Indivisible(expression, "couples")
+        terms = []
+        before: list[tuple[int, sp.Basic]] = []
+        for branch, condition in expression.args:
+            indicator = sp.Piecewise(*before, (1, condition), (0, True))
+            terms.append(self._multiply(self._function(indicator, dimension), self.split(branch)))
+            before.append((0, condition))
+        return self._add(terms)
+
+    def _by_coordinate(
+        self, expression: sp.Expr, whole: sp.Expr
+    ) -> tuple[sp.Expr, dict[int, sp.Expr]]:
+        """Write a + b(t) + c(k) as the number a and one function for each dimension."""
+        constant = sp.S.Zero
+        parts: dict[int, sp.Expr] = {}
+        for product, number in self.split(expression).items():
+            present = [i for i, factor in enumerate(product.factors) if factor is not sp.S.One]
+            if product.powers:
+                raise Indivisible(whole, "not polynomial")
+            if len(present) > 1:
+                raise Indivisible(whole, "couples")
+            if present:
+                part = number * product.factors[present[0]]
+                parts[present[0]] = parts.get(present[0], sp.S.Zero) + part
+            else:
+                constant += number
+        return constant, dict(sorted(parts.items()))
+
+    def _indivisible(self, expression: sp.Expr) -> Indivisible:
+        mixed = not expression.free_symbols.isdisjoint(self._state)
+        return Indivisible(expression, "not polynomial" if mixed else "couples")
+
+
+def accumulate(total: Sum, addend: Mapping[Product, sp.Expr]) -> None:
+    """Add a sum to another, in place; like products merge."""
+    for product, coefficient in addend.items():
+        total[product] = total[product] + coefficient if product in total else coefficient
+
+
+def _nonzero(terms: Sum) -> Sum:
+    return {product: number for product, number in terms.items() if number != 0}
+
+
+def _merge(
+    a: tuple[tuple[int, int], ...], b: tuple[tuple[int, int], ...]
+) -> tuple[tuple[int, int], ...]:
+    """Multiply two monomials."""
+    if not a or not b:
+        return a or b
+    powers = dict(a)
+    for state, exponent in b:
+        powers[state] = powers.get(state, 0) + exponent
+    return tuple(sorted((state, exponent) for state, exponent in powers.items() if exponent))
+
+
+def _is_sum_of_monomials(expression: sp.Expr, symbol: sp.Symbol) -> bool:
+    """Say whether an expression is a sum of numbers times powers of a symbol."""
+    for term in sp.Add.make_args(expression):
+        base, exponent = term.as_coeff_Mul()[1].as_base_exp()
+        if base.free_symbols and not (base == symbol and exponent.is_Integer and exponent > 0):
+            return False
+    return True
+
+
+def _monic(base: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """Divide a sum by the coefficient of its leading term."""
+    terms = sorted(
+        (term for term in base.args if term.free_symbols), key=lambda term: term.sort_key()
+    )
+    leading = exact(terms[-1].as_coeff_Mul()[0])
+    if leading == 1 or not leading.is_Rational:
+        return sp.S.One, base
+    return leading, sp.Add(*[exact(term) / leading for term in base.args])

@@ -1,0 +1,42 @@
+"""How symbols and expressions are quoted in messages."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["count", "did_you_mean", "listing", "quote"]
+
+_LONGEST_QUOTE = 160
+
+
+def quote(thing: object) -> str:
+    """Show what the user wrote between backquotes, cut in the middle when it is long."""
+    text = str(thing)
+    if len(text) > _LONGEST_QUOTE:
+        half = _LONGEST_QUOTE // 2 - 3
+        text = f"{text[:half]} ... {text[-half:]}"
+    return f"`{text}`"
+
+
+def listing(things: Iterable[object]) -> str:
+    """Quote several things: ```a`, `b` and `c```."""
+    quoted = [quote(thing) for thing in things]
+    if len(quoted) < 2:
+        return "".join(quoted)
+    return f"{', '.join(quoted[:-1])} and {quoted[-1]}"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``" (did you mean `beta`?)"`` when a known name is close, else nothing."""
+    known = list(known)
+    lowered = {candidate.lower(): candidate for candidate in reversed(known)}
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    if not close and name.lower() in lowered:
+        close = [lowered[name.lower()]]
+    return f" (did you mean {quote(close[0])}?)" if close else ""
+
+
+def count(n: int, noun: str) -> str:
+    """Return ``"1 unknown"`` or ``"2 unknowns"``."""
+    return f"{n} {noun}" + ("" if n == 1 else "s")

@@ -1,0 +1,164 @@
+"""The generated module as a whole: tables, golden files, determinism, names."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import traceback
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sp
+from tests.codegen.interpreter import Interpreter
+from tests.codegen.systems import REFERENCE, Separated, driven, lotka_volterra, separated, t
+
+from rankone.codegen import generate_source, load_module
+
+ROOT = Path(__file__).parents[2]
+GOLDEN = ROOT / "tests" / "golden"
+HEAD = ("decay", "lotka_volterra", "driven", "kirchhoff")
+
+
+@pytest.mark.parametrize("name", HEAD)
+def test_golden(name: str, request: pytest.FixtureRequest) -> None:
+    """The text is as it was, and the file as it stands runs."""
+    form = REFERENCE[name]()
+    path = GOLDEN / f"{name}.py"
+    source = generate_source(form)
+    if request.config.getoption("--update-golden"):
+        path.write_text(source)
+    assert path.read_text() == source, "if the change is meant: pytest --update-golden"
+    system = load_module(path.read_text(), name)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(size=(system.N_DIFFERENTIAL, 4))
+    p = rng.uniform(1, 2, (len(system.PARAMETERS), 4))
+    np.testing.assert_allclose(system.rhs(0.3, u, p), Interpreter(form).rhs(0.3, u, p), 1e-12)
+
+
+@pytest.mark.parametrize("seed", ["0", "1", "4711"])
+def test_the_text_does_not_depend_on_the_hash_seed(seed: str) -> None:
+    script = (
+        "import sys; from rankone.codegen import generate_source;"
+        "from tests.codegen.systems import REFERENCE;"
+        "sys.stdout.write(''.join(generate_source(make()) for make in REFERENCE.values()))"
+    )
+    path = os.pathsep.join([str(ROOT), str(ROOT / "src")])
+    environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": path}
+    run = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+    )
+    assert run.stdout == "".join(generate_source(make()) for make in REFERENCE.values())
+
+
+def test_tables() -> None:
+    system = load_module(generate_source(driven()), "driven")
+    assert system.STATES == ("x", "y", "w0")
+    assert system.N_DIFFERENTIAL == 2
+    assert system.PRODUCTS == ((0, 0),)
+    assert system.PARAMETERS == ("lambda", "x_{0}")
+    assert system.TIME == (0.0, 2.0)
+    assert system.BOX == ((1.0, 2.0), (0.0, 1.0))
+    assert system.SIGNATURES == ((0, 0), (1, 0), (2, 0))
+    assert system.INITIAL == ((1.0, 0, (0, 1)), (1.0, 1, (0, 0)))
+    assert [kernel is None for kernel in system.CONSTANT] == [False, True, True]
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_factors(name: str) -> None:
+    form = REFERENCE[name]()
+    system, oracle = load_module(generate_source(form), name), Interpreter(form)
+    at = np.linspace(0.1, 1.0, 5)
+    for dimension, factors in enumerate(form.factors):
+        rows = [oracle.factor(dimension, row, at) for row in range(len(factors))]
+        if dimension:
+            found = system.parameter_factors(dimension - 1, at)
+        else:
+            found = system.time_factors(at)
+        assert found.dtype == np.float64
+        np.testing.assert_allclose(found, rows, 1e-14)
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_lines_are_short_and_numpy_is_the_only_import(name: str) -> None:
+    source = generate_source(REFERENCE[name]())
+    assert max(map(len, source.splitlines())) <= 100
+    imports = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Import)]
+    assert [alias.name for node in imports for alias in node.names] == ["numpy"]
+    assert "from " not in source
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_the_text_is_formatted_and_clean(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("ruff")
+    path = tmp_path / f"{name}.py"
+    path.write_text(generate_source(REFERENCE[name]()))
+    configured = ["--config", str(ROOT / "pyproject.toml"), "--no-cache", str(path)]
+    for command in (["check"], ["format", "--diff"]):
+        run = subprocess.run(
+            [sys.executable, "-m", "ruff", *command, *configured], capture_output=True, text=True
+        )
+        assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_long_sums_and_tables_are_wrapped() -> None:
+    states = [f"a_rather_long_name_{c}" for c in range(30)]
+    rhs: dict[str, list[Separated]] = {
+        a: [(0.1 * (c + 1), {}, [a, b]) for c, b in enumerate(states)] for a in states
+    }
+    source = generate_source(separated(rhs))
+    assert max(map(len, source.splitlines())) <= 100
+    u = np.random.default_rng(0).normal(size=30)
+    expected = u * (0.1 * np.arange(1, 31) @ u)
+    np.testing.assert_allclose(load_module(source, "long").rhs(0.0, u, ()), expected, 1e-12)
+
+
+def test_names_of_the_generator_are_free_for_the_user() -> None:
+    """States and parameters called like arguments, locals and modules of the generated code."""
+    labels = ["u", "p", "np", "out", "shape", "t_1", "c0", "w0", "x", "phi", "rhs", "class", "_"]
+    parameters = sp.symbols("p u x q np c1 c0 len w0 k' factors \\alpha")
+    form = separated(
+        {
+            a: [(2.0, {q: q, t: sp.sin(t)}, [a, b, b]), (1.0, {q: sp.exp(q)}, [a, b, b])]
+            for a, b, q in zip(labels, labels[::-1], [*parameters, parameters[0]], strict=True)
+        },
+        dict.fromkeys(parameters, (0.0, 1.0)),
+    )
+    system, oracle = load_module(generate_source(form), "names"), Interpreter(form)
+    assert tuple(symbol.name for symbol in parameters) == system.PARAMETERS
+    assert len(set(system.STATES)) == len(system.STATES)
+    rng = np.random.default_rng(0)
+    u, p = rng.normal(size=(13, 3)), rng.uniform(size=(12, 3))
+    np.testing.assert_allclose(system.rhs(0.3, u, p), oracle.rhs(0.3, u, p), 1e-12)
+    np.testing.assert_allclose(system.jacobian(0.3, u, p), oracle.jacobian(0.3, u, p), 1e-12)
+    assert system.lifted_jacobian(0.3, system.lift(u), p).shape[2:] == (3,)
+    for j in range(12):
+        system.parameter_factors(j, p[j])
+
+
+def test_a_system_without_parameters_and_equations_without_terms() -> None:
+    system = load_module(generate_source(REFERENCE["constant_and_zero"]()), "zero")
+    assert system.PARAMETERS == ()
+    assert system.BOX == ()
+    assert system.SIGNATURES == ((),)
+    np.testing.assert_array_equal(system.rhs(0.0, [2.0, 0.0, 0.0], ()), [0.0, 2.5, -2.0])
+    still = load_module(generate_source(separated({"x": []})), "still")
+    assert (still.SIGNATURES, still.PAIRED, still.LINEAR) == ((), (), ())
+    np.testing.assert_array_equal(still.rhs(0.0, np.ones((1, 3)), ()), np.zeros((1, 3)))
+
+
+def test_titles_and_names_with_quotes_and_backslashes() -> None:
+    form = separated({"x": [(1.0, {}, ["x"])]}, {sp.Symbol('\\"""q'): (0.0, 1.0)})
+    system = load_module(generate_source(form, title='Ends in "'), "quotes")
+    assert system.PARAMETERS == ('\\"""q',)
+    assert (system.__doc__ or "").startswith('Ends in "')
+
+
+def test_tracebacks_show_the_generated_line() -> None:
+    system = load_module(generate_source(lotka_volterra()), "traced")
+    with pytest.raises(ValueError, match="unpack") as caught:
+        system.rhs(0.0, np.ones(3), (1.0, 1.0))
+    assert "x, y = u" in "".join(traceback.format_exception(caught.value))
+    assert "traced" not in sys.modules

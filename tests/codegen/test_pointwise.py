@@ -1,0 +1,111 @@
+"""Generated pointwise functions against the interpreter and finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.codegen.interpreter import Interpreter
+from tests.codegen.strategies import forms
+from tests.codegen.systems import REFERENCE, driven, lotka_volterra, separated
+
+from rankone.codegen import generate_source, load_module
+from rankone.ir import SeparatedForm
+from rankone.system import Array, System
+
+RTOL = 1e-11
+
+
+def load(form: SeparatedForm) -> System:
+    return load_module(generate_source(form), "generated")
+
+
+def points(system: System, seed: int, *shape: int) -> tuple[Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(0.1, 1.0, shape)
+    u = rng.uniform(-1.5, 1.5, (system.N_DIFFERENTIAL, *shape))
+    p = rng.uniform(0.5, 2.0, (len(system.PARAMETERS), *shape))
+    return t, u, p
+
+
+@given(form=forms(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=150, deadline=None)
+def test_rhs_and_jacobian_equal_the_interpreted_form(form: SeparatedForm, seed: int) -> None:
+    system, oracle = load(form), Interpreter(form)
+    t, u, p = points(system, seed, 5)
+    np.testing.assert_allclose(system.rhs(t, u, p), oracle.rhs(t, u, p), RTOL, 1e-12)
+    np.testing.assert_allclose(system.jacobian(t, u, p), oracle.jacobian(t, u, p), RTOL, 1e-12)
+
+
+@given(form=forms(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_jacobians_are_the_derivatives_of_what_they_belong_to(
+    form: SeparatedForm, seed: int
+) -> None:
+    system = load(form)
+    t, u, p = points(system, seed)
+    step = 1e-6
+    differences = [
+        (system.rhs(t, u + step * e, p) - system.rhs(t, u - step * e, p)) / (2 * step)
+        for e in np.eye(len(u))
+    ]
+    np.testing.assert_allclose(system.jacobian(t, u, p), np.transpose(differences), 1e-5, 1e-6)
+
+
+@given(form=forms(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_lifted_jacobian_reduces_to_the_jacobian(form: SeparatedForm, seed: int) -> None:
+    """Eliminating the products by their own rows leaves df/du."""
+    system = load(form)
+    t, u, p = points(system, seed)
+    n = system.N_DIFFERENTIAL
+    full = system.lifted_jacobian(t, system.lift(u), p)
+    slaved = np.linalg.solve(-full[n:, n:], full[n:, :n])  # dw/du
+    reduced = full[:n, :n] + full[:n, n:] @ slaved
+    np.testing.assert_allclose(reduced, system.jacobian(t, u, p), 1e-9, 1e-10)
+
+
+@given(form=forms(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_lift_appends_the_products(form: SeparatedForm, seed: int) -> None:
+    system = load(form)
+    _, u, _ = points(system, seed, 3)
+    x = system.lift(u)
+    assert x.shape == (len(system.STATES), 3)
+    np.testing.assert_array_equal(x[: len(u)], u)
+    for k, (a, b) in enumerate(system.PRODUCTS, start=len(u)):
+        np.testing.assert_array_equal(x[k], x[a] * x[b])
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_arguments_broadcast(name: str) -> None:
+    form = REFERENCE[name]()
+    system, oracle = load(form), Interpreter(form)
+    rng = np.random.default_rng(0)
+    n, d = system.N_DIFFERENTIAL, len(system.PARAMETERS)
+    u, p = rng.uniform(0.5, 1, (n, 4, 1)), rng.uniform(0.5, 1, (d, 3))
+    t = rng.uniform(size=(2, 1, 1))
+    np.testing.assert_allclose(system.rhs(t, u, p), oracle.rhs(t, u, p), RTOL)
+    np.testing.assert_allclose(system.jacobian(t, u, p), oracle.jacobian(t, u, p), RTOL)
+    scalar = system.rhs(0.5, [*u[:, 0, 0]], tuple(p[:, 0]))
+    assert scalar.shape == (n,)
+    np.testing.assert_allclose(scalar, oracle.rhs(0.5, u[:, 0, 0], p[:, 0]), RTOL)
+
+
+def test_lift_copies() -> None:
+    u = np.ones(2)
+    load(lotka_volterra()).lift(u)[0] = 2.0
+    assert u[0] == 1.0
+
+
+def test_factors_taken_out_and_products_shared() -> None:
+    source = generate_source(driven())
+    assert "out[0] = t_1 * (0.5 * y + 0.25) - lambda_1 * x * x * x" in source
+    assert "c0 = lambda_ * x" in source
+
+
+def test_more_arguments_than_numpy_broadcasts_at_once() -> None:
+    states = [f"s{c}" for c in range(70)]
+    form = separated({state: [(1.0 + c, {}, [state])] for c, state in enumerate(states)})
+    np.testing.assert_array_equal(load(form).rhs(0.0, np.ones(70), ()), 1.0 + np.arange(70))
