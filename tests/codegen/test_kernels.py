@@ -63,7 +63,8 @@ def brute_force(term: Term, phi: Array, x: Array, z: Array, paired: tuple[int, .
     """One quadratic term, as the table of the contract has it."""
     a, b = term.monomial if term.monomial[1] in paired else term.monomial[::-1]
     contracted: Array = np.einsum("pr,prs->ps", x[a], z[paired.index(b)])
-    return np.multiply(contracted, term.coefficient * phi[term.factors[0]][:, None])
+    scale: Array = term.coefficient * phi[term.factors[0]]
+    return scale[:, None] * contracted
 
 
 @given(form=forms(), seed=st.integers(0, 2**32 - 1))

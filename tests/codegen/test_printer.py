@@ -123,6 +123,7 @@ def test_common_subexpressions_are_named_once() -> None:
         ("a b", "a_b"),
         ("{}", "symbol"),
         ("np", "np_"),
+        ("l", "l_"),
     ],
 )
 def test_identifiers(name: str, identifier: str) -> None:

@@ -6,21 +6,12 @@ import textwrap
 from collections.abc import Sequence
 
 from rankone.codegen.grouping import Group
-from rankone.codegen.lowering import LoweredSystem
+from rankone.codegen.lowering import LoweredSystem, state_names
 from rankone.codegen.printer import number, plain_text
 from rankone.codegen.text import WIDTH
 from rankone.ir import SeparatedForm, Term
 
-__all__ = ["header", "signature_text", "state_names"]
-
-
-def state_names(form: SeparatedForm, lowered: LoweredSystem) -> list[str]:
-    """Names of the differential states and of the products, all distinct."""
-    names = [state.name for state in form.states]
-    prefix = "w"
-    while any(name.startswith(prefix) and name[len(prefix) :].isdigit() for name in names):
-        prefix += "_"
-    return [*names, *(f"{prefix}{k}" for k in range(len(lowered.products)))]
+__all__ = ["header", "signature_text"]
 
 
 def header(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from rankone.errors import SeparationError
 from rankone.ir import SeparatedForm, Term
 
-__all__ = ["LoweredSystem", "extract_pairs", "lower", "right_hand_side"]
+__all__ = ["LoweredSystem", "extract_pairs", "lower", "right_hand_side", "state_names"]
 
 Monomial = tuple[int, ...]
 Pair = tuple[int, int]
@@ -67,7 +67,7 @@ def right_hand_side(form: SeparatedForm) -> tuple[Term, ...]:
                 )
         else:
             key = (term.equation, term.factors, tuple(sorted(term.monomial)))
-            merged[key] = merged.get(key, 0.0) - term.coefficient
+            merged[key] = merged.get(key, 0.0) - float(term.coefficient)
     if sorted(derivatives) != [(1, c, (c,)) for c in range(len(form.states))]:
         raise SeparationError(
             "the derivative terms are not one u' for each state",
@@ -99,6 +99,15 @@ def lower(f: Sequence[Term], n_states: int) -> LoweredSystem:
         one = (0,) * len(f[0].factors)
         terms += [Term(k, 1.0, one, pair), Term(k, -1.0, one, (k,))]
     return LoweredSystem(n_states, tuple(products), tuple(terms))
+
+
+def state_names(form: SeparatedForm, lowered: LoweredSystem) -> list[str]:
+    """Names of the differential states and of the products, all distinct."""
+    names = [state.name for state in form.states]
+    prefix = "w"
+    while any(name.startswith(prefix) and name[len(prefix) :].isdigit() for name in names):
+        prefix += "_"
+    return [*names, *(f"{prefix}{k}" for k in range(len(lowered.products)))]
 
 
 def extract_pairs(

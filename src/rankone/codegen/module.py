@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from typing import cast
 
 from rankone.codegen.grouping import Group, group_terms
-from rankone.codegen.header import header, signature_text, state_names
+from rankone.codegen.header import header, signature_text
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
-from rankone.codegen.lowering import LoweredSystem, lower, right_hand_side
+from rankone.codegen.lowering import LoweredSystem, lower, right_hand_side, state_names
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import common_subexpressions, plain_text
@@ -107,7 +107,6 @@ def constants(form: SeparatedForm, lowered: LoweredSystem, groups: tuple[Group, 
 def coordinate_functions(form: SeparatedForm) -> list[list[str]]:
     """``time_factors``, one function for each parameter, and ``parameter_factors``."""
     names = Names(["np", "out"])
-    names.taken.discard("t")
     parameters = form.coordinates[1:]
     blocks = [factor_function("time_factors", "t", form, 0)]
     functions = []

@@ -27,7 +27,8 @@ class Names:
     """
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
-        self.taken = {*reserved, *keyword.kwlist, *keyword.softkwlist}
+        ambiguous = ["l", "O", "I"]  # linters object
+        self.taken = {*reserved, *ambiguous, *keyword.kwlist, *keyword.softkwlist}
 
     def __call__(self, name: str) -> str:
         """A new identifier that resembles ``name``."""

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import sympy as sp
 
-from rankone.codegen.lowering import LoweredSystem
+from rankone.codegen.lowering import LoweredSystem, state_names
 from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.sums import Product, share
@@ -106,9 +106,7 @@ class PointwiseWriter:
         coordinates = self.form.coordinates
         parameter_names = [names(coordinate.name) for coordinate in coordinates[1:]]
         names.taken -= {"u", "x"}  # states are unpacked last and may replace the argument
-        labels = [state.name for state in self.form.states]
-        labels += [f"w{k}" for k in range(n_states - len(labels))]
-        state_names = [names(label) for label in labels]
+        state_locals = [names(name) for name in state_names(self.form, self.lowered)[:n_states]]
 
         terms = [term for found in entries.values() for term in found]
         used_factors = sorted({(j, i) for term in terms for j, i in enumerate(term.factors) if i})
@@ -117,7 +115,7 @@ class PointwiseWriter:
         spelled = ["t", *parameter_names]
         factor_lines, factor_names, count = self.factor_lines(used_factors, spelled, names)
 
-        symbols = [*factor_names, *state_names]
+        symbols = [*factor_names, *state_locals]
         position = {key: k for k, key in enumerate(used_factors)}
         sums = [
             [product(term, position, len(factor_names)) for term in found]
@@ -129,7 +127,7 @@ class PointwiseWriter:
         lines = [shape_line(states, n_states, len(parameter_names))]
         parameters = mask(parameter_names, (j - 1 for j in used_parameters))
         lines += unpacking(parameters, "p")
-        lines += unpacking(mask(state_names, used_states), states)
+        lines += unpacking(mask(state_locals, used_states), states)
         n_intermediate = len(factor_lines) + len(written.intermediate)
         if n_intermediate:
             lines.append(f"    # Intermediate terms ({n_intermediate})")

@@ -242,9 +242,10 @@ def numpy_text(expr: sp.Expr, names: dict[sp.Symbol, str]) -> str:
 
 
 def plain_text(expr: sp.Expr) -> str:
-    """Text of an expression for people, in parentheses if it is a sum."""
-    text = sstr(expr)
-    return f"({text})" if isinstance(expr, sp.Add) else str(text)
+    """Text of an expression for people, in parentheses if it is a sum or a quotient."""
+    text = str(sstr(expr))
+    quotient = isinstance(expr, sp.Mul | sp.Pow | sp.Rational) and "/" in text
+    return f"({text})" if quotient or isinstance(expr, sp.Add) else text
 
 
 def common_subexpressions(

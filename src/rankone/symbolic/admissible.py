@@ -75,6 +75,9 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
     values = function(points)
     if not np.any(np.isfinite(values)):
         return None
+    exact = points[values == 0]
+    if exact.size:
+        return float(exact[0])
     (changes,) = np.nonzero(np.diff(np.sign(values)))
     least = int(np.nanargmin(np.abs(values)))
     scale = float(np.nanmax(np.abs(values)))

@@ -114,7 +114,8 @@ def _linear_in(
     rest: list[sp.Expr] = []
     for term in sp.Add.make_args(residual):
         replaced = term.xreplace(stand_in)
-        present = [i for i, v in enumerate(leading) if stand_in[v] in replaced.free_symbols]
+        symbols = replaced.free_symbols
+        present = [i for i, v in enumerate(leading) if stand_in[v] in symbols]
         if not present:
             rest.append(term)
             continue

@@ -5,16 +5,19 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.symbolic.wording import clip
+
 __all__ = ["latex_of", "text_of"]
 
+_LONGEST_SIDE = 400
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def text_of(expression: sp.Basic) -> str:
-    """Return plain text such as ``k*(du/dt + 1) = 10``."""
+    """Return plain text such as ``k*(du/dt + 1) = 10``, cut in the middle when it is long."""
     short, _ = _abbreviate(expression)
     sides = short.args if isinstance(short, sp.Eq) else [short]
-    return " = ".join(sp.sstr(side, full_prec=False) for side in sides)
+    return " = ".join(clip(sp.sstr(side, full_prec=False), _LONGEST_SIDE) for side in sides)
 
 
 def latex_of(expression: sp.Basic) -> str:

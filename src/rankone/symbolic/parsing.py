@@ -157,7 +157,7 @@ class _Translator(ast.NodeVisitor):
         if name in CONSTANTS:
             return CONSTANTS[name]
         if name in FUNCTIONS:
-            raise self.error(f"{quote(name)} is a function", f"write {name}(...)")
+            raise self.error(f"function {quote(name)} has no argument", f"write {name}(...)")
         hint = did_you_mean(name, [*self.names, *CONSTANTS])
         raise self.error(
             f"unknown name {quote(name)}{hint}", "declare it in `parameters` or give it in `rhs`"

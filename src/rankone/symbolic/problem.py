@@ -82,7 +82,7 @@ class Problem:
     >>> u = sp.Function("u")(t)
     >>> Problem([sp.Eq(u.diff(t) + k * u, 0)], (t, 0, 2), {k: (0.5, 5)}, {u: 1})
     Problem: 1 unknown, 1 parameter
-      k*u + du/dt = 0
+      du/dt + k*u = 0
       u(0) = 1
       t in [0, 2], k in [0.5, 5]
     """

@@ -1,9 +1,10 @@
 """Splitting an expression into products of functions of one coordinate.
 
 Sums and products are multiplied out only as far as coordinates and states are mixed. A function of
-a single coordinate stays as the user wrote it: ``exp(-(t - 5)**2)`` multiplied out would overflow,
-``(t - 5)**20`` would lose all digits. Only sums of monomials are distributed, so that like terms
-meet. Time is polynomial in the number of terms; nothing is ever simplified.
+a single coordinate stays as the user wrote it, but for a number in front: multiplied out,
+``exp(-(t - 5)**2)`` would overflow and ``(t - 5)**20`` would lose all digits. Only sums of
+monomials are distributed, so that like terms meet. Nothing is ever simplified, and the time is
+polynomial in the number of terms.
 """
 
 from __future__ import annotations
@@ -242,8 +243,8 @@ class Splitter:
         """Return an expression as one (number, product), factoring it if need be."""
         terms = self.split(expression)
         if len(terms) > 1:
-            factored = sp.factor(expression)
-            if factored.is_Add or factored == expression:
+            factored = sp.factor(exact(expression))
+            if factored.is_Add:
                 raise self._indivisible(whole)
             terms = {self._one: sp.S.One}
             for part in sp.Mul.make_args(factored):

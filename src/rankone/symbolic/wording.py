@@ -5,18 +5,20 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["count", "did_you_mean", "listing", "quote"]
+__all__ = ["clip", "count", "did_you_mean", "listing", "quote"]
 
 _LONGEST_QUOTE = 160
 
 
 def quote(thing: object) -> str:
     """Show what the user wrote between backquotes, cut in the middle when it is long."""
-    text = str(thing)
-    if len(text) > _LONGEST_QUOTE:
-        half = _LONGEST_QUOTE // 2 - 3
-        text = f"{text[:half]} ... {text[-half:]}"
-    return f"`{text}`"
+    return f"`{clip(str(thing), _LONGEST_QUOTE)}`"
+
+
+def clip(text: str, longest: int) -> str:
+    """Cut a long text in the middle."""
+    half = longest // 2 - 3
+    return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
 
 
 def listing(things: Iterable[object]) -> str:

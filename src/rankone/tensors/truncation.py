@@ -10,11 +10,20 @@ __all__ = ["truncated_svd"]
 
 Array = NDArray[np.float64]
 
+_DIRECT = 48
+"""Smaller sides than this are decomposed directly."""
+_EXTRA = 12
+"""Random directions added to the expected row space."""
+
 
 def truncated_svd(
-    matrix: Array, tolerance: float, max_rank: int, hint: Array | None = None
+    matrix: Array, tolerance: float, max_rank: int, rows: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Left vectors, singular values and right vectors, the tail of norm <= tolerance dropped.
+    """Left vectors, singular values and right vectors; the part dropped has norm <= tolerance.
+
+    A large matrix of small numerical rank is first projected on a range found from ``rows`` and
+    a few random directions (Halko, Martinsson & Tropp, SIAM Review 53 (2011), algorithm 4.2); the
+    projection is accepted only if what it misses is measured to be below half the tolerance.
 
     Parameters
     ----------
@@ -23,16 +32,74 @@ def truncated_svd(
         Largest Frobenius norm of what is dropped.
     max_rank : int
         Largest number of singular values kept, whatever the tolerance.
+    rows : ndarray (k, n), optional
+        Vectors expected to span most of the row space.
 
     Returns
     -------
     left (m, r), values (r,), right (r, n)
-        At least one singular value is kept.
+        Orthonormal columns and rows; at least one singular value is kept.
     """
-    left, values, right = scipy.linalg.svd(
-        matrix, full_matrices=False, check_finite=False, lapack_driver="gesdd"
-    )
-    tails = np.sqrt(np.cumsum(values[::-1] ** 2))[::-1]
+    missed = 0.0
+    basis = None
+    smaller = min(matrix.shape)
+    if rows is not None and smaller > _DIRECT and 2 * (rows.shape[0] + _EXTRA) < smaller:
+        basis, reduced, missed = _range(matrix, rows, 0.5 * tolerance)
+    if basis is None:
+        left, values, right = _svd(matrix)
+    else:
+        left, values, right = _svd(reduced)
+    tails = np.sqrt(np.cumsum(values[::-1] ** 2)[::-1] + missed**2)
     rank = int(np.count_nonzero(tails > tolerance))
-    rank = min(max(rank, 1), max_rank)
-    return left[:, :rank], values[:rank], right[:rank]
+    rank = min(max(rank, 1), max_rank, values.size)
+    left = left[:, :rank] if basis is None else basis @ left[:, :rank]
+    return left, values[:rank], right[:rank]
+
+
+def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, Array, float]:
+    """Orthonormal basis of the numerical range, the projected matrix and what it misses.
+
+    The basis is None when the range is not small.
+    """
+    generator = np.random.default_rng(matrix.shape[1])
+    extra = generator.standard_normal((matrix.shape[1], _EXTRA))
+    basis, _ = np.linalg.qr(matrix @ np.hstack([rows.T, extra]))
+    reduced = basis.T @ matrix
+    rest = matrix - basis @ reduced
+    missed = float(np.linalg.norm(rest))
+    while missed > tolerance:
+        grow = max(2 * _EXTRA, basis.shape[1] // 4)
+        if 2 * (basis.shape[1] + grow) > min(matrix.shape):
+            return None, reduced, 0.0
+        sample = rest @ generator.standard_normal((matrix.shape[1], grow))
+        sample -= basis @ (basis.T @ sample)
+        more, _ = np.linalg.qr(sample)
+        more -= basis @ (basis.T @ more)
+        more, _ = np.linalg.qr(more)
+        basis = np.hstack([basis, more])
+        reduced = basis.T @ matrix
+        rest = matrix - basis @ reduced
+        missed = float(np.linalg.norm(rest))
+    return basis, reduced, missed
+
+
+def _svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """Thin SVD; a QR first where the matrix is far from square."""
+    m, n = matrix.shape
+    if n > 2 * m:
+        q, r = np.linalg.qr(matrix.T)
+        left, values, right = _svd(r.T)
+        return left, values, right @ q.T
+    if m > 2 * n:
+        q, r = np.linalg.qr(matrix)
+        left, values, right = _svd(r)
+        return q @ left, values, right
+    try:
+        left, values, right = scipy.linalg.svd(
+            matrix, full_matrices=False, check_finite=False, lapack_driver="gesdd"
+        )
+    except np.linalg.LinAlgError:
+        left, values, right = scipy.linalg.svd(
+            matrix, full_matrices=False, check_finite=False, lapack_driver="gesvd"
+        )
+    return left, values, right

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.discretization import LegendreBasis
+from rankone.discretization import Basis1D
 from rankone.system import Array, System
 
 __all__ = ["CONSTANT", "LINEAR", "QUADRATIC", "Group", "Key", "ParameterOperators", "term_groups"]
@@ -52,7 +52,7 @@ class ParameterOperators:
     ``factor * weight ** ((1 - degree) / 2)``.
     """
 
-    def __init__(self, system: System, bases: Sequence[LegendreBasis]) -> None:
+    def __init__(self, system: System, bases: Sequence[Basis1D]) -> None:
         factors = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(bases)]
         self.bases = tuple(bases)
         self._vectors: list[list[Array]] = [

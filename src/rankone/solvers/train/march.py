@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rankone.discretization import LegendreBasis, RadauCollocation
+from rankone.discretization import RadauCollocation
 from rankone.solvers.reference import Reference
 from rankone.solvers.train.groups import ParameterOperators, term_groups
 from rankone.solvers.train.slab import SlabOperator
@@ -79,7 +79,7 @@ class March:
                 if not np.isfinite(r2) or (its >= 3 and r2 > .6*prev and r2 > 5*eps) or r2>1e3: break
                 if r2 < 2*eps and max(tails, default=0) < eps: ok=True; break
                 if its>=2 and max(tails, default=0) > eps:
-                    new = [b if tl<eps else b.refined() for b, tl in zip(self.bases, tails)]
+                    new = [b if tl<eps else b.refined(40) for b, tl in zip(self.bases, tails)]
                     if self.verbose: print('   refine', [b.size for b in new])
                     tr = [a.transfer(b) for a, b in zip(self.bases, new)]
                     source = right_orthonormal([source[0]] + [np.einsum('ab,rbs->ras', T, c) for T, c in zip(tr, source[1:])])

@@ -345,7 +345,9 @@ class Sweeper:
 
     def _split(self, b: int, block: Array, tolerance: float, towards: str) -> float:
         """Replace the cores (b, b + 1) by the truncated factors of ``block``."""
-        left, weights, right = truncated_svd(block, tolerance, self.max_rank, None)
+        neighbour = self.cores[b + 1]
+        rows = neighbour.reshape(neighbour.shape[0], -1)
+        left, weights, right = truncated_svd(block, tolerance, self.max_rank, rows)
         shape, rank = self.cores[b + 1].shape, weights.size
         if towards == "right":
             right = weights[:, None] * right
