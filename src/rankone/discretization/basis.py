@@ -126,12 +126,6 @@ class Basis1D(ABC):
         block = (self._values(xi, self.degree) * np.sqrt(weights)[:, None]).T
         return np.asarray(np.kron(np.eye(self.elements), block))
 
-    @cached_property
-    def tail(self) -> Array:
-        """Rows of ``to_modal`` that belong to the two highest modes of each element."""
-        top = np.arange(self.size) % self.degree >= max(self.degree - 2, 1)
-        return np.asarray(self.to_modal[top])
-
     def modal_values(self, points: Array) -> Array:
         """Values of the modes at points (N,) of the interval: shape (N, size)."""
         position = (points - self.lower) * (self.elements / (self.upper - self.lower))
@@ -147,6 +141,19 @@ class Basis1D(ABC):
         """Map scaled values on this basis to those on another, (other.size, size)."""
         values = self.modal_values(other.nodes) @ self.to_modal
         return np.asarray(np.sqrt(other.weights)[:, None] * values)
+
+    def tail(self, spectrum: Array) -> float:
+        """Norm of the two highest modes of each element in a spectrum of mode norms (size,)."""
+        top = min(2, self.degree - 1)
+        highest = spectrum.reshape(self.elements, self.degree)[:, self.degree - top :]
+        return float(np.linalg.norm(highest))
+
+    def coarsened(self, spectrum: Array, tolerance: float) -> Self:
+        """The smallest basis that keeps a spectrum to ``tolerance``, two modes to spare."""
+        by_degree = np.linalg.norm(spectrum.reshape(self.elements, self.degree), axis=0)
+        rest = np.sqrt(np.cumsum(by_degree[::-1] ** 2))[::-1]
+        needed = int(np.count_nonzero(rest > tolerance)) + 2
+        return replace(self, degree=min(max(needed, 3), self.degree))
 
     def refined(self, largest_degree: int) -> Self:
         """The next finer basis: more nodes, or twice the elements once the degree is spent."""

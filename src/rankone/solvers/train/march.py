@@ -1,115 +1,336 @@
-"""Adaptive time slabs: march the sweeps over the horizon."""
+"""Adaptive time slabs: march the sweeps over the horizon.
+
+The length of a slab is limited by what the time nodes resolve (the decay of the Legendre
+coefficients of the reference trajectories) and by the contraction of the sweeps. Parameter nodes
+are added while the highest modes of a parameter core are above the tolerance.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from rankone.discretization import RadauCollocation
+from rankone.discretization import Basis1D, RadauCollocation
+from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.reference import Reference
 from rankone.solvers.train.groups import ParameterOperators, term_groups
+from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import SlabOperator
 from rankone.solvers.train.sweep import Sweeper
 from rankone.system import Array, System
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import apply_to_modes, right_orthonormal
+
+__all__ = ["Guess", "March", "MarchResult"]
+
+_SHRINK, _SLOW, _GROW = 0.5, 0.7, 1.5
+"""Factors on the slab length: after divergence, after many sweeps, after few."""
+_SHORTEST = 1e-10
+"""Shortest slab, relative to the horizon."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A slab of an earlier attempt: its place and its cores, a first guess for the next."""
+
+    start: float
+    length: float
+    cores: tuple[Array, ...]
+    bases: tuple[Basis1D, ...]
+
+
+@dataclass
+class MarchResult:
+    """Slabs solved so far, and why the march ended early (None if it reached the end)."""
+
+    slabs: list[SlabTrain] = field(default_factory=list)
+    guesses: list[Guess] = field(default_factory=list)
+    records: list[SlabRecord] = field(default_factory=list)
+    limits: set[Status] = field(default_factory=set)
+    stopped: Status | None = None
 
 
 @dataclass
 class March:
+    """One pass over the horizon with a given inner tolerance.
+
+    Parameters
+    ----------
+    system : System
+    reference : Reference
+        Trajectories at the check points, the centre first.
+    scale : ndarray (n,)
+        Size of each state, products included.
+    bases : tuple of Basis1D
+        Parameter bases to begin with.
+    tolerance : callable
+        Inner tolerance at the time t, in units of the sizes.
+    options : TrainOptions
+    collocation : RadauCollocation
+    attempt : int
+        Number of the attempt, for the records.
+    guesses : sequence of Guess
+        Slabs of the attempt before.
+    report : callable
+        Called with (time reached, slabs, rank) after each accepted slab.
+    """
+
     system: System
     reference: Reference
     scale: Array
-    bases: list
-    nodes: int
-    tolerance: object
-    log: list = field(default_factory=list)
-    verbose: bool = False
+    bases: tuple[Basis1D, ...]
+    tolerance: Callable[[float], float]
+    options: TrainOptions
+    collocation: RadauCollocation
+    attempt: int = 0
+    guesses: Sequence[Guess] = ()
+    report: Callable[[float, int, int], None] = lambda time, slabs, rank: None
 
-    def initial(self):
-        n, d = self.system.N_DIFFERENTIAL, len(self.bases)
-        rows = [self.system.parameter_factors(j, b.nodes)*np.sqrt(b.weights) for j, b in enumerate(self.bases)]
-        terms = self.system.INITIAL
-        R = max(len(terms), 1)
-        cores = [np.zeros((n, R))] + [np.zeros((R, b.size, R)) for b in self.bases]
-        for k, (c, s, f) in enumerate(terms):
-            cores[0][s, k] = c / self.scale[s]
-            for j in range(d):
-                cores[j+1][k, :, k] = rows[j][f[j]]
-        if d: cores[-1] = cores[-1].sum(axis=2, keepdims=True)
-        else: cores[0] = cores[0].sum(axis=1, keepdims=True)
-        return right_orthonormal(cores)
+    def __post_init__(self) -> None:
+        self._groups = term_groups(self.system)
+        self._points = np.concatenate([[0.0], self.collocation.nodes])
+        self._parameters = ParameterOperators(self.system, self.bases)
+        self._second_residual = 1e-2
+        self.result = MarchResult()
 
-    def run(self):
-        sysm = self.system
-        groups = term_groups(sysm)
-        col = RadauCollocation.of(self.nodes)
-        t, end = sysm.TIME
-        source = self.initial()
-        params = ParameterOperators(sysm, self.bases)
-        h = (end - t)
-        slabs = []
-        centre = self.reference.points[0]
-        pts = np.concatenate([[0.], col.nodes])
-        while t < end*(1-1e-12):
-            h = min(h, end - t)
-            if end - t < 1.5*h and end-t>h: h = (end - t)/2
-            eps = self.tolerance(t)
-            # time resolution
-            while True:
-                vals = self.reference(t + h*pts)/self.scale[:sysm.N_DIFFERENTIAL, None, None]
-                coef = vals @ col.to_modal.T
-                tail = np.abs(coef[..., -2:]).max()
-                if tail < 1*eps: break
-                h *= max(0.5, min(.9,0.9*(eps/tail)**(1/self.nodes)))
-            mean = sysm.lift(self.reference(t + h*col.nodes)[:, 0])
-            A = sysm.lifted_jacobian(t + h*col.nodes, mean, centre)
-            A = np.broadcast_to(A, (len(self.scale),)*2 + (self.nodes,))
-            op = SlabOperator(sysm, col, t, h, self.scale, A)
-            sw = Sweeper(op, groups, params, [op.initial(source[0]), *source[1:]], source)
-            ok, its, res = False, 0, []
-            d = len(self.bases)
-            per = eps/np.sqrt(max(d,1))
-            sw.settle(0.05, 10)
-            prev=np.inf
-            for its in range(1, 13):
-                tol = per
-                r2, tails = sw.iterate(tol); r1 = 0
-                c = sw.settle(0.3*eps, 12)
-                res.append((r1, r2, c))
-                if not np.isfinite(r2) or (its >= 3 and r2 > .6*prev and r2 > 5*eps) or r2>1e3: break
-                if r2 < 2*eps and max(tails, default=0) < eps: ok=True; break
-                if its>=2 and max(tails, default=0) > eps:
-                    new = [b if tl<eps else b.refined(40) for b, tl in zip(self.bases, tails)]
-                    if self.verbose: print('   refine', [b.size for b in new])
-                    tr = [a.transfer(b) for a, b in zip(self.bases, new)]
-                    source = right_orthonormal([source[0]] + [np.einsum('ab,rbs->ras', T, c) for T, c in zip(tr, source[1:])])
-                    cores = right_orthonormal([sw.cores[0].reshape(-1, sw.cores[0].shape[2])] + [np.einsum('ab,rbs->ras', T, c) for T, c in zip(tr, sw.cores[1:])])
-                    cores[0] = cores[0].reshape(*op.shape, -1)
-                    self.bases = new
-                    params = ParameterOperators(sysm, new)
-                    sw = Sweeper(op, groups, params, cores, source)
-                    prev=np.inf
-                    continue
-                prev = r2
-            if not ok:
-                if self.verbose: print(f'reject t={t:.3g} h={h:.3g}', [f'{b:.1e}/{c:.1e}' for a,b,c in res], sw.ranks)
-                h *= .6
-                if h<1e-8: raise RuntimeError
+    def run(self, end: float) -> MarchResult:
+        """March from the start of the reference to ``end``."""
+        result = self.result
+        start = self.reference.start
+        horizon = end - start
+        time, length = start, horizon
+        source = self._initial()
+        while end - time > 1e-12 * horizon:
+            if len(result.records) >= self.options.max_slabs:
+                result.stopped = Status.SLAB_LIMIT
+                break
+            guess = self._guess(time, length)
+            length = guess.length if guess else self._resolved(time, min(length, end - time))
+            remaining = end - time
+            if length < remaining < 1.6 * length:
+                length = 0.5 * remaining if guess is None else length
+            if abs(remaining - length) < 1e-9 * horizon:
+                length = remaining
+            sweeper, record, source = self._solve(time, length, source, guess)
+            result.records.append(record)
+            if sweeper is None:
+                length *= _SHRINK
+                if Status.MEMORY_LIMIT in result.limits:
+                    result.stopped = Status.MEMORY_LIMIT
+                    break
+                if length < _SHORTEST * horizon:
+                    result.stopped = Status.NO_CONVERGENCE
+                    break
                 continue
-            x0 = source[0] @ sw._source_right[1]
-            if self.verbose: print(f't={t:.4g} h={h:.3g} its={its} eps={eps:.1e}', [f'{b:.1e}/{c:.1e}' for a,b,c in res], sw.ranks, [b.size for b in self.bases])
-            slabs.append((t, h, x0, sw.cores, list(self.bases)))
-            source = [sw.cores[0][:sysm.N_DIFFERENTIAL, -1]*np.sqrt(col.count), *sw.cores[1:]]
-            t += h
-            if its <= 3: h *= 1.4
-            elif its>=6: h*=.75
-        return slabs
+            self._accept(sweeper, time, length)
+            source = self._end_of(sweeper)
+            time += length
+            self.report(time, len(result.slabs), max(sweeper.ranks, default=1))
+            sweeps = len(record.residuals)
+            length *= _GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0
+        return result
 
-def right_orthonormal(cores):
-    cores = list(cores)
-    for j in range(len(cores)-1, 0, -1):
-        r, n, s = cores[j].shape
-        q, R = np.linalg.qr(cores[j].reshape(r, n*s).T)
-        cores[j] = q.T.reshape(-1, n, s)
-        cores[j-1] = cores[j-1] @ R.T
-    return cores
+    # -- one slab -------------------------------------------------------------------------------
+
+    def _solve(
+        self, time: float, length: float, source: list[Array], guess: Guess | None
+    ) -> tuple[Sweeper | None, SlabRecord, list[Array]]:
+        """Sweep on one slab; the sweeper is None when it was rejected.
+
+        The source is returned since it moves along when parameter nodes are added.
+        """
+        tolerance = self.tolerance(time)
+        sweeper = self._start(time, length, source, guess)
+        residuals: list[float] = []
+        accepted = False
+        spectra: list[Array] = []
+        parameters = max(sweeper.dimensions, 1)
+        if sweeper.dimensions == 0:
+            residuals.append(sweeper.settle(tolerance, 40))
+            accepted = residuals[-1] <= tolerance
+        else:
+            sweeper.settle(max(tolerance, 1e-3), 8)
+        ratio = 0.1
+        fresh = 0
+        while not accepted and sweeper.dimensions and len(residuals) < self.options.max_sweeps:
+            expected = residuals[-1] * ratio**2 if fresh else self._second_residual
+            current = max(tolerance, 0.1 * expected) if fresh < 3 else tolerance
+            with np.errstate(over="ignore", invalid="ignore"):
+                try:
+                    residual, spectra = sweeper.iterate(current / np.sqrt(parameters))
+                    sweeper.settle(0.2 * tolerance, 12)
+                except (np.linalg.LinAlgError, ValueError):
+                    residual = np.inf
+            if fresh:
+                ratio = residual / residuals[-1] if residuals[-1] > 0.0 else 0.0
+            fresh += 1
+            residuals.append(residual)
+            if fresh == 2:
+                self._second_residual = residual
+            limited = max(sweeper.ranks) >= self.options.max_rank
+            if limited:
+                self.result.limits.add(Status.RANK_LIMIT)
+            if not residual < 1e2 or (fresh >= 4 and ratio > 0.6 and not limited):
+                break
+            if self._too_large(sweeper):
+                self.result.limits.add(Status.MEMORY_LIMIT)
+                break
+            wanted = self._refined(spectra, max(tolerance, current))
+            if wanted != self.bases:
+                sweeper, source = self._rebase(sweeper, source, wanted)
+                fresh, ratio = min(fresh, 1), 0.1
+                continue
+            ahead = residual * (min(ratio / (1.0 - ratio), 1.0) if fresh > 1 and ratio < 1 else 1.0)
+            accepted = current == tolerance and ahead <= tolerance
+            accepted = accepted or (limited and fresh >= 3 and ratio > 0.3)
+        record = SlabRecord(
+            self.attempt,
+            time,
+            time + length,
+            accepted,
+            tolerance,
+            tuple(residuals),
+            sweeper.ranks,
+            tuple(basis.size for basis in self.bases),
+        )
+        if accepted and spectra:
+            self._spectra = spectra
+        return (sweeper if accepted else None), record, source
+
+    def _start(
+        self, time: float, length: float, source: list[Array], guess: Guess | None
+    ) -> Sweeper:
+        operator = self._operator(time, length)
+        if guess is None:
+            cores = [operator.initial(source[0]), *source[1:]]
+        else:
+            maps = [old.transfer(new) for old, new in zip(guess.bases, self.bases, strict=True)]
+            cores = right_orthonormal(apply_to_modes(guess.cores, maps))
+        return Sweeper(
+            operator, self._groups, self._parameters, cores, source, self.options.max_rank
+        )
+
+    def _operator(self, time: float, length: float) -> SlabOperator:
+        times = time + length * self.collocation.nodes
+        centre = self.reference.points[0]
+        states = self.system.lift(self.reference(times)[:, 0])
+        jacobian = self.system.lifted_jacobian(times, states, centre[:, None])
+        n = self.scale.size
+        jacobian = np.broadcast_to(jacobian, (n, n, times.size))
+        return SlabOperator(self.system, self.collocation, time, length, self.scale, jacobian)
+
+    def _resolved(self, time: float, length: float) -> float:
+        """The longest slab, up to ``length``, on which the time nodes resolve the reference."""
+        tolerance = self.tolerance(time)
+        scale = self.scale[: self.system.N_DIFFERENTIAL, None, None]
+        count = self.collocation.count
+        for _ in range(60):
+            values = self.reference(time + length * self._points) / scale
+            highest = (values @ self.collocation.to_modal.T)[..., -2:]
+            tail = float(np.abs(highest).max())
+            if tail <= tolerance:
+                break
+            length *= min(max(0.9 * (tolerance / tail) ** (1.0 / count), 0.3), 0.9)
+        return length
+
+    # -- parameter nodes ------------------------------------------------------------------------
+
+    def _refined(self, spectra: Sequence[Array], tolerance: float) -> tuple[Basis1D, ...]:
+        """Bases with more nodes where the highest modes are above the tolerance."""
+        wanted = []
+        for basis, spectrum in zip(self.bases, spectra, strict=True):
+            finer = basis.refined(self.options.max_degree)
+            if basis.tail(spectrum) <= tolerance:
+                wanted.append(basis)
+            elif finer.size > self.options.max_nodes:
+                self.result.limits.add(Status.NODE_LIMIT)
+                wanted.append(basis)
+            else:
+                wanted.append(finer)
+        return tuple(wanted)
+
+    def _set_bases(self, bases: tuple[Basis1D, ...]) -> list[Array]:
+        """Take new bases; returns the maps of scaled values from the old to the new."""
+        maps = [old.transfer(new) for old, new in zip(self.bases, bases, strict=True)]
+        self.bases = bases
+        self._parameters = ParameterOperators(self.system, bases)
+        return maps
+
+    def _rebase(
+        self, sweeper: Sweeper, source: list[Array], bases: tuple[Basis1D, ...]
+    ) -> tuple[Sweeper, list[Array]]:
+        maps = self._set_bases(bases)
+        source = right_orthonormal(apply_to_modes(source, maps))
+        cores = right_orthonormal(apply_to_modes(sweeper.cores, maps))
+        operator = sweeper.operator
+        moved = Sweeper(
+            operator, self._groups, self._parameters, cores, source, self.options.max_rank
+        )
+        return moved, source
+
+    def _too_large(self, sweeper: Sweeper) -> bool:
+        """Whether the contractions are estimated to need more than the memory allowed."""
+        total = 0.0
+        ranks = (*sweeper.ranks, 1)
+        for left, basis, right in zip(ranks[:-1], self.bases, ranks[1:], strict=True):
+            total += basis.size * (left * left * right + left * right * right) + left**3
+        n, count = sweeper.operator.shape
+        first = self.bases[0].size * count * n * ranks[1] ** 2 if self.bases else 0.0
+        return 8.0 * (2.0 * total + 2.0 * first) > self.options.max_memory
+
+    # -- start and end of slabs -----------------------------------------------------------------
+
+    def _initial(self) -> list[Array]:
+        """The initial values as a train: core 0 (n_differential, r), right-orthonormal."""
+        terms = self.system.INITIAL
+        rank = max(len(terms), 1)
+        first = np.zeros((self.system.N_DIFFERENTIAL, rank))
+        cores = [np.zeros((rank, basis.size, rank)) for basis in self.bases]
+        rows = [
+            self.system.parameter_factors(j, basis.nodes) * np.sqrt(basis.weights)
+            for j, basis in enumerate(self.bases)
+        ]
+        for k, (coefficient, state, factors) in enumerate(terms):
+            first[state, k] = coefficient / self.scale[state]
+            for core, row, factor in zip(cores, rows, factors, strict=True):
+                core[k, :, k] = row[factor]
+        if not cores:
+            return [first.sum(axis=1, keepdims=True)]
+        cores[-1] = cores[-1].sum(axis=2, keepdims=True)
+        return right_orthonormal([first, *cores])
+
+    def _end_of(self, sweeper: Sweeper) -> list[Array]:
+        """The train at the end of a slab, on parameter bases coarsened to what it needs."""
+        first = sweeper.cores[0][: self.system.N_DIFFERENTIAL, -1] * np.sqrt(self.collocation.count)
+        source = [first, *sweeper.cores[1:]]
+        if not self.bases:
+            return source
+        tolerance = 0.02 * self.tolerance(sweeper.operator.start)
+        bases = tuple(
+            basis.coarsened(spectrum, tolerance)
+            for basis, spectrum in zip(self.bases, self._spectra, strict=True)
+        )
+        if all(new.size > 0.75 * old.size for new, old in zip(bases, self.bases, strict=True)):
+            return source
+        return right_orthonormal(apply_to_modes(source, self._set_bases(bases)))
+
+    def _accept(self, sweeper: Sweeper, time: float, length: float) -> None:
+        n, count = self.system.N_DIFFERENTIAL, self.collocation.count
+        values = np.empty((n, count + 1, sweeper.cores[0].shape[2]))
+        values[:, 0] = sweeper.source_in_frame()
+        values[:, 1:] = sweeper.cores[0][:n] * np.sqrt(count)
+        values *= self.scale[:n, None, None]
+        first = np.einsum("mk,nkr->nmr", self.collocation.to_modal, values)
+        cores = apply_to_modes([first, *sweeper.cores[1:]], [b.to_modal for b in self.bases])
+        self.result.slabs.append(SlabTrain(time, time + length, tuple(cores), self.bases))
+        self.result.guesses.append(Guess(time, length, tuple(sweeper.cores), self.bases))
+
+    def _guess(self, time: float, length: float) -> Guess | None:
+        """The slab of the attempt before that starts here, if it is not too long."""
+        for guess in self.guesses:
+            if abs(guess.start - time) < 1e-12 * (1.0 + abs(time)):
+                short_enough = guess.length <= 1.01 * self._resolved(time, guess.length)
+                return guess if short_enough and guess.length <= 1.01 * max(length, 0.0) else None
+        return None

@@ -54,6 +54,8 @@ class Sweeper:
         Core 0 (n, K, r_1), the centre; cores j >= 1 (r_j, n_j, r_{j+1}), right-orthonormal.
     source : list of ndarray
         The train U_s at the start of the slab: core 0 (n_differential, r), the rest alike.
+    max_rank : int
+        Largest rank kept by the splits.
     """
 
     operator: SlabOperator
@@ -61,7 +63,7 @@ class Sweeper:
     parameters: ParameterOperators
     cores: list[Array]
     source: list[Array]
-    max_rank: int = 200
+    max_rank: int
 
     def __post_init__(self) -> None:
         d = self.dimensions
@@ -90,23 +92,27 @@ class Sweeper:
     def ranks(self) -> tuple[int, ...]:
         return tuple(core.shape[0] for core in self.cores[1:])
 
+    def source_in_frame(self) -> Array:
+        """Scaled states at the start of the slab in the present frame, (n_differential, r_1)."""
+        return self.source[0] @ self._source_right[1]
+
     # -- the first core alone: cheap fixed-point steps in a frozen parameter frame ---------------
 
     def settle(self, tolerance: float, steps: int) -> float:
         """Iterate the first core in the present frame; return the last change."""
         change = np.inf
         for _ in range(steps):
-            new = self._first_block(self.cores[0], 1, None)
+            new = self._first_block(self.cores[0], 1)
             previous, change = change, float(np.linalg.norm(new - self.cores[0]))
             self.cores[0] = new
             if change <= tolerance or not np.isfinite(change) or change > 2.0 * previous:
                 break
         return change
 
-    def _first_block(self, x: Array, bond: int, row: int | None) -> Array:
+    def _first_block(self, x: Array, bond: int) -> Array:
         """Right-hand side of the fixed point on core 0 (bond 1) or on cores 0 and 1 (bond 2).
 
-        ``x`` is (n, K, r_1), or (n, K, n_1, r_2); ``row`` is unused for bond 1.
+        ``x`` is (n, K, r_1), or (n, K, n_1, r_2).
         """
         n, count = self.operator.shape
         repeat = 1 if bond == 1 else x.shape[2]
@@ -300,7 +306,7 @@ class Sweeper:
             n, count, r = core.shape
             present = core.reshape(n * count, r) @ neighbour.reshape(r, width)
             block = present.reshape(n, count, *neighbour.shape[1:])
-            return self._first_block(block, 2, None).reshape(n * count, width), present
+            return self._first_block(block, 2).reshape(n * count, width), present
         r, size, s = core.shape
         present = core.reshape(r * size, s) @ neighbour.reshape(s, width)
         new = self._source_left_half(b) @ self._source_right_half(b + 1)
@@ -308,17 +314,17 @@ class Sweeper:
             new += half @ self._right_half(b + 1, key)
         return new, present
 
-    def iterate(self, tolerance: float) -> tuple[float, list[float]]:
+    def iterate(self, tolerance: float) -> tuple[float, list[Array]]:
         """One sweep to the last pair and back; the centre starts and ends at core 0.
 
-        Returns the residual (largest change of a pair) and, for each parameter, the norm of the
-        highest Legendre modes.
+        Returns the residual (largest change of a pair) and, for each parameter, the norms of its
+        modes, shape (nodes,).
         """
         largest = 0.0
-        tails = [0.0] * self.dimensions
+        spectra = [np.zeros(0)] * self.dimensions
         last = self.dimensions - 1
         for b in range(last):
-            if b == 0 or ONEWAY:
+            if b == 0:
                 self._shift_right(b)
             else:
                 new, present = self._pair_block(b)
@@ -328,9 +334,9 @@ class Sweeper:
         for b in range(last, -1, -1):
             new, present = self._pair_block(b)
             largest = max(largest, float(np.linalg.norm(new - present)))
-            tails[b] = self._split(b, new, tolerance, towards="left")
+            spectra[b] = self._split(b, new, tolerance, towards="left")
             self._contract_right(b + 1)
-        return largest, tails
+        return largest, spectra
 
     def _shift_right(self, b: int) -> None:
         """Move the centre from core b to core b + 1 without a change of the train."""
@@ -343,23 +349,27 @@ class Sweeper:
         )
         self._changed(b)
 
-    def _split(self, b: int, block: Array, tolerance: float, towards: str) -> float:
-        """Replace the cores (b, b + 1) by the truncated factors of ``block``."""
+    def _split(self, b: int, block: Array, tolerance: float, towards: str) -> Array:
+        """Replace the cores (b, b + 1) by the truncated factors of ``block``.
+
+        Moving left, returns the norms of the parameter modes of the weighted core b + 1.
+        """
         neighbour = self.cores[b + 1]
         rows = neighbour.reshape(neighbour.shape[0], -1)
         left, weights, right = truncated_svd(block, tolerance, self.max_rank, rows)
         shape, rank = self.cores[b + 1].shape, weights.size
         if towards == "right":
             right = weights[:, None] * right
-            tail = 0.0
+            spectrum = weights
         else:
             weighted = (weights[:, None] * right).reshape(rank, *shape[1:])
-            tail = float(np.linalg.norm(np.matmul(self.parameters.bases[b].tail, weighted)))
+            modes = np.matmul(self.parameters.bases[b].to_modal, weighted)
+            spectrum = np.sqrt(np.einsum("anb,anb->n", modes, modes))
             left = left * weights
         self.cores[b] = left.reshape(*self.cores[b].shape[:-1], rank)
         self.cores[b + 1] = right.reshape(rank, *shape[1:])
         self._changed(b)
-        return tail
+        return spectrum
 
     def _changed(self, b: int) -> None:
         """Forget what was contracted with the cores b and b + 1."""
@@ -367,5 +377,3 @@ class Sweeper:
             halves[b] = {}
             halves[b + 1] = {}
 
-
-ONEWAY = False

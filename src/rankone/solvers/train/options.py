@@ -1,0 +1,71 @@
+"""Options of the tensor-train engine."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rankone.discretization import BASES
+from rankone.errors import OptionError
+
+__all__ = ["TrainOptions"]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainOptions:
+    """Limits and discretisation of ``method="train"``.
+
+    Attributes
+    ----------
+    basis : {"chebyshev", "legendre"}
+        Nodal basis of the parameters.
+    time_nodes : int or None
+        Radau nodes per slab; None chooses by the tolerance.
+    max_rank : int
+        Largest rank of the train.
+    max_degree : int
+        Largest number of nodes of one parameter element; beyond it the interval is split.
+    max_nodes : int
+        Largest number of nodes in one parameter.
+    max_slabs : int
+        Largest number of accepted and rejected slabs in one attempt.
+    max_sweeps : int
+        Largest number of sweeps on one slab.
+    max_attempts : int
+        How often the solve may be repeated with a tighter inner tolerance.
+    max_memory : float
+        Largest estimated working memory in bytes.
+    """
+
+    basis: str = "chebyshev"
+    time_nodes: int | None = None
+    max_rank: int = 250
+    max_degree: int = 48
+    max_nodes: int = 400
+    max_slabs: int = 2000
+    max_sweeps: int = 14
+    max_attempts: int = 5
+    max_memory: float = 4e9
+
+    def __post_init__(self) -> None:
+        if self.basis not in BASES:
+            raise OptionError(
+                f"basis={self.basis!r} is unknown", remedy=f"choose one of {sorted(BASES)}"
+            )
+        lowest = {"max_rank": 1, "max_degree": 4, "max_nodes": 4, "max_slabs": 1}
+        lowest |= {"max_sweeps": 3, "max_attempts": 1, "max_memory": 1}
+        for name, least in lowest.items():
+            value = getattr(self, name)
+            if not value >= least:
+                raise OptionError(f"{name}={value!r} is too small", remedy=f"at least {least}")
+        if self.time_nodes is not None and not 2 <= self.time_nodes <= 32:
+            raise OptionError(
+                f"time_nodes={self.time_nodes!r} is out of range", remedy="choose 2 to 32"
+            )
+
+    def nodes_in_time(self, rtol: float) -> int:
+        """Radau nodes per slab: more for tighter tolerances, 8 at 1e-3 and 16 at 1e-8."""
+        if self.time_nodes is not None:
+            return self.time_nodes
+        digits = -math.log10(rtol)
+        return int(min(max(round(3.5 + 1.55 * digits), 6), 18))

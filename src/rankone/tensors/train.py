@@ -1,0 +1,35 @@
+"""Operations on tensor trains held as lists of cores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["apply_to_modes", "right_orthonormal"]
+
+Array = NDArray[np.float64]
+
+
+def right_orthonormal(cores: Sequence[Array]) -> list[Array]:
+    """Equivalent train whose cores 1, ..., d have orthonormal rows; core 0 takes the rest.
+
+    Parameters
+    ----------
+    cores : sequence of ndarray
+        Core 0 has any shape (..., r_1); core j >= 1 has the shape (r_j, n_j, r_{j+1}).
+    """
+    result = list(cores)
+    for j in range(len(result) - 1, 0, -1):
+        left, size, right = result[j].shape
+        q, r = np.linalg.qr(result[j].reshape(left, size * right).T)
+        result[j] = np.ascontiguousarray(q.T).reshape(-1, size, right)
+        result[j - 1] = result[j - 1] @ r.T
+    return result
+
+
+def apply_to_modes(cores: Sequence[Array], matrices: Sequence[Array]) -> list[Array]:
+    """Apply one matrix to the middle index of each core j >= 1; core 0 is kept."""
+    changed = [np.matmul(matrix, core) for matrix, core in zip(matrices, cores[1:], strict=True)]
+    return [cores[0], *changed]
