@@ -6,6 +6,7 @@ right-hand side: DOP853, or Radau where the centre trajectory is stiff.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +14,16 @@ import numpy as np
 import scipy.integrate
 import scipy.sparse
 
+from rankone.solvers.outcome import Measured
 from rankone.system import Array, System
+from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Reference", "check_points", "integrate_reference"]
+__all__ = ["Reference", "check_points", "initial_values", "integrate_reference", "measure"]
 
 _STIFF_STEPS = 1500.0
 """DOP853 steps that stability alone may cost before the stiff integrator is taken."""
+_CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
+"""Where a slab is checked, relative to its length."""
 _DENSE_STATES = 240
 """Largest stacked system whose Jacobian is factored densely."""
 
@@ -123,6 +128,41 @@ def initial_values(system: System, parameters: Array) -> Array:
             product = product * row[index]
         values[state] += product
     return values
+
+
+def measure(
+    slabs: Sequence[SlabTrain], reference: Reference, scale: Array, corners: int
+) -> Measured:
+    """Errors of the slabs against the reference over their whole time span.
+
+    Parameters
+    ----------
+    slabs : sequence of SlabTrain
+    reference : Reference
+    scale : ndarray (n,)
+        Size of each state.
+    corners : int
+        Number of check points, after the centre, that are corners of the box.
+    """
+    m, d = reference.points.shape
+    errors = np.zeros((reference.states, m))
+    for slab in slabs:
+        times = slab.start + (slab.end - slab.start) * _CHECK_TIMES
+        exact = reference(times)
+        pairs = np.tile(times, m), np.repeat(reference.points, times.size, axis=0).T
+        values = slab(pairs[0], pairs[1].reshape(d, -1)).reshape(exact.shape)
+        errors = np.maximum(errors, np.abs(values - exact).max(axis=2))
+    errors = np.where(np.isfinite(errors), errors, np.inf) / scale[:, None]
+    at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0)
+    interior = np.maximum(errors[:, 0], errors[:, 1 + corners :].max(axis=1, initial=0.0))
+    if d <= 3:
+        interior = np.maximum(interior, at_corners)
+    return Measured(
+        tuple(interior.tolist()),
+        tuple(at_corners.tolist()) if corners else (),
+        m,
+        "Radau" if reference.stiff else "DOP853",
+    )
 
 
 def _is_stiff(system: System, initial: Array, point: Array, start: float, end: float) -> bool:

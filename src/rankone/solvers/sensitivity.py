@@ -13,9 +13,14 @@ __all__ = ["amplification"]
 
 
 def amplification(
-    system: System, reference: Reference, scale: Array, steps: int = 64
+    system: System,
+    reference: Reference,
+    scale: Array,
+    end: float,
+    steps: int = 32,
+    trajectories: int = 5,
 ) -> Callable[[float], float]:
-    """Largest later growth of an error made at time t, along the trajectory at the box centre.
+    """Largest later growth of an error made at time t, along a few trajectories.
 
     The variational equation ``w' = J(t) w`` is stepped on a uniform grid with the Cayley
     transform of the scaled Jacobian, which is stable for stiff systems.
@@ -24,30 +29,37 @@ def amplification(
     ----------
     system : System
     reference : Reference
-        Its first point is the centre.
+        Its first point is the centre of the box.
     scale : ndarray (n,)
         Size of each differential state; errors are in this unit.
+    end : float
+        End of the horizon considered.
     steps : int
         Number of steps over the horizon.
+    trajectories : int
+        Number of check points followed, the centre first.
 
     Returns
     -------
     callable
-        ``amplification(t) >= 1``, the largest 2-norm of the propagator from t to any later time.
+        ``amplification(t) >= 1``: the largest Frobenius norm, divided by sqrt(n), of the
+        propagator from t to any later time.
     """
     n = system.N_DIFFERENTIAL
-    width = (reference.end - reference.start) / steps
+    width = (end - reference.start) / steps
     middle = reference.start + width * (np.arange(steps) + 0.5)
-    centre = reference.points[0]
-    jacobian = system.jacobian(middle, reference(middle)[:, 0], centre[:, None])
-    jacobian = np.moveaxis(np.broadcast_to(jacobian, (n, n, steps)), 2, 0)
-    half = 0.5 * width * jacobian * (scale[None, None, :] / scale[None, :, None])
+    points = reference.points[:trajectories]
+    m = len(points)
+    states = reference(middle)[:, :m]
+    jacobian = system.jacobian(middle, states, points.T[:, :, None])
+    jacobian = np.broadcast_to(jacobian, (n, n, m, steps)).transpose(3, 2, 0, 1)
+    half = 0.5 * width * jacobian * (scale[None, :] / scale[:, None])
     eye = np.eye(n)
     step = np.linalg.solve(eye - half, eye + half)
     largest = np.ones(steps + 1)
-    propagator = step.copy()
+    propagator = step
     for gap in range(1, steps + 1):
-        norms = np.linalg.norm(propagator, axis=(1, 2), ord=2 if n <= 12 else "fro")
+        norms = np.sqrt(np.einsum("kmij,kmij->km", propagator, propagator).max(axis=1) / n)
         np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
         if gap < steps:
             propagator = np.matmul(step[gap:], propagator[:-1])

@@ -41,21 +41,25 @@ class SlabTrain:
         return tuple(core.shape[0] for core in self.cores[1:])
 
     def __call__(self, times: Array, points: Array) -> Array:
-        """Evaluate at paired times (M,) and parameter points (d, M): shape (states, M)."""
-        carry = np.ones((times.size, 1))
+        """Evaluate at paired times (M,) and parameter points (d, M): shape (states, M).
+
+        The plain way, without any preparation; :class:`~rankone.tensors.evaluator.TrainEvaluator`
+        serves many calls.
+        """
+        carry = np.ones((1, times.size))
         for basis, core, values in zip(
             reversed(self.bases), reversed(self.cores[1:]), reversed(points), strict=True
         ):
-            left, size, right = core.shape
-            modes = basis.modal_values(values)
-            if right == 1:
-                carry = modes @ core[:, :, 0].T
-                continue
-            spread = (carry @ core.reshape(left * size, right).T).reshape(-1, left, size)
-            carry = np.matmul(spread, modes[:, :, None])[:, :, 0]
+            carry = _contract(core, basis.modal_values(values), carry)
         first = self.cores[0]
-        states, count, rank = first.shape
         xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
-        modes = legendre_values(xi, count)
-        spread = (carry @ first.reshape(states * count, rank).T).reshape(-1, states, count)
-        return np.matmul(spread, modes[:, :, None])[:, :, 0].T
+        return _contract(first, legendre_values(xi, first.shape[1]), carry)
+
+
+def _contract(core: Array, modes: Array, carry: Array) -> Array:
+    """Multiply a core (r, n, s) with modes (M, n) and carry (s, M): shape (r, M).
+
+    The products of modes and carry are formed first, so that one matrix product does the rest.
+    """
+    products = np.multiply(modes.T[:, None], carry).reshape(-1, carry.shape[1])
+    return np.asarray(core.reshape(len(core), -1) @ products)

@@ -8,7 +8,7 @@ are added while the highest modes of a parameter core are above the tolerance.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,12 @@ __all__ = ["Guess", "March", "MarchResult"]
 
 _SHRINK, _SLOW, _GROW = 0.5, 0.7, 1.5
 """Factors on the slab length: after divergence, after many sweeps, after few."""
+_REFERENCE_NOISE = 1e-7
+"""Relative size below which the dense output of the reference is not smooth."""
+_UNRESOLVED = 0.8
+"""A slab that ought to be shorter than this part of its length is solved again."""
+_COARSEST = 30.0
+"""Tolerance of the first sweep on a slab, at most so many times the final one."""
 _SHORTEST = 1e-10
 """Shortest slab, relative to the horizon."""
 
@@ -66,7 +72,11 @@ class March:
     bases : tuple of Basis1D
         Parameter bases to begin with.
     tolerance : callable
-        Inner tolerance at the time t, in units of the sizes.
+        Inner tolerance at the time t, in units of the sizes: what is dropped there is amplified
+        until the end of the horizon.
+    resolution : float
+        Largest time mode left out. It is not amplified, since the Radau end points are
+        superconvergent.
     options : TrainOptions
     collocation : RadauCollocation
     attempt : int
@@ -82,6 +92,7 @@ class March:
     scale: Array
     bases: tuple[Basis1D, ...]
     tolerance: Callable[[float], float]
+    resolution: float
     options: TrainOptions
     collocation: RadauCollocation
     attempt: int = 0
@@ -115,8 +126,11 @@ class March:
                 length = remaining
             sweeper, record, source = self._solve(time, length, source, guess)
             result.records.append(record)
-            if sweeper is None:
-                length *= _SHRINK
+            stretch = self._stretch(sweeper, time) if sweeper else _SHRINK
+            if sweeper is None or stretch < _UNRESOLVED:
+                if sweeper is not None:
+                    result.records[-1] = replace(record, accepted=False)
+                length *= max(stretch, 0.2)
                 if Status.MEMORY_LIMIT in result.limits:
                     result.stopped = Status.MEMORY_LIMIT
                     break
@@ -129,7 +143,7 @@ class March:
             time += length
             self.report(time, len(result.slabs), max(sweeper.ranks, default=1))
             sweeps = len(record.residuals)
-            length *= _GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0
+            length *= min(_GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0, stretch)
         return result
 
     # -- one slab -------------------------------------------------------------------------------
@@ -155,8 +169,8 @@ class March:
         ratio = 0.1
         fresh = 0
         while not accepted and sweeper.dimensions and len(residuals) < self.options.max_sweeps:
-            expected = residuals[-1] * ratio**2 if fresh else self._second_residual
-            current = max(tolerance, 0.1 * expected) if fresh < 3 else tolerance
+            coarse = min(0.1 * self._second_residual, _COARSEST * tolerance)
+            current = tolerance if fresh else max(tolerance, coarse)
             with np.errstate(over="ignore", invalid="ignore"):
                 try:
                     residual, spectra = sweeper.iterate(current / np.sqrt(parameters))
@@ -182,7 +196,7 @@ class March:
                 sweeper, source = self._rebase(sweeper, source, wanted)
                 fresh, ratio = min(fresh, 1), 0.1
                 continue
-            ahead = residual * (min(ratio / (1.0 - ratio), 1.0) if fresh > 1 and ratio < 1 else 1.0)
+            ahead = residual * (max(ratio, 0.15) if fresh > 1 and ratio < 0.5 else 1.0)
             accepted = current == tolerance and ahead <= tolerance
             accepted = accepted or (limited and fresh >= 3 and ratio > 0.3)
         record = SlabRecord(
@@ -223,7 +237,7 @@ class March:
 
     def _resolved(self, time: float, length: float) -> float:
         """The longest slab, up to ``length``, on which the time nodes resolve the reference."""
-        tolerance = self.tolerance(time)
+        tolerance = max(self.resolution, _REFERENCE_NOISE)
         scale = self.scale[: self.system.N_DIFFERENTIAL, None, None]
         count = self.collocation.count
         for _ in range(60):
@@ -234,6 +248,18 @@ class March:
                 break
             length *= min(max(0.9 * (tolerance / tail) ** (1.0 / count), 0.3), 0.9)
         return length
+
+    def _stretch(self, sweeper: Sweeper, time: float) -> float:
+        """Factor on the length at which the highest time modes would be at the tolerance."""
+        count = self.collocation.count
+        n = self.system.N_DIFFERENTIAL
+        values = np.empty((n, count + 1, sweeper.cores[0].shape[2]))
+        values[:, 0] = sweeper.source_in_frame()
+        values[:, 1:] = sweeper.cores[0][:n] * np.sqrt(count)
+        highest = np.matmul(self.collocation.to_modal[-2:], values)
+        tail = float(np.sqrt(np.sum(highest**2, axis=(1, 2)).max()))
+        allowed = max(20.0 * self.tolerance(time), self.resolution)
+        return float((allowed / max(tail, 1e-300)) ** (1.0 / count))
 
     # -- parameter nodes ------------------------------------------------------------------------
 

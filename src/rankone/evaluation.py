@@ -1,0 +1,263 @@
+"""What was asked of a solution: names and values turned into checked coordinates.
+
+Symbols are recognised by what they offer (a name, a function, a derivative), so that solutions
+work without SymPy.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.errors import EvaluationError
+
+__all__ = ["Coordinates", "name_of"]
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 1e-12
+"""How far outside, relative to the width of the interval, a value counts as round-off."""
+
+
+def name_of(key: object, time: str | None = None) -> str:
+    """Return the name of a symbol, an applied function or its time derivative.
+
+    Parameters
+    ----------
+    key : str, Symbol, applied function ``x(t)`` or derivative ``x(t).diff(t)``
+        A derivative has the name of its state: ``x_t``, ``x_tt``, ...
+    time : str, optional
+        Name of time; functions of anything else are refused when it is given.
+
+    Raises
+    ------
+    EvaluationError
+        If the key is none of these.
+    """
+    if isinstance(key, str):
+        return str(key)
+    order = getattr(key, "derivative_count", None)
+    if isinstance(order, int | np.integer):
+        variables = {str(variable) for variable in getattr(key, "variables", ())}
+        if time is None or variables == {time}:
+            return name_of(getattr(key, "expr", None), time) + "_" + "t" * int(order)
+    elif isinstance(getattr(key, "args", None), tuple) and key.args:  # type: ignore[attr-defined]
+        arguments = [str(argument) for argument in key.args]  # type: ignore[attr-defined]
+        name = getattr(getattr(key, "func", None), "__name__", None)
+        if isinstance(name, str) and (time is None or arguments == [time]):
+            return name
+    else:
+        name = getattr(key, "name", None)
+        if isinstance(name, str):
+            return name
+    raise EvaluationError(
+        f"`{key}` is not a name, a symbol or a function of `{time or 't'}`",
+        term=key,
+        remedy="use the symbols of the problem, or their names as text",
+    )
+
+
+def listing(names: Iterable[str]) -> str:
+    """Quote names: ```a`, `b` and `c```."""
+    quoted = [f"`{name}`" for name in names]
+    if len(quoted) < 2:
+        return "".join(quoted)
+    return f"{', '.join(quoted[:-1])} and {quoted[-1]}"
+
+
+def did_you_mean(name: str, known: Sequence[str]) -> str:
+    """Return ``" (did you mean `x0`?)"`` when a known name is close, else nothing."""
+    lowered = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    return f" (did you mean `{lowered[close[0]]}`?)" if close else ""
+
+
+class Coordinates:
+    """The coordinates of a solution, time first, with the interval of each.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Time, then the parameters.
+    intervals : sequence of (float, float)
+        The interval of each.
+    """
+
+    def __init__(self, names: Sequence[str], intervals: Sequence[tuple[float, float]]) -> None:
+        self.names = tuple(names)
+        self.intervals = tuple((float(lower), float(upper)) for lower, upper in intervals)
+        self._index = {name: i for i, name in enumerate(self.names)}
+        self._slack = [
+            max(_TOLERANCE * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper))))
+            for lower, upper in self.intervals
+        ]
+
+    def gather(self, time: object, values: object, named: Mapping[str, Any]) -> list[Any]:
+        """Put what was given in order: one entry for each coordinate.
+
+        Parameters
+        ----------
+        time : object
+            Time, None, or a mapping from names or symbols to values.
+        values : mapping or None
+            From names or symbols to values.
+        named : mapping of str
+            Keyword arguments.
+
+        Raises
+        ------
+        EvaluationError
+            If a coordinate is missing, unknown or given twice.
+        """
+        # the usual call: everything by keyword and nothing wrong
+        if time is None and values is None and len(named) == len(self.names):
+            try:
+                return [named[name] for name in self.names]
+            except KeyError:
+                pass
+        found: list[Any] = [None] * len(self.names)
+        for key, value in self._pairs(time, values, named):
+            name = name_of(key, self.names[0])
+            index = self._index.get(name)
+            if index is None:
+                raise EvaluationError(
+                    f"unknown name `{name}`{did_you_mean(name, self.names)}; "
+                    f"the coordinates are {listing(self.names)}",
+                    term=name,
+                )
+            if found[index] is not None:
+                raise EvaluationError(f"`{name}` is given twice", term=name, remedy="give it once")
+            if value is None:
+                raise EvaluationError(f"`{name}` is None", term=name, remedy="give a number")
+            found[index] = value
+        missing = [name for name, value in zip(self.names, found, strict=True) if value is None]
+        if missing:
+            raise EvaluationError(
+                f"no value for {listing(missing)}; the coordinates are {listing(self.names)}",
+                term=missing,
+                remedy="give a value for each coordinate",
+            )
+        return found
+
+    def _pairs(
+        self, time: object, values: object, named: Mapping[str, Any]
+    ) -> Iterator[tuple[object, Any]]:
+        for position, given in enumerate((time, values)):
+            if isinstance(given, Mapping):
+                yield from given.items()
+            elif given is not None and position == 0:
+                yield self.names[0], given
+            elif given is not None:
+                raise EvaluationError(
+                    f"the second argument is {given!r}, not a mapping from parameters to values",
+                    term=given,
+                    remedy=f"give parameters by name: {self._example()}",
+                )
+        yield from named.items()
+
+    def _example(self) -> str:
+        values = ", ".join(
+            f"{name}={0.5 * (lower + upper):g}"
+            for name, (lower, upper) in zip(self.names, self.intervals, strict=True)
+        )
+        return f"solution({values})"
+
+    def numbers(self, given: Sequence[Any]) -> list[float] | None:
+        """Return plain numbers inside the intervals, or None if the slower way has to decide."""
+        numbers = []
+        for value, (lower, upper) in zip(given, self.intervals, strict=True):
+            if not isinstance(value, float | int) or not lower <= value <= upper:
+                return None
+            numbers.append(float(value))
+        return numbers
+
+    def arrays(self, given: Sequence[Any]) -> list[Array]:
+        """Return each value as an array of numbers inside its interval.
+
+        Values outside by round-off are moved to the end of the interval.
+
+        Raises
+        ------
+        EvaluationError
+            If a value is not real, is NaN or lies outside the interval.
+        """
+        return [self._checked(index, value) for index, value in enumerate(given)]
+
+    def _checked(self, index: int, value: Any) -> Array:
+        name, (lower, upper) = self.names[index], self.intervals[index]
+        array = self._real(name, value)
+        if not array.size:
+            return array
+        smallest, largest = array.min(), array.max()
+        if smallest >= lower and largest <= upper:
+            return array
+        slack = self._slack[index]
+        if smallest >= lower - slack and largest <= upper + slack:
+            return np.clip(array, lower, upper)
+        outside = array[~((array >= lower - slack) & (array <= upper + slack))]
+        worst = outside[np.argmax(np.abs(outside - 0.5 * (lower + upper)))]
+        many = f" (and {outside.size - 1} more values)" if outside.size > 1 else ""
+        interval = f"[{lower:.12g}, {upper:.12g}]"
+        where = "the horizon" if index == 0 else "its range"
+        what = "is NaN" if np.isnan(worst) else f"is outside {where} {interval}"
+        raise EvaluationError(
+            f"`{name}` = {worst:.12g}{many} {what}",
+            term=name,
+            remedy=f"choose values in {interval}; nothing is extrapolated",
+        )
+
+    @staticmethod
+    def _real(name: str, value: Any) -> Array:
+        try:
+            array = np.asarray(value)
+            if array.dtype.kind in "biuf" or array.dtype.kind == "O":
+                return np.asarray(array, dtype=np.float64)
+        except (TypeError, ValueError):
+            pass
+        raise EvaluationError(
+            f"`{name}` is {value!r}, not a real number or an array of real numbers", term=name
+        )
+
+    def broadcast(self, arrays: Sequence[Array]) -> tuple[Array, tuple[int, ...]]:
+        """Broadcast together: paired points (coordinates, N) and the shape they stand for.
+
+        Raises
+        ------
+        EvaluationError
+            If the shapes do not broadcast.
+        """
+        try:
+            shape = np.broadcast_shapes(*(array.shape for array in arrays))
+        except ValueError:
+            shapes = ", ".join(
+                f"`{name}` {array.shape}" for name, array in zip(self.names, arrays, strict=True)
+            )
+            raise EvaluationError(
+                f"the shapes do not broadcast together: {shapes}",
+                remedy="use equal shapes, or `grid` for every combination of values",
+            ) from None
+        points = np.empty((len(arrays), *shape))
+        for row, array in zip(points, arrays, strict=True):
+            row[...] = array
+        return points.reshape(len(arrays), -1), shape
+
+    def axes(self, given: Sequence[Any]) -> list[Array]:
+        """Return each value as a one-dimensional axis of a tensor grid; numbers have length one.
+
+        Raises
+        ------
+        EvaluationError
+            As for :meth:`arrays`, and if a value has more than one dimension.
+        """
+        axes = [np.atleast_1d(array) for array in self.arrays(given)]
+        for name, axis in zip(self.names, axes, strict=True):
+            if axis.ndim > 1:
+                raise EvaluationError(
+                    f"`{name}` has the shape {axis.shape}; an axis of a grid has one dimension",
+                    term=name,
+                )
+        return axes

@@ -1,0 +1,532 @@
+"""The canonical form: sums of products of functions of one coordinate.
+
+    u(t, p_1, ..., p_d) = sum_i alpha_i T_i(t) P_i^1(p_1) ... P_i^d(p_d)
+
+A solution is a tensor train for each time slab. To write one unknown in canonical form, its slabs
+are added up to one train over the horizon (time becomes one axis of piecewise polynomials) and
+rounded. The train is split into orthogonal products by singular value decompositions, one
+dimension after the other, always the largest branch first (Batselier, Liu, Wong, "A constructive
+arbitrary-degree Kronecker product decomposition of tensors", 2017), until the rest is below the
+tolerance. In one parameter that is the singular value decomposition and optimal; otherwise
+alternating least squares, started from the leading products, look for a form of fewer terms.
+
+Everything is held by values at Gauss points times the square root of the weights, so that
+Euclidean products are mean products over the box and the horizon.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+from rankone.discretization import legendre_values
+from rankone.errors import EvaluationError, OptionError, RankoneWarning
+from rankone.evaluation import Coordinates, listing, name_of
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
+
+Array = NDArray[np.float64]
+Train = list[Array]
+"""Cores (r_j, n_j, r_{j+1}) of scaled values; the first and the last rank are 1."""
+
+_ROUNDING_SHARE = 0.1
+"""Share of the tolerance spent on rounding the train of the horizon."""
+_LEAST_SQUARES_LIMIT = 1e-7
+"""Normal equations square the condition: below this tolerance they are not worth trying."""
+_SWEEPS = 25
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Piecewise polynomials on an interval, held by values at Gauss points.
+
+    Attributes
+    ----------
+    name : str
+        Name of the coordinate.
+    breaks : tuple of float
+        Ends of the elements, ascending.
+    degrees : tuple of int
+        Number of Gauss points of each element.
+    """
+
+    name: str
+    breaks: tuple[float, ...]
+    degrees: tuple[int, ...]
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Gauss points of all elements, ascending, shape (N,)."""
+        return np.concatenate(
+            [
+                0.5 * (a + b) + 0.5 * (b - a) * leggauss(count)[0]
+                for (a, b), count in zip(itertools.pairwise(self.breaks), self.degrees, strict=True)
+            ]
+        )
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of the mean over the interval, of sum one, shape (N,)."""
+        width = self.breaks[-1] - self.breaks[0]
+        return np.concatenate(
+            [
+                0.5 * (b - a) / width * leggauss(count)[1]
+                for (a, b), count in zip(itertools.pairwise(self.breaks), self.degrees, strict=True)
+            ]
+        )
+
+    def interpolate(self, values: Array, points: Array) -> Array:
+        """Interpolate values at the nodes, (N, R), to points (M,): shape (M, R)."""
+        element = np.searchsorted(self.breaks[1:-1], points, side="right")
+        offsets = np.concatenate([[0], np.cumsum(self.degrees)])
+        result = np.empty((points.size, values.shape[1]))
+        for e in np.unique(element):
+            a, b, count = self.breaks[e], self.breaks[e + 1], self.degrees[e]
+            xi, weights = leggauss(count)
+            to_modal = legendre_values(xi, count).T * (0.5 * weights)
+            here = np.flatnonzero(element == e)
+            local = legendre_values((2.0 * points[here] - (a + b)) / (b - a), count)
+            result[here] = local @ (to_modal @ values[offsets[e] : offsets[e + 1]])
+        return result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CanonicalForm:
+    """One unknown as a sum of products of functions of one coordinate.
+
+    Attributes
+    ----------
+    name : str
+        The unknown.
+    amplitudes : ndarray (R,)
+        Positive, descending.
+    factors : dict of str to ndarray (N, R)
+        For time and each parameter the values of the R modes at the nodes; each mode has the
+        mean square one over its interval. In one parameter the modes are orthonormal.
+    axes : tuple of Axis
+        Time, then the parameters: nodes, weights and interpolation.
+    error : float
+        Root of the mean square error over box and horizon against the solution, relative to the
+        root of the unknown's mean square.
+    rtol : float
+        What was asked of ``error``.
+    """
+
+    name: str
+    amplitudes: Array
+    factors: dict[str, Array]
+    axes: tuple[Axis, ...]
+    error: float
+    rtol: float
+
+    @property
+    def rank(self) -> int:
+        """Number of terms."""
+        return self.amplitudes.size
+
+    @property
+    def success(self) -> bool:
+        """Whether the error is within the tolerance."""
+        return self.error <= self.rtol
+
+    @property
+    def nodes(self) -> dict[str, Array]:
+        """For time and each parameter the points (N,) at which the factors are given."""
+        return {axis.name: axis.nodes for axis in self.axes}
+
+    @property
+    def weights(self) -> dict[str, Array]:
+        """For time and each parameter the weights (N,) of the mean, of sum one."""
+        return {axis.name: axis.weights for axis in self.axes}
+
+    def __call__(self, time: Any = None, values: Any = None, /, **named: Any) -> Array:
+        """Evaluate as a solution does: the result has the broadcast shape of the values."""
+        coordinates = Coordinates(
+            [axis.name for axis in self.axes],
+            [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes],
+        )
+        given = coordinates.gather(time, values, named)
+        points, shape = coordinates.broadcast(coordinates.arrays(given))
+        products = np.ones((points.shape[1], self.rank))
+        for axis, row in zip(self.axes, points, strict=True):
+            products *= axis.interpolate(self.factors[axis.name], row)
+        return np.asarray((products @ self.amplitudes).reshape(shape))
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{amplitude:.3g}" for amplitude in self.amplitudes[:5])
+        more = ", ..." if self.rank > 5 else ""
+        over = ", ".join(f"{axis.name} ({axis.nodes.size} nodes)" for axis in self.axes)
+        return (
+            f"CanonicalForm of {self.name}: {self.rank} terms over {over}, "
+            f"error {self.error:.2g}, amplitudes {shown}{more}"
+        )
+
+
+class CanonicalForms(Mapping[str, CanonicalForm]):
+    """The canonical form of each unknown, by name or symbol, in the order of the unknowns.
+
+    With a single unknown, ``amplitudes``, ``factors`` and ``nodes`` are those of its form.
+    """
+
+    def __init__(self, forms: Mapping[str, CanonicalForm]) -> None:
+        self._forms = dict(forms)
+
+    def __getitem__(self, unknown: Any) -> CanonicalForm:
+        return self._forms[name_of(unknown)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._forms)
+
+    def __len__(self) -> int:
+        return len(self._forms)
+
+    @property
+    def error(self) -> float:
+        """The largest error of the forms."""
+        return max(form.error for form in self._forms.values())
+
+    @property
+    def rank(self) -> int:
+        """The largest number of terms of the forms."""
+        return max(form.rank for form in self._forms.values())
+
+    @property
+    def amplitudes(self) -> Array:
+        """Amplitudes of the only form."""
+        return self._only("amplitudes").amplitudes
+
+    @property
+    def factors(self) -> dict[str, Array]:
+        """Factors of the only form."""
+        return self._only("factors").factors
+
+    @property
+    def nodes(self) -> dict[str, Array]:
+        """Nodes of the only form."""
+        return self._only("nodes").nodes
+
+    def _only(self, attribute: str) -> CanonicalForm:
+        if len(self._forms) != 1:
+            raise EvaluationError(
+                f"there are {len(self._forms)} canonical forms: {listing(self._forms)}",
+                remedy=f"choose one: forms[{next(iter(self._forms))!r}].{attribute}",
+            )
+        return next(iter(self._forms.values()))
+
+    def __repr__(self) -> str:
+        return "\n".join(repr(form) for form in self._forms.values())
+
+
+def canonical_form(
+    slabs: Sequence[SlabTrain],
+    state: int,
+    names: Sequence[str],
+    *,
+    rtol: float = 1e-6,
+    max_rank: int = 500,
+    label: str = "",
+) -> CanonicalForm:
+    """Write one state of consecutive slabs in canonical form.
+
+    Parameters
+    ----------
+    slabs : sequence of SlabTrain
+    state : int
+        Row of the state.
+    names : sequence of str
+        Time, then the parameters.
+    rtol : float
+        Tolerance in the mean square, relative to the state's mean square; at least 1e-13.
+    max_rank : int
+        Most terms.
+    label : str
+        Name of the state.
+
+    Raises
+    ------
+    OptionError
+        If an option is out of its range.
+
+    Warns
+    -----
+    RankoneWarning
+        If ``max_rank`` terms do not suffice.
+    """
+    if not 1e-13 <= rtol < 1.0:
+        raise OptionError(f"rtol is {rtol!r}", term=rtol, remedy="choose it from 1e-13 to 1")
+    if max_rank != int(max_rank) or max_rank < 1:
+        raise OptionError(f"max_rank is {max_rank!r}", term=max_rank, remedy="choose 1 or more")
+    axes = _common_axes(slabs, names)
+    train, norm, rounding = _horizon_train(slabs, state, axes, _ROUNDING_SHARE * rtol)
+    if norm == 0.0:
+        factors = [np.ones((axis.nodes.size, 0)) for axis in axes]
+        return CanonicalForm(
+            label, np.empty(0), dict(zip(names, factors, strict=True)), axes, 0.0, rtol
+        )
+    tolerance = (1.0 - 1.1 * _ROUNDING_SHARE) * rtol * norm
+    amplitudes, modes = _branches(train, tolerance, int(max_rank))
+    error = _distance(train, amplitudes, modes)
+    if len(axes) > 2 and rtol >= _LEAST_SQUARES_LIMIT:
+        amplitudes, modes, error = _shortened(train, amplitudes, modes, error, tolerance, norm)
+    relative = error / norm + rounding
+    if relative > rtol:
+        warnings.warn(
+            f"canonical form of {label or 'the state'}: {len(amplitudes)} terms leave a relative "
+            f"error of {relative:.2g}, more than rtol = {rtol:g}; "
+            "remedy: a larger max_rank or rtol",
+            RankoneWarning,
+            stacklevel=3,
+        )
+    amplitudes, modes = _standard(amplitudes, modes)
+    factors = [
+        mode / np.sqrt(axis.weights)[:, None] for mode, axis in zip(modes, axes, strict=True)
+    ]
+    return CanonicalForm(
+        label, amplitudes, dict(zip(names, factors, strict=True)), axes, relative, rtol
+    )
+
+
+# --- one train over the horizon ----------------------------------------------------------------
+
+
+def _common_axes(slabs: Sequence[SlabTrain], names: Sequence[str]) -> tuple[Axis, ...]:
+    """Axes on which every slab is represented exactly."""
+    time = Axis(
+        names[0],
+        (*(slab.start for slab in slabs), slabs[-1].end),
+        tuple(slab.cores[0].shape[1] for slab in slabs),
+    )
+    axes = [time]
+    for j, name in enumerate(names[1:]):
+        bases = [slab.bases[j] for slab in slabs]
+        elements = math.lcm(*(basis.elements for basis in bases))
+        breaks = np.linspace(bases[0].lower, bases[0].upper, elements + 1)
+        degree = max(basis.degree for basis in bases)
+        axes.append(Axis(name, tuple(breaks.tolist()), (degree,) * elements))
+    return tuple(axes)
+
+
+def _slab_train(slab: SlabTrain, state: int, axes: Sequence[Axis]) -> Train:
+    """Scaled values of one state on the axes; time on the nodes of the slab alone."""
+    first = slab.cores[0][state]
+    xi, weights = leggauss(len(first))
+    width = (slab.end - slab.start) / (axes[0].breaks[-1] - axes[0].breaks[0])
+    values = legendre_values(xi, len(first)) * np.sqrt(0.5 * width * weights)[:, None]
+    train = [(values @ first)[None]]
+    for core, basis, axis in zip(slab.cores[1:], slab.bases, axes[1:], strict=True):
+        values = basis.modal_values(axis.nodes) * np.sqrt(axis.weights)[:, None]
+        train.append(np.matmul(values, core))
+    return train
+
+
+def _horizon_train(
+    slabs: Sequence[SlabTrain], state: int, axes: Sequence[Axis], rtol: float
+) -> tuple[Train, float, float]:
+    """Add the slabs up pairwise, rounding every sum: train, norm and relative error bound."""
+    trains = [_right_orthonormal(_slab_train(slab, state, axes)) for slab in slabs]
+    norm = math.hypot(*(float(np.linalg.norm(train[0])) for train in trains))
+    levels = 1 + math.ceil(math.log2(len(trains)))
+    # errors on different slabs are orthogonal, those of successive sums are not
+    error = 0.0
+    while True:
+        share = rtol * norm / levels / math.sqrt(len(trains))
+        rounded = [_rounded(train, share) for train in trains]
+        trains = [train for train, _ in rounded]
+        error += math.hypot(*(lost for _, lost in rounded))
+        if len(trains) == 1:
+            return trains[0], norm, error / norm if norm else 0.0
+        trains = [
+            _right_orthonormal(_joined(*pair)) if len(pair) == 2 else pair[0]
+            for pair in (trains[i : i + 2] for i in range(0, len(trains), 2))
+        ]
+
+
+def _joined(a: Train, b: Train) -> Train:
+    """Two trains on successive pieces of the time axis as one."""
+    if len(a) == 1:
+        return [np.concatenate([a[0], b[0]], axis=1)]
+    joined = []
+    for j, (x, y) in enumerate(zip(a, b, strict=True)):
+        if j == 0:
+            core = np.zeros((1, x.shape[1] + y.shape[1], x.shape[2] + y.shape[2]))
+            core[:, : x.shape[1], : x.shape[2]] = x
+            core[:, x.shape[1] :, x.shape[2] :] = y
+        elif j == len(a) - 1:
+            core = np.concatenate([x, y])
+        else:
+            core = np.zeros((x.shape[0] + y.shape[0], x.shape[1], x.shape[2] + y.shape[2]))
+            core[: x.shape[0], :, : x.shape[2]] = x
+            core[x.shape[0] :, :, x.shape[2] :] = y
+        joined.append(core)
+    return joined
+
+
+def _right_orthonormal(train: Train) -> Train:
+    """The same train with orthonormal rows in every core but the first."""
+    train = list(train)
+    for j in range(len(train) - 1, 0, -1):
+        rank, size, right = train[j].shape
+        q, r = np.linalg.qr(train[j].reshape(rank, size * right).T)
+        train[j] = q.T.reshape(-1, size, right)
+        train[j - 1] = train[j - 1] @ r.T
+    return train
+
+
+def _rounded(train: Train, tolerance: float) -> tuple[Train, float]:
+    """Truncate a right-orthonormal train; it stays so. Also returns a bound of the error."""
+    train = list(train)
+    last = len(train) - 1
+    lost = 0.0
+    for j in range(last):
+        left, size, rank = train[j].shape
+        u, s, vt = np.linalg.svd(train[j].reshape(left * size, rank), full_matrices=False)
+        tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
+        keep = max(int(np.count_nonzero(tails > tolerance / math.sqrt(last))), 1)
+        lost = math.hypot(lost, tails[keep] if keep < s.size else 0.0)
+        train[j] = u[:, :keep].reshape(left, size, keep)
+        train[j + 1] = np.tensordot(s[:keep, None] * vt[:keep], train[j + 1], 1)
+    return _right_orthonormal(train), lost
+
+
+# --- from the train to products ----------------------------------------------------------------
+
+
+def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Array]]:
+    """Split a right-orthonormal train into orthogonal products, the largest first.
+
+    Each branch holds the modes of the dimensions it has passed and a vector into the next core;
+    as the remaining cores have orthonormal rows, its amplitude is its norm.
+    """
+    total = float(np.linalg.norm(train[0])) ** 2
+    ticket = itertools.count()
+    heap: list[tuple[float, int, tuple[Array, ...], Array]] = [
+        (-math.sqrt(total), next(ticket), (), np.ones(1))
+    ]
+    rest = total
+    found: list[tuple[float, tuple[Array, ...]]] = []
+    while heap and len(found) < most:
+        negative, _, modes, vector = heapq.heappop(heap)
+        if len(modes) == len(train):
+            found.append((-negative, modes))
+            rest -= negative**2
+            if rest <= tolerance**2 + 1e-12 * total:
+                # the difference has lost its digits, the sum of what is left has not
+                if math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
+                    break
+            continue
+        core = np.tensordot(vector, train[len(modes)], 1)
+        scale = -negative if modes else 1.0
+        u, s, vt = np.linalg.svd(core, full_matrices=False)
+        for k in range(s.size):
+            if s[k] > 0.0:
+                heapq.heappush(heap, (-scale * s[k], next(ticket), (*modes, u[:, k]), vt[k]))
+    amplitudes = np.array([amplitude for amplitude, _ in found])
+    return amplitudes, [
+        np.stack([modes[j] for _, modes in found], axis=1) for j in range(len(train))
+    ]
+
+
+def _shortened(
+    train: Train,
+    amplitudes: Array,
+    modes: list[Array],
+    error: float,
+    tolerance: float,
+    norm: float,
+) -> tuple[Array, list[Array], float]:
+    """Look for fewer terms, or as many with a smaller error if the tolerance is not met."""
+    count = len(amplitudes)
+    best = amplitudes, modes, error
+    tries = [math.ceil(count * share) for share in (0.25, 0.5, 0.75)]
+    for terms in sorted({*tries, count} if error > tolerance else {*tries} - {count}):
+        start = [mode[:, :terms] for mode in modes]
+        shorter, shorter_modes = _least_squares(train, amplitudes[:terms], start, tolerance, norm)
+        reached = _distance(train, shorter, shorter_modes)
+        if reached <= tolerance:
+            return shorter, shorter_modes, reached
+        if reached < best[2]:
+            best = shorter, shorter_modes, reached
+    return best
+
+
+def _least_squares(
+    train: Train, amplitudes: Array, modes: list[Array], tolerance: float, norm: float
+) -> tuple[Array, list[Array]]:
+    """Alternating least squares on the modes of one dimension after the other."""
+    modes = list(modes)
+    dimensions = range(len(train))
+    grams = [mode.T @ mode for mode in modes]
+    previous = math.inf
+    for _ in range(_SWEEPS):
+        rights = [np.ones((1, len(amplitudes)))]
+        for j in reversed(dimensions[1:]):
+            rights.append(_absorb(train[j].transpose(2, 1, 0), rights[-1], modes[j]))
+        left = np.ones((1, len(amplitudes)))
+        for j in dimensions:
+            spread = np.tensordot(left, train[j], ([0], [0]))
+            target = np.einsum("inb,bi->ni", spread, rights[-1 - j])
+            gram = np.ones_like(grams[0])
+            for k in dimensions:
+                if k != j:
+                    gram *= grams[k]
+            values, vectors = np.linalg.eigh(gram)
+            kept = values > 1e-14 * values[-1]
+            inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+            scaled = target @ inverse
+            amplitudes = np.linalg.norm(scaled, axis=0)
+            modes[j] = scaled / np.where(amplitudes > 0.0, amplitudes, 1.0)
+            grams[j] = modes[j].T @ modes[j]
+            left = _absorb(train[j], left, modes[j])
+        square = norm**2 - 2.0 * float(np.sum(target * scaled))
+        square += float(amplitudes @ (gram * grams[-1]) @ amplitudes)
+        error = math.sqrt(max(square, 0.0))
+        if error <= 0.9 * tolerance or error > 0.97 * previous:
+            break
+        previous = error
+    return amplitudes, modes
+
+
+def _absorb(core: Array, left: Array, modes: Array) -> Array:
+    """For each term contract a core (r, n, s) with columns of (r, R) and (n, R): shape (s, R)."""
+    spread = np.tensordot(left, core, ([0], [0]))
+    return np.asarray(np.einsum("inb,ni->bi", spread, modes))
+
+
+def _distance(train: Train, amplitudes: Array, modes: Sequence[Array]) -> float:
+    """Norm of a train minus products, by orthogonalisation: no digits cancel.
+
+    The difference is a train of rank r + R; from left to right only triangular factors are kept.
+    """
+    left = np.ones((1, 1))
+    products = -amplitudes[None]
+    for core, mode in zip(train[:-1], modes[:-1], strict=True):
+        a = np.tensordot(left, core, 1)
+        b = products[:, None, :] * mode
+        block = np.concatenate([a, b], axis=2)
+        r = np.linalg.qr(block.reshape(-1, block.shape[2]), mode="r")
+        left, products = r[:, : core.shape[2]], r[:, core.shape[2] :]
+    return float(np.linalg.norm(left @ train[-1][:, :, 0] + products @ modes[-1].T))
+
+
+def _standard(amplitudes: Array, modes: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """Descending amplitudes; the largest entry of each parameter mode is positive."""
+    order = np.argsort(-amplitudes, kind="stable")
+    order = order[amplitudes[order] > 0.0]
+    ordered = [mode[:, order] for mode in modes]
+    for mode in ordered[1:]:
+        columns = np.arange(mode.shape[1])
+        signs = np.sign(mode[np.argmax(np.abs(mode), axis=0), columns])
+        mode *= signs
+        ordered[0] *= signs
+    return amplitudes[order], ordered
