@@ -1,0 +1,60 @@
+"""rankone: parametric ODE systems written in SymPy, solved once for every parameter value.
+
+>>> import sympy as sp, rankone as ro
+>>> t, k = sp.symbols("t k")
+>>> u = sp.Function("u")(t)
+>>> problem = ro.Problem([sp.Eq(u.diff(t), -k * u)], (t, 0, 2), {k: (0.5, 5)}, {u: 1})
+>>> solution = ro.solve(problem, rtol=1e-6)
+>>> solution.success
+True
+"""
+
+from rankone.codegen import generate_source, load_module
+from rankone.compiled import CompiledProblem
+from rankone.compiled import compile_problem as compile
+from rankone.compiled import solve_problem as solve
+from rankone.errors import (
+    BlowUpError,
+    ConvergenceError,
+    EvaluationError,
+    OptionError,
+    ProblemError,
+    RankoneError,
+    RankoneWarning,
+    SeparationError,
+    StorageError,
+)
+from rankone.ir import SeparatedForm
+from rankone.solution import Solution
+from rankone.solvers.outcome import Status
+from rankone.solvers.train import TrainOptions
+from rankone.storage import load
+from rankone.symbolic import Problem, WeakForm, separate, weak_form
+from rankone.version import __version__
+
+__all__ = [
+    "BlowUpError",
+    "CompiledProblem",
+    "ConvergenceError",
+    "EvaluationError",
+    "OptionError",
+    "Problem",
+    "ProblemError",
+    "RankoneError",
+    "RankoneWarning",
+    "SeparatedForm",
+    "SeparationError",
+    "Solution",
+    "Status",
+    "StorageError",
+    "TrainOptions",
+    "WeakForm",
+    "__version__",
+    "compile",
+    "generate_source",
+    "load",
+    "load_module",
+    "separate",
+    "solve",
+    "weak_form",
+]

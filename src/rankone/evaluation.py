@@ -72,7 +72,7 @@ def listing(names: Iterable[str]) -> str:
 def did_you_mean(name: str, known: Sequence[str]) -> str:
     """Return ``" (did you mean `x0`?)"`` when a known name is close, else nothing."""
     lowered = {candidate.lower(): candidate for candidate in known}
-    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.5)
     return f" (did you mean `{lowered[close[0]]}`?)" if close else ""
 
 
@@ -198,16 +198,18 @@ class Coordinates:
         slack = self._slack[index]
         if smallest >= lower - slack and largest <= upper + slack:
             return np.clip(array, lower, upper)
-        outside = array[~((array >= lower - slack) & (array <= upper + slack))]
-        worst = outside[np.argmax(np.abs(outside - 0.5 * (lower + upper)))]
-        many = f" (and {outside.size - 1} more values)" if outside.size > 1 else ""
         interval = f"[{lower:.12g}, {upper:.12g}]"
-        where = "the horizon" if index == 0 else "its range"
-        what = "is NaN" if np.isnan(worst) else f"is outside {where} {interval}"
+        if np.isnan(array).any():
+            what = "is NaN" if array.size == 1 else "has NaN among its values"
+            raise EvaluationError(f"`{name}` {what}", term=name, remedy=f"its range is {interval}")
+        outside = array[(array < lower - slack) | (array > upper + slack)]
+        worst = outside[np.argmax(np.abs(outside - 0.5 * (lower + upper)))]
+        many = f" (the farthest of {outside.size} such values)" if outside.size > 1 else ""
+        where = "horizon" if index == 0 else "range"
         raise EvaluationError(
-            f"`{name}` = {worst:.12g}{many} {what}",
+            f"`{name}` = {worst:.12g} is outside of its {where} {interval}{many}",
             term=name,
-            remedy=f"choose values in {interval}; nothing is extrapolated",
+            remedy="nothing is extrapolated; choose values inside",
         )
 
     @staticmethod
@@ -241,8 +243,8 @@ class Coordinates:
                 remedy="use equal shapes, or `grid` for every combination of values",
             ) from None
         points = np.empty((len(arrays), *shape))
-        for row, array in zip(points, arrays, strict=True):
-            row[...] = array
+        for row, array in enumerate(arrays):
+            points[row] = array
         return points.reshape(len(arrays), -1), shape
 
     def axes(self, given: Sequence[Any]) -> list[Array]:

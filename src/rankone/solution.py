@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -203,12 +203,9 @@ class Solution:
     def errors(self) -> dict[str, float]:
         """Measured error of each state, unknowns first; NaN if unchecked."""
         measured = self.outcome.measured
-        values = () if measured is None else measured.interior
-        return (
-            dict(zip(self.metadata.states, values, strict=True))
-            if values
-            else {name: float("nan") for name in self.metadata.states}
-        )
+        if measured is None:
+            return dict.fromkeys(self.metadata.states, float("nan"))
+        return dict(zip(self.metadata.states, measured.interior, strict=True))
 
     @property
     def corner_error(self) -> float:
@@ -310,22 +307,16 @@ class Solution:
         from rankone.tensors.canonical import CanonicalForms, canonical_form
 
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        return CanonicalForms(
-            {
-                name: canonical_form(
-                    self.outcome.slabs,
-                    row,
-                    (self.metadata.time, *self.metadata.parameters),
-                    rtol=rtol,
-                    max_rank=max_rank,
-                    label=name,
-                )
-                for row, name in enumerate(self.unknowns)
-            }
-        )
+        names = (self.metadata.time, *self.metadata.parameters)
+        forms = {}
+        for row, name in enumerate(self.unknowns):
+            forms[name] = canonical_form(
+                self.outcome.slabs, row, names, rtol=rtol, max_rank=max_rank, label=name
+            )
+        return CanonicalForms(forms)
 
     @cached_property
-    def modes(self) -> Mapping[str, Any]:
+    def modes(self) -> CanonicalForms:
         """The canonical form of each unknown to 1e-3, for plots; see :meth:`to_canonical`."""
         return self.to_canonical(1e-3)
 
@@ -378,8 +369,8 @@ class Solution:
         train = [f"{count} slab" + ("" if count == 1 else "s"), f"rank {self.rank}"]
         if self.nodes:
             largest = (max(column) for column in zip(*self.ranks, strict=True))
-            train.append(f"ranks up to {_some([str(r) for r in largest])}")
-            train.append(f"nodes up to {_some([str(n) for n in self.nodes])}")
+            train.append(f"ranks up to ({_some(map(str, largest))})")
+            train.append(f"nodes up to ({_some(map(str, self.nodes))})")
         train.append(f"{self.nbytes / 1e6:.2g} MB")
         timings = [f"{stage} {seconds:.3g} s" for stage, seconds in self.timings.items()]
         return [
@@ -453,10 +444,10 @@ class UnknownView:
         return f"{self.name}({coordinates}) of a Solution, measured error {self.error:.2g}"
 
 
-def _some(texts: Any) -> str:
+def _some(texts: Iterable[str]) -> str:
     """Join texts, leaving out the middle of many."""
-    texts = list(texts)
-    if len(texts) > _MOST_NAMES:
-        hidden = len(texts) - _MOST_NAMES + 1
-        texts[_MOST_NAMES - 2 : -1] = [f"... ({hidden} more)"]
-    return ", ".join(texts)
+    shown = list(texts)
+    if len(shown) > _MOST_NAMES:
+        hidden = len(shown) - _MOST_NAMES + 1
+        shown[_MOST_NAMES - 2 : -1] = [f"... ({hidden} more)"]
+    return ", ".join(shown)

@@ -9,8 +9,8 @@ and by any program that reads zip and npy:
     - ``format``: ``"rankone-solution"``; ``format_version``: 1;
     - ``metadata``: the fields of :class:`~rankone.solution.SolutionMetadata`;
     - ``status`` (name of a :class:`~rankone.solvers.outcome.Status`), ``message``, ``measured``
-      (or null), ``history`` (one object for each slab tried), ``timings``: as in
-      :class:`~rankone.solvers.outcome.Outcome`;
+      (or null), ``history`` (one object for each slab tried), ``timings``, ``blow_up`` (time and
+      list of parameter values, or null): as in :class:`~rankone.solvers.outcome.Outcome`;
     - ``bases``: the distinct bases, each with ``kind`` (``"chebyshev"`` or ``"legendre"``),
       ``lower``, ``upper``, ``degree`` and ``elements``;
     - ``slabs``: for each slab its ``start``, ``end`` and ``bases``, one index into ``bases`` for
@@ -181,6 +181,7 @@ def _arrays(solution: Solution) -> dict[str, Any]:
         "measured": None if outcome.measured is None else asdict(outcome.measured),
         "history": [asdict(record) for record in outcome.history],
         "timings": outcome.timings,
+        "blow_up": outcome.blow_up,
         "bases": [
             {
                 "kind": basis.kind,
@@ -266,7 +267,7 @@ def _outcome(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Outcome:
         )
         for fields in header["bases"]
     ]
-    measured = header["measured"]
+    measured, blow_up = header["measured"], header["blow_up"]
     return Outcome(
         slabs=tuple(
             _slab(i, fields, tuple(bases[k] for k in fields["bases"]), arrays)
@@ -274,8 +275,9 @@ def _outcome(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Outcome:
         ),
         status=Status[header["status"]],
         message=str(header["message"]),
-        measured=measured
-        and Measured(
+        measured=None
+        if measured is None
+        else Measured(
             interior=_floats(measured["interior"]),
             corners=_floats(measured["corners"]),
             points=int(measured["points"]),
@@ -295,6 +297,7 @@ def _outcome(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Outcome:
             for record in header["history"]
         ),
         timings={str(stage): float(seconds) for stage, seconds in header["timings"].items()},
+        blow_up=None if blow_up is None else (float(blow_up[0]), _floats(blow_up[1])),
     )
 
 

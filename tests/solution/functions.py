@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -79,7 +80,7 @@ def known(
 ) -> Known:
     """Build a solution whose slabs differ in their bases."""
     slabs = []
-    for i, (start, end) in enumerate(zip(breaks[:-1], breaks[1:], strict=True)):
+    for i, (start, end) in enumerate(itertools.pairwise(breaks)):
         bases = [
             (ChebyshevBasis, LegendreBasis)[(i + j) % 2](lower, upper, 12 + i + j, elements)
             for j, (lower, upper) in enumerate(parameters.values())

@@ -148,12 +148,15 @@ class Basis1D(ABC):
         highest = spectrum.reshape(self.elements, self.degree)[:, self.degree - top :]
         return float(np.linalg.norm(highest))
 
-    def coarsened(self, spectrum: Array, tolerance: float) -> Self:
-        """The smallest basis that keeps a spectrum to ``tolerance``, two modes to spare."""
+    def coarsened(self, spectrum: Array, tolerance: float, least: int = 3) -> Self:
+        """The smallest basis that keeps a spectrum to ``tolerance``, two modes to spare.
+
+        ``least`` is the smallest degree taken.
+        """
         by_degree = np.linalg.norm(spectrum.reshape(self.elements, self.degree), axis=0)
         rest = np.sqrt(np.cumsum(by_degree[::-1] ** 2))[::-1]
         needed = int(np.count_nonzero(rest > tolerance)) + 2
-        return replace(self, degree=min(max(needed, 3), self.degree))
+        return replace(self, degree=min(max(needed, least), self.degree))
 
     def refined(self, largest_degree: int) -> Self:
         """The next finer basis: more nodes, or twice the elements once the degree is spent."""

@@ -20,7 +20,6 @@ class Status(Enum):
     NODE_LIMIT = "the limit of parameter nodes was reached"
     SLAB_LIMIT = "the limit of time slabs was reached"
     MEMORY_LIMIT = "the memory limit was reached"
-    TIME_LIMIT = "the time limit was reached"
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     BLOW_UP = "a trajectory blows up inside the horizon"
 
@@ -96,6 +95,8 @@ class Outcome:
     history : tuple of SlabRecord
     timings : dict of str to float
         Seconds by stage: ``reference``, ``march``, ``check``.
+    blow_up : tuple or None
+        Time and parameter values near which a trajectory blows up.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -104,3 +105,4 @@ class Outcome:
     measured: Measured | None
     history: tuple[SlabRecord, ...]
     timings: dict[str, float] = field(default_factory=dict)
+    blow_up: tuple[float, tuple[float, ...]] | None = None

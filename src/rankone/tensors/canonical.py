@@ -42,9 +42,9 @@ Train = list[Array]
 
 _ROUNDING_SHARE = 0.1
 """Share of the tolerance spent on rounding the train of the horizon."""
-_LEAST_SQUARES_LIMIT = 1e-7
+_LEAST_SQUARES_LIMIT = 1e-9
 """Normal equations square the condition: below this tolerance they are not worth trying."""
-_SWEEPS = 25
+_SWEEPS = 50
 
 
 @dataclass(frozen=True)
@@ -420,10 +420,10 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
         if len(modes) == len(train):
             found.append((-negative, modes))
             rest -= negative**2
-            if rest <= tolerance**2 + 1e-12 * total:
-                # the difference has lost its digits, the sum of what is left has not
-                if math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
-                    break
+            # the running difference loses digits, the sum of what is left does not
+            nearly = rest <= tolerance**2 + 1e-12 * total
+            if nearly and math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
+                break
             continue
         core = np.tensordot(vector, train[len(modes)], 1)
         scale = -negative if modes else 1.0
@@ -491,7 +491,7 @@ def _least_squares(
         square = norm**2 - 2.0 * float(np.sum(target * scaled))
         square += float(amplitudes @ (gram * grams[-1]) @ amplitudes)
         error = math.sqrt(max(square, 0.0))
-        if error <= 0.9 * tolerance or error > 0.97 * previous:
+        if error <= 0.9 * tolerance or error > 0.99 * previous:
             break
         previous = error
     return amplitudes, modes
@@ -514,7 +514,7 @@ def _distance(train: Train, amplitudes: Array, modes: Sequence[Array]) -> float:
         a = np.tensordot(left, core, 1)
         b = products[:, None, :] * mode
         block = np.concatenate([a, b], axis=2)
-        r = np.linalg.qr(block.reshape(-1, block.shape[2]), mode="r")
+        r = np.asarray(np.linalg.qr(block.reshape(-1, block.shape[2]), mode="r"))
         left, products = r[:, : core.shape[2]], r[:, core.shape[2] :]
     return float(np.linalg.norm(left @ train[-1][:, :, 0] + products @ modes[-1].T))
 

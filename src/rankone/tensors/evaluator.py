@@ -92,7 +92,7 @@ class _Dimension:
         values = chebyshev_polynomials(xi, self.degree)
         matrices = self.matrices if rows is None else [m[rows] for m in self.matrices]
         if element is None:
-            return matrices[0] @ _columnwise_kronecker(values, carry)
+            return np.asarray(matrices[0] @ _columnwise_kronecker(values, carry))
         result = np.empty((len(matrices[0]), xi.size))
         for e, matrix in enumerate(matrices):
             here = np.flatnonzero(element == e)

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.discretization import BASES, Basis1D, RadauCollocation
+from rankone.discretization import RadauCollocation
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
 from rankone.solvers.sensitivity import amplification
 from rankone.solvers.train.march import Guess, March, MarchResult
+from rankone.solvers.train.nodes import first_bases
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
@@ -75,8 +76,8 @@ def solve_train(
 
     corners = _corner_count(len(box), check)
     collocation = RadauCollocation.of(options.nodes_in_time(rtol))
-    bases = _first_bases(box, rtol, options)
-    inner = rtol * (0.15 if len(box) <= _LARGEST_DENSE_PARAMETERS else 0.4)
+    bases, floors = first_bases(system, box, rtol, options)
+    inner = rtol * (0.06 if len(box) <= _LARGEST_DENSE_PARAMETERS else 0.4)
     records: list[SlabRecord] = []
     guesses: Sequence[Guess] = ()
     best: _Attempt | None = None
@@ -96,6 +97,7 @@ def solve_train(
             reference,
             sizes,
             bases,
+            floors,
             tolerance,
             0.1 * inner,
             options,
@@ -139,13 +141,6 @@ def _corner_count(dimensions: int, check: int) -> int:
     return 2**dimensions if dimensions <= _LARGEST_DENSE_PARAMETERS else 8
 
 
-def _first_bases(box: Array, rtol: float, options: TrainOptions) -> tuple[Basis1D, ...]:
-    kind = BASES[options.basis]
-    count = round(2.0 + 1.2 * -math.log10(rtol))
-    count = min(max(count, 4), options.max_degree, options.max_nodes)
-    return tuple(kind(float(lower), float(upper), count) for lower, upper in box)
-
-
 def _sizes(system: System, reference: Reference, end: float) -> Array:
     """Largest absolute value of each state over the check points; one for a vanishing state."""
     values = system.lift(reference(np.linspace(reference.start, end, 201)))
@@ -173,6 +168,9 @@ def _outcome(
     else:
         limits = [s for s in Status if s in result.limits]
         status = limits[0] if limits else Status.TOLERANCE
+    blow_up = None
+    if reference.blown is not None:
+        blow_up = reference.end, tuple(reference.points[reference.blown].tolist())
     return Outcome(
         tuple(result.slabs),
         status,
@@ -180,6 +178,7 @@ def _outcome(
         measured,
         tuple(records),
         timings,
+        blow_up,
     )
 
 

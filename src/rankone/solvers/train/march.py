@@ -71,6 +71,8 @@ class March:
         Size of each state, products included.
     bases : tuple of Basis1D
         Parameter bases to begin with.
+    floors : tuple of int
+        Degrees below which they are not coarsened.
     tolerance : callable
         Inner tolerance at the time t, in units of the sizes: what is dropped there is amplified
         until the end of the horizon.
@@ -91,6 +93,7 @@ class March:
     reference: Reference
     scale: Array
     bases: tuple[Basis1D, ...]
+    floors: tuple[int, ...]
     tolerance: Callable[[float], float]
     resolution: float
     options: TrainOptions
@@ -335,8 +338,8 @@ class March:
             return source
         tolerance = 0.02 * self.tolerance(sweeper.operator.start)
         bases = tuple(
-            basis.coarsened(spectrum, tolerance)
-            for basis, spectrum in zip(self.bases, self._spectra, strict=True)
+            basis.coarsened(spectrum, tolerance, least)
+            for basis, spectrum, least in zip(self.bases, self._spectra, self.floors, strict=True)
         )
         if all(new.size > 0.75 * old.size for new, old in zip(bases, self.bases, strict=True)):
             return source

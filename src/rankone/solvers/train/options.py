@@ -40,7 +40,7 @@ class TrainOptions:
     basis: str = "chebyshev"
     time_nodes: int | None = None
     max_rank: int = 250
-    max_degree: int = 48
+    max_degree: int = 64
     max_nodes: int = 400
     max_slabs: int = 2000
     max_sweeps: int = 14
@@ -64,8 +64,8 @@ class TrainOptions:
             )
 
     def nodes_in_time(self, rtol: float) -> int:
-        """Radau nodes per slab: more for tighter tolerances, 8 at 1e-3 and 16 at 1e-8."""
+        """Radau nodes per slab: more for tighter tolerances, 9 at 1e-3 and 16 at 1e-8."""
         if self.time_nodes is not None:
             return self.time_nodes
         digits = -math.log10(rtol)
-        return int(min(max(round(3.5 + 1.55 * digits), 6), 18))
+        return int(min(max(round(4.6 + 1.4 * digits), 6), 18))

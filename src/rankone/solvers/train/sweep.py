@@ -315,26 +315,23 @@ class Sweeper:
         return new, present
 
     def iterate(self, tolerance: float) -> tuple[float, list[Array]]:
-        """One sweep to the last pair and back; the centre starts and ends at core 0.
+        """One sweep; the centre starts and ends at core 0.
+
+        On the way right the cores are only orthogonalised; on the way left every pair is solved.
+        Solving pairs in both directions converges no faster per unit of work (docs/engine.md).
 
         Returns the residual (largest change of a pair) and, for each parameter, the norms of its
         modes, shape (nodes,).
         """
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
-        last = self.dimensions - 1
-        for b in range(last):
-            if b == 0:
-                self._shift_right(b)
-            else:
-                new, present = self._pair_block(b)
-                largest = max(largest, float(np.linalg.norm(new - present)))
-                self._split(b, new, tolerance, towards="right")
+        for b in range(self.dimensions - 1):
+            self._shift_right(b)
             self._contract_left(b + 1)
-        for b in range(last, -1, -1):
+        for b in range(self.dimensions - 1, -1, -1):
             new, present = self._pair_block(b)
             largest = max(largest, float(np.linalg.norm(new - present)))
-            spectra[b] = self._split(b, new, tolerance, towards="left")
+            spectra[b] = self._split(b, new, tolerance)
             self._contract_right(b + 1)
         return largest, spectra
 
@@ -349,27 +346,21 @@ class Sweeper:
         )
         self._changed(b)
 
-    def _split(self, b: int, block: Array, tolerance: float, towards: str) -> Array:
-        """Replace the cores (b, b + 1) by the truncated factors of ``block``.
+    def _split(self, b: int, block: Array, tolerance: float) -> Array:
+        """Replace the cores (b, b + 1) by truncated factors of ``block``; the centre moves to b.
 
-        Moving left, returns the norms of the parameter modes of the weighted core b + 1.
+        Returns the norms of the parameter modes of core b + 1, weighted.
         """
-        neighbour = self.cores[b + 1]
-        rows = neighbour.reshape(neighbour.shape[0], -1)
-        left, weights, right = truncated_svd(block, tolerance, self.max_rank, rows)
-        shape, rank = self.cores[b + 1].shape, weights.size
-        if towards == "right":
-            right = weights[:, None] * right
-            spectrum = weights
-        else:
-            weighted = (weights[:, None] * right).reshape(rank, *shape[1:])
-            modes = np.matmul(self.parameters.bases[b].to_modal, weighted)
-            spectrum = np.sqrt(np.einsum("anb,anb->n", modes, modes))
-            left = left * weights
-        self.cores[b] = left.reshape(*self.cores[b].shape[:-1], rank)
+        shape = self.cores[b + 1].shape
+        expected = self.cores[b + 1].reshape(shape[0], -1)
+        left, weights, right = truncated_svd(block, tolerance, self.max_rank, expected)
+        rank = weights.size
+        weighted = (weights[:, None] * right).reshape(rank, *shape[1:])
+        modes = np.matmul(self.parameters.bases[b].to_modal, weighted)
+        self.cores[b] = (left * weights).reshape(*self.cores[b].shape[:-1], rank)
         self.cores[b + 1] = right.reshape(rank, *shape[1:])
         self._changed(b)
-        return spectrum
+        return np.asarray(np.sqrt(np.einsum("anb,anb->n", modes, modes)))
 
     def _changed(self, b: int) -> None:
         """Forget what was contracted with the cores b and b + 1."""

@@ -1,0 +1,247 @@
+"""The command line: ``rankone solve FILE`` and ``rankone show FILE``.
+
+Exit status: 0 if the measured error is within the tolerance, 1 if it is not or is not known,
+2 for bad input, 130 after an interrupt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rankone.solution import Solution
+
+__all__ = ["main"]
+
+_SUCCESS, _FAILURE, _BAD_INPUT, _BROKEN_PIPE, _INTERRUPTED = 0, 1, 2, 141, 130
+
+_FILE_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
+_EXIT_HELP = """\
+exit status:
+  0  the measured error is within the tolerance
+  1  it is not, or is not known; the summary is printed and the file is saved all the same
+  2  bad input
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the program's name; those of the process by default.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
+    try:
+        arguments = _parser().parse_args(argv)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else _BAD_INPUT
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            return int(arguments.run(arguments))
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        return _INTERRUPTED
+    except BrokenPipeError:
+        # the reader has gone (`| head`); keep Python from flushing into the closed pipe at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    except Exception as error:
+        from rankone.errors import ConvergenceError, RankoneError
+
+        if not isinstance(error, RankoneError):
+            raise
+        _complain(f"error: {error}")
+        return _FAILURE if isinstance(error, ConvergenceError) else _BAD_INPUT
+
+
+def _parser() -> argparse.ArgumentParser:
+    from rankone.problem_files import TOML_LAYOUT
+
+    layout = "layout of a TOML file:\n" + "".join(
+        f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()
+    )
+    parser = argparse.ArgumentParser(
+        prog="rankone",
+        description="Solve a parametric ODE system once, for every parameter value of a box.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    solve = commands.add_parser(
+        "solve",
+        help="solve a problem, print a summary and optionally save the solution",
+        description="Solve a problem for every parameter value of its box and measure the error.",
+        epilog=f"{layout}\n{_EXIT_HELP}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    solve.add_argument("file", metavar="FILE", type=Path, help=_FILE_HELP)
+    solve.add_argument(
+        "--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)"
+    )
+    solve.add_argument(
+        "--save", metavar="PATH", type=Path, help="write the solution to PATH (.npz, see docs)"
+    )
+    solve.add_argument("--overwrite", action="store_true", help="let --save replace a file")
+    solve.add_argument(
+        "--check",
+        metavar="N",
+        type=_count,
+        help="number of trajectories compared; 0 leaves the error unknown (status 1)",
+    )
+    solve.add_argument("--json", action="store_true", help="print the summary as JSON")
+    solve.add_argument(
+        "--quiet", action="store_true", help="no summary (except --json) and no progress bar"
+    )
+    solve.set_defaults(run=_solve)
+
+    show = commands.add_parser(
+        "show",
+        help="print the weak form, the separated terms and the generated source of a problem",
+        description="Print what a problem compiles to; everything if no flag selects.",
+        epilog=layout,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    show.add_argument("file", metavar="FILE", type=Path, help=_FILE_HELP)
+    show.add_argument("--weak-form", action="store_true", help="the weak form")
+    show.add_argument("--separated", action="store_true", help="the table of separated terms")
+    show.add_argument("--source", action="store_true", help="the generated module")
+    show.set_defaults(run=_show)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Look the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from rankone.version import __version__
+
+        print(f"rankone {__version__}")
+        parser.exit()
+
+
+def _count(text: str) -> int:
+    """Parse a number of trajectories."""
+    try:
+        count = int(text)
+    except ValueError:
+        count = -1
+    if count < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0")
+    return count
+
+
+def _solve(arguments: argparse.Namespace) -> int:
+    """Run ``rankone solve``."""
+    _check_target(arguments.save, arguments.overwrite)
+
+    import rankone
+    from rankone.errors import ConvergenceError
+    from rankone.problem_files import load_problem
+
+    compiled = rankone.compile(load_problem(arguments.file))
+    check = True if arguments.check is None else arguments.check or False
+    bar = sys.stderr.isatty() and not arguments.quiet
+    try:
+        solution = compiled.solve(rtol=arguments.rtol, check=check, progress=bar)
+    except ConvergenceError as error:
+        if error.solution is None:
+            raise
+        _complain(f"error: {error}")
+        solution = error.solution
+    if arguments.save is not None:
+        solution.save(arguments.save, overwrite=arguments.overwrite)
+    if arguments.json:
+        print(json.dumps(_summary(solution, arguments), indent=2, allow_nan=False))
+    elif not arguments.quiet:
+        print(solution)
+        if arguments.save is not None:
+            print(f"  saved     {arguments.save}")
+    sys.stdout.flush()
+    return _SUCCESS if solution.success else _FAILURE
+
+
+def _check_target(path: Path | None, overwrite: bool) -> None:
+    """Find out before the solve, not after it, that its result cannot be saved."""
+    if path is None:
+        return
+    from rankone.errors import StorageError
+
+    if path.is_dir() or (path.exists() and not overwrite):
+        remedy = "choose another name" if path.is_dir() else "choose another name, or --overwrite"
+        raise StorageError(f"`{path}` exists", term=path, remedy=remedy)
+    if not path.absolute().parent.is_dir():
+        raise StorageError(f"there is no directory `{path.parent}`", term=path)
+
+
+def _summary(solution: Solution, arguments: argparse.Namespace) -> dict[str, Any]:
+    """The summary as plain data; numbers that are not known are null."""
+    return {
+        "file": str(arguments.file),
+        "success": solution.success,
+        "status": solution.status.name.lower(),
+        "message": solution.message,
+        "rtol": solution.rtol,
+        "error": _number(solution.error),
+        "errors": {name: _number(error) for name, error in solution.errors.items()},
+        "corner_error": _number(solution.corner_error),
+        "unknowns": list(solution.unknowns),
+        "time": list(solution.time),
+        "parameters": {name: list(interval) for name, interval in solution.parameters.items()},
+        "slabs": len(solution.ranks),
+        "rank": solution.rank,
+        "nodes": list(solution.nodes),
+        "timings": solution.timings,
+        "version": solution.metadata.version,
+        "saved": None if arguments.save is None else str(arguments.save),
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    """Run ``rankone show``."""
+    import rankone
+    from rankone.problem_files import load_problem
+
+    compiled = rankone.compile(load_problem(arguments.file))
+    sections = {
+        "weak form": (arguments.weak_form, "weak_form"),
+        "separated form": (arguments.separated, "separated"),
+        "generated module": (arguments.source, "source"),
+    }
+    selected = [title for title, (wanted, _) in sections.items() if wanted] or list(sections)
+    for number, title in enumerate(selected):
+        if len(selected) > 1:
+            print(f"{'' if number == 0 else chr(10)}# {title}\n")
+        print(str(getattr(compiled, sections[title][1])).rstrip("\n"))
+    sys.stdout.flush()
+    return _SUCCESS
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    _complain(f"warning: {message}")
+
+
+def _complain(text: str) -> None:
+    print(f"rankone: {text}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

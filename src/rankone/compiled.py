@@ -1,0 +1,307 @@
+"""The pipeline: problem -> weak form -> separated form -> generated module -> solution.
+
+===============  ==================================================================  ==============
+stage            what happens                                                        result
+===============  ==================================================================  ==============
+weak form        residual times test function, integrated over every dimension       ``.weak_form``
+separation       every term factored into functions of one coordinate                ``.separated``
+code generation  kernels, factors and pointwise functions as readable source         ``.source``
+import           the source is run as a module                                       ``.system``
+solve            an engine enriches separated tensors, slab by slab                  a ``Solution``
+===============  ==================================================================  ==============
+
+Each stage is timed in ``.timings`` (seconds) and in the log ``rankone``.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import operator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, Literal
+
+from threadpoolctl import ThreadpoolController
+
+from rankone.codegen import generate_source, load_module
+from rankone.errors import BlowUpError, ConvergenceError, OptionError
+from rankone.ir import SeparatedForm
+from rankone.progress import ProgressEvent, resolve_progress
+from rankone.solution import Solution, SolutionMetadata
+from rankone.solvers.outcome import Outcome, Status
+from rankone.solvers.train import TrainOptions, solve_train
+from rankone.symbolic import Problem, WeakForm, separate, weak_form
+from rankone.system import System
+from rankone.version import __version__
+
+__all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
+
+logger = logging.getLogger("rankone")
+
+_TIGHTEST, _LOOSEST = 1e-10, 0.1
+_CHECK_POINTS = 24
+
+Progress = bool | Callable[[ProgressEvent], None]
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledProblem:
+    """A problem with everything that was derived from it before numbers come in.
+
+    Made by :func:`rankone.compile`.
+
+    Attributes
+    ----------
+    problem : Problem
+    weak_form : WeakForm
+        Residual times test function, integrated over every dimension.
+    separated : SeparatedForm
+        The terms, each a product of functions of one coordinate and a monomial.
+    source : str
+        Text of the generated module.
+    timings : dict of str to float
+        Seconds by stage.
+    """
+
+    problem: Problem
+    weak_form: WeakForm
+    separated: SeparatedForm
+    source: str
+    timings: dict[str, float]
+    _modules: dict[str, System] = field(default_factory=dict, repr=False)
+
+    @property
+    def system(self) -> System:
+        """The generated module; run again from its source after unpickling."""
+        if not self._modules:
+            self._modules["system"] = load_module(self.source, self.problem.name or "system")
+        return self._modules["system"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_modules": {}}
+
+    def __repr__(self) -> str:
+        form = self.separated
+        names = ", ".join(state.name for state in form.states)
+        box = ", ".join(f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in form.coordinates)
+        return (
+            f"CompiledProblem of {names} over {box}\n"
+            f"{len(form.terms)} separated terms, {self.source.count(chr(10))} lines generated, "
+            f"compiled in {sum(self.timings.values()):.2f} s"
+        )
+
+    def solve(
+        self,
+        rtol: float = 1e-6,
+        *,
+        method: Literal["train"] = "train",
+        progress: Progress = False,
+        check: bool | int = True,
+        on_failure: Literal["return", "raise"] = "return",
+        **options: Any,
+    ) -> Solution:
+        """Solve for every parameter of the box at once.
+
+        Parameters
+        ----------
+        rtol : float
+            Largest error asked for, relative to the largest value of each unknown, between 1e-10
+            and 0.1. It is measured against SciPy trajectories after the solve.
+        method : {"train"}
+            The engine: tensor train on the preconditioned Volterra form.
+        progress : bool or callable
+            True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
+        check : bool or int
+            Number of random check points (24 for True). False skips the check; the solution then
+            does not count as a success.
+        on_failure : {"return", "raise"}
+            What to do when the tolerance is not reached: return the solution with ``success``
+            False, or raise ConvergenceError, which carries it.
+        **options
+            Limits and discretisation of the engine, see :class:`rankone.TrainOptions`.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        BlowUpError
+            A trajectory blows up inside the horizon. ``.solution`` holds the part up to there.
+        ConvergenceError
+            Only with ``on_failure="raise"``.
+        OptionError
+            An option is out of its range.
+        """
+        rtol = _checked_rtol(rtol)
+        points = _checked_points(check)
+        if method != "train":
+            raise OptionError(f"method={method!r} is unknown", remedy="use method='train'")
+        if on_failure not in ("return", "raise"):
+            raise OptionError(
+                f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
+            )
+        engine_options = _checked_options(options)
+        began = time.perf_counter()
+        with resolve_progress(progress) as notify, _one_blas_thread():
+
+            def report(reached: float, fraction: float, attempt: int, slabs: int, rank: int) -> None:
+                if notify is not None:
+                    notify(ProgressEvent(reached, fraction, attempt, slabs, rank))
+
+            outcome = solve_train(self.system, rtol, engine_options, points, report)
+        seconds = time.perf_counter() - began
+        logger.info("solve: %.3f s, %s", seconds, outcome.message)
+        timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
+        solution = Solution(replace(outcome, timings=timings), self._metadata(rtol, method))
+        return _delivered(solution, outcome, on_failure)
+
+    def _metadata(self, rtol: float, method: str) -> SolutionMetadata:
+        form = self.separated
+        clock, *parameters = form.coordinates
+        problem = self.problem
+        return SolutionMetadata(
+            unknowns=tuple(state.name for state in form.states if state.order == 0),
+            states=tuple(state.name for state in form.states),
+            parameters=tuple(c.name for c in parameters),
+            box=tuple((c.lower, c.upper) for c in parameters),
+            time=clock.name,
+            horizon=(clock.lower, clock.upper),
+            rtol=rtol,
+            method=method,
+            equations=tuple(
+                f"{state.expression.diff(clock.symbol)} = {value}"
+                for state, value in zip(problem.states, problem.rhs, strict=True)
+            ),
+            version=__version__,
+            source=self.source,
+        )
+
+
+def compile_problem(problem: Problem) -> CompiledProblem:
+    """Compile a problem: weak form, separated form, generated module.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Returns
+    -------
+    CompiledProblem
+
+    Raises
+    ------
+    SeparationError
+        A term does not factor, or is not polynomial in the unknowns.
+    ProblemError
+        A coefficient is complex or not finite somewhere in the box.
+    """
+    if not isinstance(problem, Problem):
+        raise OptionError(
+            f"compile needs a rankone.Problem, not {type(problem).__name__}",
+            remedy="build one with rankone.Problem(...) or Problem.from_strings(...)",
+        )
+    timings: dict[str, float] = {}
+    with _timed(timings, "weak form"):
+        weak = weak_form(problem)
+    with _timed(timings, "separation"):
+        separated = separate(problem)
+    with _timed(timings, "code generation"):
+        source = generate_source(separated, problem.name)
+    compiled = CompiledProblem(problem, weak, separated, source, timings)
+    with _timed(timings, "import"):
+        _ = compiled.system
+    return compiled
+
+
+def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution:
+    """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
+
+    See :meth:`CompiledProblem.solve` for the options.
+    """
+    return compile_problem(problem).solve(rtol, **options)
+
+
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    began = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - began
+    logger.info("%s: %.3f s", stage, timings[stage])
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    """The BLAS pools of this process; looking for them takes milliseconds."""
+    return ThreadpoolController()
+
+
+@contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Small products run fastest on one thread, and two busy pools slow each other down."""
+    with _thread_pools().limit(limits=1, user_api="blas"):
+        yield
+
+
+def _checked_rtol(rtol: float) -> float:
+    try:
+        value = float(rtol)
+    except (TypeError, ValueError):
+        value = math.nan
+    if isinstance(rtol, bool) or not _TIGHTEST <= value <= _LOOSEST:
+        raise OptionError(
+            f"rtol={rtol!r} is out of range",
+            remedy=f"choose a number between {_TIGHTEST:g} and {_LOOSEST:g}",
+        )
+    return value
+
+
+def _checked_points(check: bool | int) -> int:
+    if isinstance(check, bool):
+        return _CHECK_POINTS if check else 0
+    try:
+        points = operator.index(check)
+    except TypeError:
+        points = -1
+    if points < 0:
+        raise OptionError(
+            f"check={check!r} is no number of points", remedy="True, False or an integer >= 0"
+        )
+    return points
+
+
+def _checked_options(options: dict[str, Any]) -> TrainOptions:
+    known = sorted(TrainOptions.__dataclass_fields__)
+    for name in options:
+        if name not in known:
+            raise OptionError(f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}")
+    return TrainOptions(**options)
+
+
+def _delivered(
+    solution: Solution, outcome: Outcome, on_failure: Literal["return", "raise"]
+) -> Solution:
+    """Return the solution or raise what its status asks for."""
+    if outcome.status is Status.BLOW_UP and outcome.blow_up is not None:
+        when, values = outcome.blow_up
+        names = [name for name in solution.parameters]
+        where = dict(zip(names, values, strict=True))
+        at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
+        raise BlowUpError(
+            f"the solution blows up inside the horizon: near t = {when:.4g}"
+            + (f" at {at}" if at else ""),
+            time=when,
+            parameters=where,
+            solution=solution,
+            remedy=f"end the horizon before t = {when:.4g}, or narrow the box; the error carries "
+            f"the part up to t = {solution.time[1]:.4g} as .solution",
+        )
+    if on_failure == "raise" and not solution.success:
+        raise ConvergenceError(outcome.message, solution=solution)
+    return solution

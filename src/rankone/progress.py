@@ -1,0 +1,112 @@
+"""Progress of a solve: events for a callback, or a bar on standard error."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from rankone.errors import OptionError
+
+__all__ = ["Progress", "ProgressBar", "ProgressEvent", "resolve_progress"]
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressEvent:
+    """The state of a solve after a slab was accepted.
+
+    Attributes
+    ----------
+    time : float
+        End of the slab.
+    fraction : float
+        Fraction of the horizon solved in this attempt, 0 to 1.
+    attempt : int
+        Number of the attempt, from 0; each starts the horizon again with a tighter tolerance.
+    slabs : int
+        Number of slabs accepted in this attempt.
+    rank : int
+        Largest rank of the slab.
+    """
+
+    time: float
+    fraction: float
+    attempt: int
+    slabs: int
+    rank: int
+
+
+class Progress(Protocol):
+    """Anything that can be called with a :class:`ProgressEvent`; an exception stops the solve."""
+
+    def __call__(self, event: ProgressEvent, /) -> object:
+        """Take notice of an event."""
+
+
+class ProgressBar:
+    """A bar on standard error, as a context manager and a callback."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        from tqdm import tqdm
+
+        self._bar = tqdm(
+            total=1.0,
+            leave=False,
+            bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}",
+        )
+        self._bar.set_description_str("solving")
+        return self
+
+    def __call__(self, event: ProgressEvent, /) -> None:
+        """Show an event."""
+        self._bar.n = event.fraction
+        attempt = "" if event.attempt == 0 else f" (attempt {event.attempt + 1})"
+        self._bar.set_description_str(f"solving{attempt}", refresh=False)
+        shown = f"t = {event.time:.4g}, {event.slabs} slabs, rank {event.rank}"
+        self._bar.set_postfix_str(shown, refresh=False)
+        self._bar.update(0)
+        self._bar.refresh()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+
+
+def resolve_progress(progress: bool | Progress) -> AbstractContextManager[Progress | None]:
+    """Turn the option ``progress`` into a context that gives a callback, or None.
+
+    Parameters
+    ----------
+    progress : bool or callable
+        False: nothing; True: a bar on standard error; otherwise called with each event.
+
+    Raises
+    ------
+    OptionError
+        If it is none of these.
+
+    Examples
+    --------
+    >>> with resolve_progress(print) as report:
+    ...     report(ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7))
+    ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7)
+    """
+    if progress is True:
+        return ProgressBar()
+    if progress is False:
+        return nullcontext()
+    if not callable(progress):
+        raise OptionError(
+            f"progress is {progress!r}",
+            term=progress,
+            remedy="use True, False or a function of a ProgressEvent",
+        )
+    return nullcontext(progress)

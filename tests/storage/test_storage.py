@@ -1,0 +1,193 @@
+"""Saving and loading: exact round trips, damaged and foreign files, interrupts."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.solution.functions import Known, decay, oscillator, two_unknowns
+
+from rankone import storage
+from rankone.errors import StorageError
+from rankone.solution import Solution
+from rankone.solvers.outcome import Status
+
+SOLUTION = two_unknowns(2).solution
+
+
+@pytest.mark.parametrize("known", [two_unknowns(2), decay(), oscillator()])
+def test_round_trip_is_exact(known: Known, tmp_path: Path) -> None:
+    solution = known.solution
+    path = solution.save(tmp_path / "solution.npz")
+    assert path == tmp_path / "solution.npz"
+    again = storage.load(str(path))
+    rng = np.random.default_rng(0)
+    coordinates = {
+        name: rng.uniform(*interval, 50)
+        for name, interval in {solution.metadata.time: (0, 3), **solution.parameters}.items()
+    }
+    np.testing.assert_array_equal(again(**coordinates), solution(**coordinates))
+    assert again.metadata == solution.metadata
+    assert again.timings == solution.timings
+    assert again.outcome.measured == solution.outcome.measured
+    # NaN is not equal to itself
+    assert repr(again.history) == repr(solution.history)
+
+
+def test_partial_and_unchecked(tmp_path: Path) -> None:
+    outcome = replace(
+        SOLUTION.outcome,
+        slabs=SOLUTION.outcome.slabs[:1],
+        status=Status.BLOW_UP,
+        measured=None,
+        blow_up=(1.1, (0.5, 2.5)),
+    )
+    again = storage.load(Solution(outcome, SOLUTION.metadata).save(tmp_path / "a.npz"))
+    assert again.status is Status.BLOW_UP
+    assert again.outcome.measured is None
+    assert again.outcome.blow_up == (1.1, (0.5, 2.5))
+    assert again.time == (0.0, 1.0)
+    empty = Solution(replace(outcome, slabs=()), SOLUTION.metadata)
+    assert storage.load(empty.save(tmp_path / "b.npz")).rank == 0
+
+
+def test_the_format_is_open(tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "solution.npz")
+    with np.load(path, allow_pickle=False) as file:
+        header = json.loads(str(file["header"]), parse_constant=pytest.fail)
+        assert header["format"] == "rankone-solution"
+        assert header["format_version"] == 1
+        assert header["metadata"]["unknowns"] == ["x", "y"]
+        assert header["metadata"] == json.loads(json.dumps(asdict(SOLUTION.metadata)))
+        assert file["core_0_0"].shape == (2, 14, 3)
+        basis = header["bases"][header["slabs"][2]["bases"][1]]
+        assert file["core_2_1"].dtype == np.float64
+        assert file["core_2_2"].shape[1] == basis["degree"] * basis["elements"]
+
+
+def test_existing_files_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "solution.npz"
+    path.write_text("precious")
+    with pytest.raises(StorageError, match=r"solution\.npz` exists; remedy: .*overwrite=True"):
+        SOLUTION.save(path)
+    assert path.read_text() == "precious"
+    SOLUTION.save(path, overwrite=True)
+    assert storage.load(path).unknowns == ("x", "y")
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, MemoryError])
+def test_an_interrupt_leaves_nothing(
+    failure: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(file: Any, **arrays: Any) -> None:
+        file.write(b"half")
+        raise failure
+
+    monkeypatch.setattr(np, "savez", interrupted)
+    with pytest.raises(failure):
+        SOLUTION.save(tmp_path / "new.npz")
+    assert not list(tmp_path.iterdir())
+    old = tmp_path / "old.npz"
+    old.write_text("precious")
+    with pytest.raises(failure):
+        SOLUTION.save(old, overwrite=True)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["precious"]
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="cannot be written"):
+        SOLUTION.save(tmp_path / "missing" / "solution.npz")
+    with pytest.raises(StorageError, match="cannot be written"):
+        SOLUTION.save(tmp_path, overwrite=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    target, link = tmp_path / "target.npz", tmp_path / "link.npz"
+    link.symlink_to(target)
+    SOLUTION.save(link, overwrite=True)
+    assert link.is_symlink()
+    assert os.path.samefile(link, target)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"there is no file `.*nothing\.npz`"):
+        storage.load(tmp_path / "nothing.npz")
+    with pytest.raises(StorageError, match="cannot be read"):
+        storage.load(tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"", b"text", b"\x80\x04pickle", b"PK\x03\x04broken"])
+def test_foreign_file(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "foreign.npz"
+    path.write_bytes(content)
+    with pytest.raises(StorageError, match=r"foreign\.npz` is not a rankone solution"):
+        storage.load(path)
+
+
+def test_foreign_archive(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.npz"
+    np.savez(path, a=np.ones(3))
+    with pytest.raises(StorageError, match="not a rankone solution"):
+        storage.load(path)
+    np.savez(path, header=np.array('{"format": "another"}'))
+    with pytest.raises(StorageError, match="not a rankone solution"):
+        storage.load(path)
+    np.savez(path, header=np.array([{"an": "object"}], dtype=object))
+    with pytest.raises(StorageError, match="damaged"):
+        storage.load(path)
+
+
+def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
+    with np.load(path) as file:
+        arrays = dict(file)
+    header = json.loads(str(arrays["header"]))
+    edit(header, arrays)
+    arrays["header"] = np.array(json.dumps(header))
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda header, _: header.update(format_version=2), "version 2 .* upgrade rankone"),
+        (lambda header, _: header.pop("slabs"), "damaged"),
+        (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
+        (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
+        (lambda header, _: header.update(status="FINE"), "damaged"),
+        (lambda header, _: header["slabs"][0].update(bases=[0, 99]), "damaged"),
+        (lambda header, _: header["bases"][0].update(degree=5), "do not fit their bases"),
+        (lambda _, arrays: arrays.pop("core_1_1"), "damaged"),
+        (lambda _, arrays: arrays.update(core_1_1=np.ones((2, 2, 2))), "do not fit"),
+        (lambda _, arrays: arrays.update(core_0_0=np.ones((2, 14, 3), "i8")), "do not fit"),
+    ],
+)
+def test_damaged_file(edit: Any, message: str, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "solution.npz")
+    edited(path, edit)
+    with pytest.raises(StorageError, match=rf"solution\.npz`.*{message}"):
+        storage.load(path)
+
+
+def test_every_truncation_is_noticed(tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "solution.npz")
+    content = path.read_bytes()
+    for size in range(0, len(content), len(content) // 25):
+        path.write_bytes(content[:size])
+        with pytest.raises(StorageError):
+            storage.load(path)
+
+
+def test_flipped_bytes_are_noticed(tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "solution.npz")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(StorageError, match="damaged"):
+        storage.load(path)
