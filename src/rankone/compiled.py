@@ -19,7 +19,7 @@ import logging
 import math
 import operator
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -30,7 +30,7 @@ from threadpoolctl import ThreadpoolController
 from rankone.codegen import generate_source, load_module
 from rankone.errors import BlowUpError, ConvergenceError, OptionError
 from rankone.ir import SeparatedForm
-from rankone.progress import ProgressEvent, resolve_progress
+from rankone.progress import Progress, ProgressEvent, resolve_progress
 from rankone.solution import Solution, SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
 from rankone.solvers.train import TrainOptions, solve_train
@@ -44,8 +44,6 @@ logger = logging.getLogger("rankone")
 
 _TIGHTEST, _LOOSEST = 1e-10, 0.1
 _CHECK_POINTS = 24
-
-Progress = bool | Callable[[ProgressEvent], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +97,7 @@ class CompiledProblem:
         rtol: float = 1e-6,
         *,
         method: Literal["train"] = "train",
-        progress: Progress = False,
+        progress: bool | Progress = False,
         check: bool | int = True,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
@@ -149,7 +147,9 @@ class CompiledProblem:
         began = time.perf_counter()
         with resolve_progress(progress) as notify, _one_blas_thread():
 
-            def report(reached: float, fraction: float, attempt: int, slabs: int, rank: int) -> None:
+            def report(
+                reached: float, fraction: float, attempt: int, slabs: int, rank: int
+            ) -> None:
                 if notify is not None:
                     notify(ProgressEvent(reached, fraction, attempt, slabs, rank))
 
@@ -224,8 +224,6 @@ def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solut
     See :meth:`CompiledProblem.solve` for the options.
     """
     return compile_problem(problem).solve(rtol, **options)
-
-
 
 
 @contextmanager

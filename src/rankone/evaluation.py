@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _TOLERANCE = 1e-12
 """How far outside, relative to the width of the interval, a value counts as round-off."""
 
+_MISSING = object()
+
 
 def name_of(key: object, time: str | None = None) -> str:
     """Return the name of a symbol, an applied function or its time derivative.
@@ -41,7 +43,7 @@ def name_of(key: object, time: str | None = None) -> str:
     if isinstance(key, str):
         return str(key)
     order = getattr(key, "derivative_count", None)
-    if isinstance(order, int | np.integer):
+    if order is not None:
         variables = {str(variable) for variable in getattr(key, "variables", ())}
         if time is None or variables == {time}:
             return name_of(getattr(key, "expr", None), time) + "_" + "t" * int(order)
@@ -119,7 +121,7 @@ class Coordinates:
                 return [named[name] for name in self.names]
             except KeyError:
                 pass
-        found: list[Any] = [None] * len(self.names)
+        found: list[Any] = [_MISSING] * len(self.names)
         for key, value in self._pairs(time, values, named):
             name = name_of(key, self.names[0])
             index = self._index.get(name)
@@ -129,12 +131,10 @@ class Coordinates:
                     f"the coordinates are {listing(self.names)}",
                     term=name,
                 )
-            if found[index] is not None:
+            if found[index] is not _MISSING:
                 raise EvaluationError(f"`{name}` is given twice", term=name, remedy="give it once")
-            if value is None:
-                raise EvaluationError(f"`{name}` is None", term=name, remedy="give a number")
             found[index] = value
-        missing = [name for name, value in zip(self.names, found, strict=True) if value is None]
+        missing = [name for name, value in zip(self.names, found, strict=True) if value is _MISSING]
         if missing:
             raise EvaluationError(
                 f"no value for {listing(missing)}; the coordinates are {listing(self.names)}",
@@ -216,7 +216,7 @@ class Coordinates:
     def _real(name: str, value: Any) -> Array:
         try:
             array = np.asarray(value)
-            if array.dtype.kind in "biuf" or array.dtype.kind == "O":
+            if array.dtype.kind in "biufO" and value is not None:
                 return np.asarray(array, dtype=np.float64)
         except (TypeError, ValueError):
             pass

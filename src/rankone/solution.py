@@ -169,7 +169,7 @@ class Solution:
         points, shape = self._coordinates.broadcast(self._coordinates.arrays(given))
         if shape == ():
             return evaluator.one(points[:, 0].tolist(), rows)
-        return evaluator.many(points, rows).reshape(-1, *shape)
+        return evaluator.many(points, rows).reshape(rows.stop - rows.start, *shape)
 
     @cached_property
     def _evaluator(self) -> TrainEvaluator:
@@ -196,7 +196,10 @@ class Solution:
 
     @property
     def error(self) -> float:
-        """Largest measured error of the unknowns, relative to each one's size; NaN if unchecked."""
+        """Largest measured error over all states, relative to each one's size; NaN if unchecked.
+
+        Derivatives that became states count as well.
+        """
         return self._worst("interior")
 
     @property
@@ -209,12 +212,12 @@ class Solution:
 
     @property
     def corner_error(self) -> float:
-        """Largest measured error of the unknowns at corners of the box; NaN if unchecked."""
+        """Largest measured error at corners of the box; NaN if there are none or unchecked."""
         return self._worst("corners")
 
     def _worst(self, where: str) -> float:
         measured = self.outcome.measured
-        values = () if measured is None else getattr(measured, where)[self._unknowns]
+        values = () if measured is None else getattr(measured, where)
         return float(np.max(values)) if len(values) else float("nan")
 
     @property

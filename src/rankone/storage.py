@@ -141,7 +141,7 @@ def load(path: str | PathLike[str]) -> Solution:
         raise StorageError(f"there is no file `{given}`", term=given) from None
     except OSError as error:
         raise StorageError(f"`{given}` cannot be read: {error}", term=given) from error
-    except (BadZipFile, EOFError, KeyError, TypeError, ValueError, ZlibError) as error:
+    except (BadZipFile, EOFError, LookupError, TypeError, ValueError, ZlibError) as error:
         raise StorageError(
             f"`{given}` is damaged ({type(error).__name__}: {error})",
             term=given,

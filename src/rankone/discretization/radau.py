@@ -76,5 +76,3 @@ def _differentiation(points: Array) -> Array:
     np.fill_diagonal(matrix, 0.0)
     np.fill_diagonal(matrix, -matrix.sum(axis=1))
     return np.asarray(matrix)
-
-

@@ -6,7 +6,7 @@ right-hand side: DOP853, or Radau where the centre trajectory is stiff.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +14,17 @@ import numpy as np
 import scipy.integrate
 import scipy.sparse
 
+from rankone.errors import ConvergenceError
 from rankone.solvers.outcome import Measured
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Reference", "check_points", "initial_values", "integrate_reference", "measure"]
 
-_STIFF_STEPS = 1500.0
-"""DOP853 steps that stability alone may cost before the stiff integrator is taken."""
+_PROBE_STEPS = 300
+"""DOP853 steps after which it is asked whether stability limits the step."""
+_STIFF_PRODUCT = 3.0
+"""Step times decay rate above which it does (the stability interval is about 6)."""
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Where a slab is checked, relative to its length."""
 _DENSE_STATES = 240
@@ -74,7 +77,6 @@ class Reference:
     blown: int | None
     dense: Any
     states: int
-    evaluations: int
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
@@ -97,24 +99,66 @@ def integrate_reference(
         return system.rhs(t, y.reshape(n, m), parameters).ravel()
 
     size = np.abs(initial).max(initial=0.0)
-    options: dict[str, Any] = {"rtol": rtol, "atol": rtol * 1e-7 * (size if size > 0 else 1.0)}
-    stiff = _is_stiff(system, initial[:, 0], points[0], start, end)
-    if stiff:
-        options |= {"method": "Radau", "jac": _stacked_jacobian(system, parameters, n, m)}
-    else:
-        options |= {"method": "DOP853"}
+    tolerances = {"rtol": rtol, "atol": rtol * 1e-7 * (size if size > 0 else 1.0)}
     with np.errstate(all="ignore"):
-        result = scipy.integrate.solve_ivp(
-            right_hand_side, (start, end), initial.ravel(), dense_output=True, **options
-        )
+        trajectory = _explicit(right_hand_side, initial, start, end, tolerances, system, parameters)
+        stiff = trajectory is None
+        if trajectory is None:
+            result = scipy.integrate.solve_ivp(
+                right_hand_side,
+                (start, end),
+                initial.ravel(),
+                method="Radau",
+                jac=_stacked_jacobian(system, parameters, n, m),
+                dense_output=True,
+                **tolerances,
+            )
+            trajectory = result.sol, result.y[:, -1], result.status == 0
+    dense, last, finished = trajectory
     blown = None
-    if result.status != 0:
-        last = np.abs(result.y[:, -1].reshape(n, m))
-        growth = last / np.maximum(np.abs(result.y.reshape(n, m, -1)[:, :, 0]), size + 1e-300)
+    if not finished:
+        growth = np.abs(last.reshape(n, m)) / np.maximum(np.abs(initial), size + 1e-300)
         blown = int(np.argmax(np.nan_to_num(growth, nan=np.inf).max(axis=0)))
-    return Reference(
-        points, start, float(result.t[-1]), stiff, blown, result.sol, n, int(result.nfev)
-    )
+    return Reference(points, start, float(dense.t_max), stiff, blown, dense, n)
+
+
+def _explicit(
+    right_hand_side: Callable[[float, Array], Array],
+    initial: Array,
+    start: float,
+    end: float,
+    tolerances: dict[str, float],
+    system: System,
+    parameters: Array,
+) -> tuple[Any, Array, bool] | None:
+    """Integrate with DOP853: dense output, last state, whether the end was reached.
+
+    None when the system turns out to be stiff: when stability limits the step.
+    """
+    n, m = initial.shape
+    solver = scipy.integrate.DOP853(right_hand_side, start, initial.ravel(), end, **tolerances)
+    times, pieces = [start], []
+    while solver.status == "running":
+        solver.step()
+        if solver.status == "failed":
+            break
+        times.append(solver.t)
+        pieces.append(solver.dense_output())
+        if len(pieces) % _PROBE_STEPS == 0:
+            jacobian = system.jacobian(solver.t, solver.y.reshape(n, m), parameters)
+            blocks = np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
+            if np.isfinite(blocks).all():
+                decay = -np.linalg.eigvals(blocks).real.min()
+                if decay * solver.step_size > _STIFF_PRODUCT:
+                    return None
+    finished = solver.status == "finished"
+    if not pieces:
+        raise ConvergenceError(
+            f"no trajectory can be integrated from t = {start:g}: the right-hand side is not "
+            "finite there or varies without bound",
+            remedy="check the initial values and the coefficients",
+        )
+    return scipy.integrate.OdeSolution(times, pieces), solver.y, finished
 
 
 def initial_values(system: System, parameters: Array) -> Array:
@@ -150,7 +194,7 @@ def measure(
         times = slab.start + (slab.end - slab.start) * _CHECK_TIMES
         exact = reference(times)
         pairs = np.tile(times, m), np.repeat(reference.points, times.size, axis=0).T
-        values = slab(pairs[0], pairs[1].reshape(d, -1)).reshape(exact.shape)
+        values = slab(*pairs).reshape(exact.shape)
         errors = np.maximum(errors, np.abs(values - exact).max(axis=2))
     errors = np.where(np.isfinite(errors), errors, np.inf) / scale[:, None]
     at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0)
@@ -163,26 +207,6 @@ def measure(
         m,
         "Radau" if reference.stiff else "DOP853",
     )
-
-
-def _is_stiff(system: System, initial: Array, point: Array, start: float, end: float) -> bool:
-    """Whether stability would force DOP853 to many more steps than accuracy needs."""
-
-    def right_hand_side(t: float, y: Array) -> Array:
-        return system.rhs(t, y, point)
-
-    with np.errstate(all="ignore"):
-        solution = scipy.integrate.solve_ivp(
-            right_hand_side, (start, end), initial, method="LSODA", rtol=1e-4, atol=1e-10
-        )
-        times, states = solution.t, solution.y
-        jacobians = system.jacobian(times, states, point[:, None])
-        jacobians = np.moveaxis(np.broadcast_to(jacobians, (*jacobians.shape[:2], times.size)), 2, 0)
-        finite = np.isfinite(jacobians).all(axis=(1, 2))
-        damping = np.zeros(times.size)
-        damping[finite] = np.maximum(-np.linalg.eigvals(jacobians[finite]).real.min(axis=1), 0.0)
-    steps = float(np.sum(0.5 * (damping[1:] + damping[:-1]) * np.diff(times))) / 6.0
-    return steps > _STIFF_STEPS
 
 
 def _stacked_jacobian(system: System, parameters: Array, n: int, m: int) -> Any:

@@ -47,7 +47,7 @@ def amplification(
     """
     n = system.N_DIFFERENTIAL
     width = (end - reference.start) / steps
-    middle = reference.start + width * (np.arange(steps) + 0.5)
+    middle: Array = reference.start + width * (np.arange(steps) + 0.5)
     points = reference.points[:trajectories]
     m = len(points)
     states = reference(middle)[:, :m]

@@ -44,7 +44,8 @@ _ROUNDING_SHARE = 0.1
 """Share of the tolerance spent on rounding the train of the horizon."""
 _LEAST_SQUARES_LIMIT = 1e-9
 """Normal equations square the condition: below this tolerance they are not worth trying."""
-_SWEEPS = 50
+_MOST_SWEEPS, _TERM_SWEEPS = 400, 20_000
+"""Most sweeps of least squares, and most sweeps times terms."""
 
 
 @dataclass(frozen=True)
@@ -463,12 +464,16 @@ def _shortened(
 def _least_squares(
     train: Train, amplitudes: Array, modes: list[Array], tolerance: float, norm: float
 ) -> tuple[Array, list[Array]]:
-    """Alternating least squares on the modes of one dimension after the other."""
+    """Alternating least squares on the modes of one dimension after the other.
+
+    Convergence is linear; it is given up when its rate will not lead to the tolerance in time.
+    """
     modes = list(modes)
     dimensions = range(len(train))
     grams = [mode.T @ mode for mode in modes]
     previous = math.inf
-    for _ in range(_SWEEPS):
+    most = max(min(_MOST_SWEEPS, _TERM_SWEEPS // len(amplitudes)), 10)
+    for sweep in range(most):
         rights = [np.ones((1, len(amplitudes)))]
         for j in reversed(dimensions[1:]):
             rights.append(_absorb(train[j].transpose(2, 1, 0), rights[-1], modes[j]))
@@ -491,7 +496,9 @@ def _least_squares(
         square = norm**2 - 2.0 * float(np.sum(target * scaled))
         square += float(amplitudes @ (gram * grams[-1]) @ amplitudes)
         error = math.sqrt(max(square, 0.0))
-        if error <= 0.9 * tolerance or error > 0.99 * previous:
+        if error <= 0.9 * tolerance:
+            break
+        if sweep > 3 and error * (error / previous) ** (most - sweep) > tolerance:
             break
         previous = error
     return amplitudes, modes

@@ -205,8 +205,9 @@ class TrainEvaluator:
         if len(self._slabs) == 1:
             self._fill(result, points, self._slabs[0], rows)
             return result
-        # the stable sort of small integers is a radix sort
-        owner = np.searchsorted(self._breaks, points[0], side="right").astype(np.uint16)
+        # the stable sort of 16-bit integers is a radix sort
+        small = np.min_scalar_type(len(self._slabs))
+        owner = np.searchsorted(self._breaks, points[0], side="right").astype(small)
         order = np.argsort(owner, kind="stable")
         ends = np.cumsum(np.bincount(owner, minlength=len(self._slabs)))
         begin = 0

@@ -182,13 +182,14 @@ def _outcome(
     )
 
 
-def _message(
-    status: Status, best: _Attempt, rtol: float, slabs: Sequence[SlabTrain]
-) -> str:
+def _message(status: Status, best: _Attempt, rtol: float, slabs: Sequence[SlabTrain]) -> str:
     """The sentence a user reads: how it ended, the figures, and what to do."""
     text = status.value
-    if best.measured is not None:
+    if best.measured is not None and status is Status.CONVERGED:
+        text += f": {best.error:.1e} of {rtol:.1e}"
+    elif best.measured is not None:
         text += f": measured error {best.error:.1e}, asked {rtol:.1e}"
+    if best.measured is not None:
         corner = max(best.measured.corners, default=0.0)
         if corner > max(rtol, best.error):
             text += f" (up to {corner:.1e} at the corners of the box)"

@@ -56,7 +56,10 @@ class ParameterOperators:
         factors = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(bases)]
         self.bases = tuple(bases)
         self._vectors: list[list[Array]] = [
-            [rows * basis.weights ** (0.5 * (1 - degree)) for rows, basis in zip(factors, bases, strict=True)]
+            [
+                rows * basis.weights ** (0.5 * (1 - degree))
+                for rows, basis in zip(factors, bases, strict=True)
+            ]
             for degree in (CONSTANT, LINEAR, QUADRATIC)
         ]
 

@@ -29,6 +29,8 @@ _SHRINK, _SLOW, _GROW = 0.5, 0.7, 1.5
 """Factors on the slab length: after divergence, after many sweeps, after few."""
 _REFERENCE_NOISE = 1e-7
 """Relative size below which the dense output of the reference is not smooth."""
+_PATIENCE = 1.15
+"""After a rejection the length may grow by so much a slab."""
 _UNRESOLVED = 0.8
 """A slab that ought to be shorter than this part of its length is solved again."""
 _COARSEST = 30.0
@@ -115,6 +117,7 @@ class March:
         start = self.reference.start
         horizon = end - start
         time, length = start, horizon
+        ceiling = horizon
         source = self._initial()
         while end - time > 1e-12 * horizon:
             if len(result.records) >= self.options.max_slabs:
@@ -133,7 +136,7 @@ class March:
             if sweeper is None or stretch < _UNRESOLVED:
                 if sweeper is not None:
                     result.records[-1] = replace(record, accepted=False)
-                length *= max(stretch, 0.2)
+                ceiling = length = length * max(stretch, 0.2)
                 if Status.MEMORY_LIMIT in result.limits:
                     result.stopped = Status.MEMORY_LIMIT
                     break
@@ -147,6 +150,8 @@ class March:
             self.report(time, len(result.slabs), max(sweeper.ranks, default=1))
             sweeps = len(record.residuals)
             length *= min(_GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0, stretch)
+            ceiling *= _PATIENCE
+            length = min(length, ceiling)
         return result
 
     # -- one slab -------------------------------------------------------------------------------

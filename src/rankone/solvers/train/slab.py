@@ -81,13 +81,13 @@ class SlabOperator:
     def constant(self, group: Group, phi: Array) -> Array:
         kernel = self.system.CONSTANT[group.index]
         assert kernel is not None
-        return kernel(phi) / self._units[:, None]
+        return np.asarray(kernel(phi) / self._units[:, None])
 
     def linear(self, group: Group, phi: Array, x: Array) -> Array:
         kernel = self.system.LINEAR[group.index]
         assert kernel is not None
         units = self._units[:, None, None]
-        return kernel(phi, x * units) / units
+        return np.asarray(kernel(phi, x * units) / units)
 
     def quadratic(self, group: Group, phi: Array, x: Array, env: Array) -> Array:
         """Right-hand side of a quadratic group, contracted with env (r, r, s)."""
@@ -97,19 +97,19 @@ class SlabOperator:
         paired = x[list(self.system.PAIRED[group.index])]
         m, points, r = paired.shape
         z = (paired.reshape(m * points, r) @ env.reshape(r, -1)).reshape(m, points, r, -1)
-        return kernel(phi, x, z) / self._units[:, None, None]
+        return np.asarray(kernel(phi, x, z) / self._units[:, None, None])
 
     def minus_jacobian(self, x: Array, repeat: int) -> Array:
         """-A x at x (n, K * repeat, r)."""
         n, count = self.shape
         blocks = x.reshape(n, count, -1)
         product = np.matmul(np.moveaxis(self.jacobian, 2, 0), np.moveaxis(blocks, 1, 0))
-        return -np.moveaxis(product, 0, 1).reshape(x.shape)
+        return np.asarray(-np.moveaxis(product, 0, 1).reshape(x.shape))
 
     def solve(self, y: Array) -> Array:
         """S y for y (n, K * repeat, r): acts on (state, time), time-major points."""
         n, count = self.shape
-        return (self.solution_operator @ y.reshape(n * count, -1)).reshape(y.shape)
+        return np.asarray((self.solution_operator @ y.reshape(n * count, -1)).reshape(y.shape))
 
     # Left environments: test functions w = S^T L against the kernels on x.
 
@@ -117,7 +117,7 @@ class SlabOperator:
         """S^T tests for tests (n, K, s)."""
         n, count = self.shape
         flat = tests.reshape(n * count, -1)
-        return (self.solution_operator.T @ flat).reshape(n, count, -1)
+        return np.asarray((self.solution_operator.T @ flat).reshape(n, count, -1))
 
     def left(self, group: Group, weighted: Array, x: Array) -> Array:
         """<weighted_s, group(x)>: (s,), (s, r) or (s, r, r) by the degree of the group.
@@ -134,7 +134,7 @@ class SlabOperator:
             kernel = self.system.LINEAR_ADJOINT[group.index]
             assert kernel is not None
             v = kernel(self.phi, weighted)
-            return v.reshape(n * count, s).T @ x.reshape(n * count, r)
+            return np.asarray(v.reshape(n * count, s).T @ x.reshape(n * count, r))
         kernel = self.system.QUADRATIC_ADJOINT[group.index]
         assert kernel is not None
         v = kernel(self.phi, x, weighted)

@@ -12,10 +12,10 @@ Bond b lies between core b - 1 and core b; core 0 is (state, time), core j is pa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.solvers.train.groups import (
     CONSTANT,
@@ -32,7 +32,7 @@ from rankone.tensors.truncation import truncated_svd
 __all__ = ["Sweeper"]
 
 
-def _pairs(rank: int) -> tuple[Array, Array, Array]:
+def _pairs(rank: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Indices (i <= j) of a symmetric matrix and the multiplicity of each entry."""
     i, j = np.triu_indices(rank)
     return i, j, np.where(i == j, 1.0, 2.0)
@@ -215,7 +215,7 @@ class Sweeper:
         twice = np.matmul(once, nodes.swapaxes(1, 2)).reshape(size, r, s, r)
         i, j, _ = _pairs(r)
         packed = twice.transpose(1, 3, 0, 2)[i, j] * vector[:, None]
-        return packed.reshape(i.size, size * s)
+        return np.asarray(packed.reshape(i.size, size * s))
 
     # -- contractions from the left: (state, time) and the parameters 1, ..., b - 1 --------------
 
@@ -256,8 +256,8 @@ class Sweeper:
         r, size, s = core.shape
         nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
         once = (env.reshape(tests * r, r) @ core.reshape(r, size * s)).reshape(tests, r, size, s)
-        once = np.ascontiguousarray(once.transpose(2, 0, 3, 1)).reshape(size, tests * s, r)
-        twice = np.matmul(once, nodes).reshape(size, tests, s, s)
+        rows = np.ascontiguousarray(once.transpose(2, 0, 3, 1)).reshape(size, tests * s, r)
+        twice = np.matmul(rows, nodes).reshape(size, tests, s, s)
         i, j, multiplicity = _pairs(s)
         packed = twice.transpose(2, 3, 1, 0)[i, j] * multiplicity[:, None, None]
         return np.ascontiguousarray((packed * vector).reshape(i.size, -1).T)
@@ -367,4 +367,3 @@ class Sweeper:
         for halves in (self._left_halves, self._right_halves):
             halves[b] = {}
             halves[b + 1] = {}
-

@@ -1,0 +1,320 @@
+"""Measure every reference problem and print a Markdown table: python tests/benchmarks/report.py
+
+Two numbers matter. *Accuracy kept* is the measured error divided by the tolerance asked for, on
+256 random points × 21 times against independent trajectories (tests/reference). *Break-even* is the
+solve time divided by the time of one ``scipy.integrate.solve_ivp(method="DOP853", rtol=1e-8)``
+trajectory at the centre of the box (for the stiff Robertson problem the faster of Radau with the
+exact Jacobian and LSODA): after so many parameter values rankone has paid for itself.
+
+Each problem runs in a process of its own with one BLAS thread. Times are medians of repetitions,
+except that of the compile stage, which is the first one in its process: SymPy caches.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+import argparse
+import datetime
+import json
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "src")]
+
+SMOOTH = ("decay", "linear", "free_fall", "coupled", "lotka_volterra")
+BARS = [(name, rtol) for name in SMOOTH for rtol in (1e-3, 1e-6, 1e-8)] + [
+    ("kirchhoff", 1e-4),
+    ("kirchhoff_long", 1e-3),
+    ("robertson", 1e-4),
+    ("chain", 1e-3),
+    ("chain", 1e-4),
+]
+QUICK = [("linear", 1e-6), ("coupled", 1e-6), ("lotka_volterra", 1e-6), ("kirchhoff", 1e-4)]
+TITLES = {
+    "decay": "decay",
+    "linear": "linear",
+    "free_fall": "free fall",
+    "coupled": "coupled",
+    "lotka_volterra": "Lotka–Volterra, T = 6",
+    "kirchhoff": "Kirchhoff, T = 1",
+    "kirchhoff_long": "Kirchhoff, T = 3",
+    "robertson": "Robertson (stiff), T = 40",
+    "chain": "ten compartments, T = 5",
+}
+RUN_ENOUGH = 2.0
+"""Seconds after which a measurement is not repeated any more (three repetitions at least)."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="four problems, fewer repetitions")
+    parser.add_argument("--json", metavar="PATH", type=Path, help="write the numbers to PATH")
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.one:
+        name, rtol, repetitions = arguments.one
+        print(json.dumps(_measure(name, float(rtol), int(repetitions))))
+        return
+    rows = []
+    for name, rtol in QUICK if arguments.quick else BARS:
+        _say(f"{TITLES[name]} at {rtol:g} ...")
+        command = ["--one", name, repr(rtol), "3" if arguments.quick else "9"]
+        rows.append(json.loads(_python(str(Path(__file__)), *command)))
+    _say("imports ...")
+    report = {"machine": _machine(), "import": _import_times(), "problems": rows}
+    print(_markdown(report))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(report, indent=2) + "\n")
+
+
+# -- one problem, in its own process ------------------------------------------------------------
+
+
+def _measure(name: str, rtol: float, repetitions: int) -> dict[str, Any]:
+    """All numbers of one problem and tolerance."""
+    import scipy.integrate  # noqa: F401 - part of the baseline
+    from examples import kirchhoff
+    from tests.problems import EXAMPLES
+
+    import rankone as ro
+
+    problem = kirchhoff.motion(3) if name == "kirchhoff_long" else EXAMPLES[name].problem
+    baseline = _peak_memory()
+    began = time.perf_counter()
+    compiled = ro.compile(problem)
+    compile_seconds = time.perf_counter() - began
+    solution = compiled.solve(rtol)
+    peak = _peak_memory()
+
+    from tests.reference.measure import measured_errors
+    from tests.reference.systems import INDEPENDENT
+
+    system = INDEPENDENT[name]
+    error = float(measured_errors(solution, system).max())
+    solve = _median(lambda: compiled.solve(rtol), repetitions)
+    trajectory, method = _trajectory(compiled.system, system.stiff, repetitions)
+    batch, one = _evaluation(solution, repetitions)
+    return {
+        "problem": name,
+        "rtol": rtol,
+        "success": solution.success,
+        "error": error,
+        "error_seen": solution.error,
+        "corner_error": solution.corner_error,
+        "accuracy_kept": error / rtol,
+        "solve_seconds": solve,
+        "trajectory_seconds": trajectory,
+        "trajectory_method": method,
+        "break_even": solve / trajectory,
+        "compile_seconds": compile_seconds,
+        "slabs": len(solution.ranks),
+        "ranks": [max(column) for column in zip(*solution.ranks, strict=True)],
+        "nodes": list(solution.nodes),
+        "bytes": solution.nbytes,
+        "baseline_mib": baseline,
+        "peak_mib": peak,
+        "batch_points_per_second": batch,
+        "one_point_milliseconds": one,
+    }
+
+
+def _trajectory(system: Any, stiff: bool, repetitions: int) -> tuple[float, str]:
+    """Seconds of one trajectory at the centre of the box, by the generated right-hand side."""
+    import numpy as np
+    from scipy.integrate import solve_ivp
+
+    from rankone.solvers.reference import initial_values
+
+    centre = np.array(system.BOX).mean(axis=1)
+    start = initial_values(system, centre[:, None])[:, 0]
+
+    def rhs(t: float, u: Any) -> Any:
+        return system.rhs(t, u, centre)
+
+    def jacobian(t: float, u: Any) -> Any:
+        return system.jacobian(t, u, centre)
+
+    choices: dict[str, dict[str, Any]] = {"DOP853": {}}
+    if stiff:
+        choices = {"Radau": {"jac": jacobian}, "LSODA": {}}
+    times = {
+        method: _median(
+            partial(
+                solve_ivp, rhs, system.TIME, start, method=method, rtol=1e-8, atol=1e-10, **options
+            ),
+            5 * repetitions,
+        )
+        for method, options in choices.items()
+    }
+    fastest = min(times, key=times.__getitem__)
+    return times[fastest], fastest
+
+
+def _evaluation(solution: Any, repetitions: int) -> tuple[float, float]:
+    """Points per second in a batch of random points, and milliseconds for a single point."""
+    import numpy as np
+
+    rng = np.random.default_rng(0)
+    count = 20_000
+    intervals = {solution.metadata.time: solution.time, **solution.parameters}
+    batch = {key: rng.uniform(*interval, count) for key, interval in intervals.items()}
+    point = {key: float(values[0]) for key, values in batch.items()}
+    solution(batch)
+    seconds = _median(lambda: solution(batch), repetitions)
+    single = _median(lambda: [solution(point) for _ in range(100)], repetitions)
+    return count / seconds, 10.0 * single
+
+
+def _median(run: Callable[[], object], repetitions: int) -> float:
+    """Median seconds of a call; slow calls are repeated less often."""
+    seconds: list[float] = []
+    while len(seconds) < 3 or (len(seconds) < repetitions and sum(seconds) < RUN_ENOUGH):
+        began = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - began)
+    return statistics.median(seconds)
+
+
+def _peak_memory() -> float:
+    """Peak resident memory of this process so far, in MiB."""
+    unit = 2**20 if sys.platform == "darwin" else 2**10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+# -- imports, in fresh processes ------------------------------------------------------------------
+
+
+def _import_times() -> dict[str, float]:
+    """Seconds to import rankone, and sympy with scipy.integrate: medians of five, interleaved."""
+    clock = "import time; began = time.perf_counter()\n{}\nprint(time.perf_counter() - began)"
+    statements = {"rankone": "import rankone", "baseline": "import sympy, scipy.integrate"}
+    times: dict[str, list[float]] = {key: [] for key in statements}
+    for repetition in range(6):
+        for key, statement in statements.items():
+            seconds = float(_python("-c", clock.format(statement)))
+            if repetition:  # the first one reads from disk
+                times[key].append(seconds)
+    medians = {key: statistics.median(values) for key, values in times.items()}
+    return {**medians, "ratio": medians["rankone"] / medians["baseline"]}
+
+
+def _python(*arguments: str) -> str:
+    paths = [str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    run = subprocess.run(
+        [sys.executable, *arguments], stdout=subprocess.PIPE, text=True, check=True, env=environment
+    )
+    return run.stdout
+
+
+# -- the report -----------------------------------------------------------------------------------
+
+
+def _machine() -> dict[str, str]:
+    from importlib.metadata import version
+
+    return {
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "scipy", "sympy")},
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else "unknown"
+
+
+def _markdown(report: dict[str, Any]) -> str:
+    header = [
+        ["problem", "rtol", "accuracy kept", "break-even", "slabs", "ranks", "corner error ÷ rtol"],
+        ["problem", "rtol", "solve", "trajectory", "compile", "memory", "batch", "one point"],
+    ]
+    ratios, absolute = [], []
+    for row in report["problems"]:
+        title, rtol = TITLES[row["problem"]], f"{row['rtol']:.0e}".replace("e-0", "e-")
+        ratios.append(
+            [
+                title,
+                rtol,
+                f"{row['accuracy_kept']:.2g}" + ("" if row["success"] else " (no success)"),
+                f"{row['break_even']:.0f}",
+                str(row["slabs"]),
+                ", ".join(map(str, row["ranks"])),
+                f"{row['corner_error'] / row['rtol']:.2g}",
+            ]
+        )
+        own = row["peak_mib"] - row["baseline_mib"]
+        absolute.append(
+            [
+                title,
+                rtol,
+                _seconds(row["solve_seconds"]),
+                f"{_seconds(row['trajectory_seconds'])} ({row['trajectory_method']})",
+                _seconds(row["compile_seconds"]),
+                f"{own:.0f} MiB above {row['baseline_mib']:.0f}",
+                f"{row['batch_points_per_second']:.1e}/s".replace("e+0", "e"),
+                f"{row['one_point_milliseconds']:.3f} ms",
+            ]
+        )
+    imports, machine = report["import"], report["machine"]
+    return "\n".join(
+        [
+            *_table(header[0], ratios),
+            "",
+            *_table(header[1], absolute),
+            "",
+            f"Import: rankone {imports['rankone']:.2f} s, sympy and scipy.integrate "
+            f"{imports['baseline']:.2f} s, ratio {imports['ratio']:.2f}.",
+            "",
+            ", ".join(f"{key} {value}" for key, value in machine.items()) + ", one BLAS thread",
+        ]
+    )
+
+
+def _table(header: list[str], rows: list[list[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    left = {"problem", "ranks", "trajectory", "memory"}
+
+    def line(cells: list[str]) -> str:
+        padded = [
+            cell.ljust(width) if title in left else cell.rjust(width)
+            for cell, width, title in zip(cells, widths, header, strict=True)
+        ]
+        return "| " + " | ".join(padded) + " |"
+
+    rule = [
+        "-" * width if title in left else "-" * (width - 1) + ":"
+        for width, title in zip(widths, header, strict=True)
+    ]
+    return [line(header), line(rule), *map(line, rows)]
+
+
+def _seconds(value: float) -> str:
+    return f"{1e3 * value:.3g} ms" if value < 1.0 else f"{value:.3g} s"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

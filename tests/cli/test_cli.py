@@ -1,0 +1,294 @@
+"""The command line: exit status, streams, files. The solver is replaced by known solutions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from tests.solution.functions import two_unknowns
+
+import rankone
+from rankone.cli import main
+from rankone.errors import BlowUpError, OptionError, RankoneWarning
+from rankone.problem_files import TOML_LAYOUT
+from rankone.solution import Solution
+from rankone.solvers.outcome import Status
+from rankone.storage import load
+
+SOLVED = two_unknowns().solution
+FAILED = Solution(
+    replace(SOLVED.outcome, status=Status.RANK_LIMIT, message="rank 100 was reached"),
+    SOLVED.metadata,
+)
+UNCHECKED = Solution(
+    replace(SOLVED.outcome, status=Status.UNCHECKED, measured=None), SOLVED.metadata
+)
+
+Solver = Callable[..., Solution]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    path = tmp_path / "problem.toml"
+    path.write_text(TOML_LAYOUT)
+    return str(path)
+
+
+@pytest.fixture
+def solver(monkeypatch: pytest.MonkeyPatch) -> Callable[[Solver], None]:
+    def install(solve: Solver) -> None:
+        compiled = SimpleNamespace(
+            solve=solve, weak_form="<the weak form>", separated="<the terms>", source="# code\n"
+        )
+        monkeypatch.setattr(rankone, "compile", lambda problem: compiled)
+
+    return install
+
+
+def returning(solution: Solution) -> Solver:
+    return lambda **options: solution
+
+
+def raising(error: BaseException) -> Solver:
+    def solve(**options: Any) -> Solution:
+        raise error
+
+    return solve
+
+
+@pytest.mark.parametrize(("solution", "status"), [(SOLVED, 0), (FAILED, 1), (UNCHECKED, 1)])
+def test_exit_status_says_whether_the_tolerance_is_met(
+    solution: Solution,
+    status: int,
+    file: str,
+    solver: Callable[[Solver], None],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solver(returning(solution))
+    saved = tmp_path / "solution.npz"
+    assert main(["solve", file, "--save", str(saved)]) == status
+    out, err = capsys.readouterr()
+    assert repr(solution) in out
+    assert str(saved) in out
+    assert err == ""
+    assert load(saved).success is (status == 0)
+
+
+@pytest.mark.parametrize(("solution", "error"), [(SOLVED, 2e-7), (UNCHECKED, None)])
+def test_json(
+    solution: Solution,
+    error: float | None,
+    file: str,
+    solver: Callable[[Solver], None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solver(returning(solution))
+    main(["solve", file, "--json", "--quiet"])
+    out, err = capsys.readouterr()
+    summary = json.loads(out, parse_constant=pytest.fail)
+    assert summary["success"] is solution.success
+    assert summary["error"] == error
+    assert set(summary["errors"]) == {"x", "y"}
+    assert summary["rank"] == 3
+    assert summary["timings"] == solution.timings
+    assert summary["message"] == solution.message
+    assert err == ""
+
+
+def test_options_reach_the_solver(file: str, solver: Callable[[Solver], None]) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def solve(**options: Any) -> Solution:
+        seen.append(options)
+        return SOLVED
+
+    solver(solve)
+    main(["solve", file])
+    main(["solve", file, "--rtol", "1e-4", "--check", "7"])
+    main(["solve", file, "--check", "0"])
+    assert [options["rtol"] for options in seen] == [1e-6, 1e-4, 1e-6]
+    assert [options["check"] for options in seen] == [True, 7, False]
+    # standard error is no terminal here
+    assert not any(options["progress"] for options in seen)
+
+
+def test_quiet(
+    file: str, solver: Callable[[Solver], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    solver(returning(SOLVED))
+    assert main(["solve", file, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_blow_up_saves_the_part_solved(
+    file: str,
+    solver: Callable[[Solver], None],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    part = Solution(
+        replace(SOLVED.outcome, slabs=SOLVED.outcome.slabs[:1], status=Status.BLOW_UP),
+        SOLVED.metadata,
+    )
+    solver(raising(BlowUpError("near t = 1.1", time=1.1, parameters={"x0": 1.0}, solution=part)))
+    saved = tmp_path / "part.npz"
+    assert main(["solve", file, "--save", str(saved)]) == 1
+    out, err = capsys.readouterr()
+    assert "t in [0, 1] of [0, 3]" in out
+    assert err == "rankone: error: near t = 1.1\n"
+    assert load(saved).time == (0.0, 1.0)
+
+
+def test_blow_up_without_any_part(
+    file: str, solver: Callable[[Solver], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    solver(raising(BlowUpError("at once", time=0.0, parameters={})))
+    assert main(["solve", file]) == 1
+    assert capsys.readouterr() == ("", "rankone: error: at once\n")
+
+
+def test_interrupt_during_the_solve(
+    file: str,
+    solver: Callable[[Solver], None],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solver(raising(KeyboardInterrupt()))
+    assert main(["solve", file, "--save", str(tmp_path / "solution.npz")]) == 130
+    assert capsys.readouterr().err == "rankone: interrupted\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["problem.toml"]
+
+
+def test_interrupt_during_the_save(
+    file: str,
+    solver: Callable[[Solver], None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def savez(stream: Any, **arrays: Any) -> None:
+        stream.write(b"half")
+        raise KeyboardInterrupt
+
+    solver(returning(SOLVED))
+    monkeypatch.setattr("numpy.savez", savez)
+    assert main(["solve", file, "--save", str(tmp_path / "solution.npz")]) == 130
+    assert [path.name for path in tmp_path.iterdir()] == ["problem.toml"]
+
+
+def test_bad_targets_are_found_before_the_solve(
+    file: str,
+    solver: Callable[[Solver], None],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solver(raising(AssertionError("solved")))
+    for target in (file, str(tmp_path), str(tmp_path / "missing" / "a.npz")):
+        assert main(["solve", file, "--save", target]) == 2
+    solver(returning(SOLVED))
+    old = tmp_path / "old.npz"
+    old.touch()
+    assert main(["solve", file, "--save", str(old), "--overwrite"]) == 0
+    assert "exists; remedy" in capsys.readouterr().err
+
+
+def test_bad_input_has_no_traceback(
+    file: str, solver: Callable[[Solver], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    solver(raising(OptionError("rtol=5 is out of range", remedy="a smaller one")))
+    assert main(["solve", file, "--rtol", "5"]) == 2
+    expected = "rankone: error: rtol=5 is out of range; remedy: a smaller one\n"
+    assert capsys.readouterr() == ("", expected)
+
+
+def test_bugs_keep_their_traceback(file: str, solver: Callable[[Solver], None]) -> None:
+    solver(raising(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        main(["solve", file])
+
+
+def test_warnings_are_one_line(
+    file: str, solver: Callable[[Solver], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def solve(**options: Any) -> Solution:
+        import warnings
+
+        warnings.warn("parameter `z` appears nowhere", RankoneWarning, stacklevel=1)
+        return SOLVED
+
+    solver(solve)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("warnings.filters", [])
+        assert main(["solve", file, "--quiet"]) == 0
+    assert capsys.readouterr().err == "rankone: warning: parameter `z` appears nowhere\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["dissolve"], ["solve"], ["solve", "a", "--check", "-1"], ["solve", "a", "--rtol", "x"]],
+)
+def test_usage_errors(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert capsys.readouterr().err.startswith("usage: rankone")
+
+
+def test_help_documents_the_toml_layout_and_the_status(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", "--help"]) == 0
+    out = capsys.readouterr().out
+    assert '  x = "x*(1.5 - y)"' in out
+    assert "exit status" in out
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"rankone {rankone.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("flags", "printed"),
+    [
+        (["--weak-form"], "<the weak form>\n"),
+        (["--source"], "# code\n"),
+        (
+            ["--separated", "--source"],
+            "# separated form\n\n<the terms>\n\n# generated module\n\n# code\n",
+        ),
+    ],
+)
+def test_show(
+    flags: list[str],
+    printed: str,
+    file: str,
+    solver: Callable[[Solver], None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solver(raising(AssertionError("solved")))
+    assert main(["show", file, *flags]) == 0
+    assert capsys.readouterr() == (printed, "")
+
+
+def test_show_everything(
+    file: str, solver: Callable[[Solver], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    solver(raising(AssertionError("solved")))
+    assert main(["show", file]) == 0
+    out = capsys.readouterr().out
+    assert out.index("<the weak form>") < out.index("<the terms>") < out.index("# code")
+
+
+def test_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No replacement: a file in, a saved solution out."""
+    path, saved = tmp_path / "decay.toml", tmp_path / "decay.npz"
+    path.write_text(
+        'time = [0, 2]\n[rhs]\nu = "-k*u"\n[initial]\nu = 1\n[parameters]\nk = [0.5, 5]\n'
+    )
+    assert main(["solve", str(path), "--rtol", "1e-5", "--json", "--save", str(saved)]) == 0
+    assert json.loads(capsys.readouterr().out)["error"] <= 1e-5
+    assert load(saved)(1.0, k=2.0)[0] == pytest.approx(0.1353352832, abs=1e-5)
+    assert main(["show", str(path)]) == 0
+    assert "Separated form" in capsys.readouterr().out

@@ -1,0 +1,42 @@
+"""The reference problems by name, as the examples define them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+
+from examples import (
+    compartment_chain,
+    coupled,
+    decay,
+    free_fall,
+    kirchhoff,
+    linear,
+    lotka_volterra,
+    robertson,
+)
+
+from rankone import Problem
+
+__all__ = ["EXAMPLES", "REFERENCE"]
+
+EXAMPLES: dict[str, ModuleType] = {
+    "decay": decay,
+    "linear": linear,
+    "free_fall": free_fall,
+    "coupled": coupled,
+    "lotka_volterra": lotka_volterra,
+    "kirchhoff": kirchhoff,
+    "robertson": robertson,
+    "chain": compartment_chain,
+}
+
+
+def _builder(example: ModuleType) -> Callable[[], Problem]:
+    """A problem is immutable, so that all tests may share the example's."""
+    return lambda: example.problem
+
+
+REFERENCE: dict[str, Callable[[], Problem]] = {
+    name: _builder(example) for name, example in EXAMPLES.items()
+}

@@ -1,0 +1,71 @@
+"""The right-hand sides of the reference problems, written by hand from their statements."""
+
+from __future__ import annotations
+
+import numpy as np
+from tests.reference.measure import Array, Independent
+
+__all__ = ["INDEPENDENT"]
+
+
+def _decay(t: float, u: Array, p: Array) -> list[Array]:
+    return [-p[0] * u[0]]
+
+
+def _linear(t: float, u: Array, p: Array) -> list[Array]:
+    return [10.0 / p[0] - 1.0]
+
+
+def _free_fall(t: float, u: Array, p: Array) -> list[Array]:
+    return [0.5 * 1.2 * 0.1 * p[0] * u[0] ** 2 / 1.0 - 9.81]
+
+
+def _coupled(t: float, u: Array, p: Array) -> list[Array]:
+    return [1.0 - u[1] * u[2], 2.0 - u[0] * u[2], 3.0 - u[0] * u[1]]
+
+
+def _lotka_volterra(t: float, u: Array, p: Array) -> list[Array]:
+    return [u[0] * (1.5 - u[1]), -u[1] * (3.0 - u[0])]
+
+
+def _kirchhoff(t: float, u: Array, p: Array) -> list[Array]:
+    mass = np.array([2.0, 2.5, 3.0])[:, None]
+    added = np.array([1.0, 1.5, 2.0])[:, None]
+    inertia = np.array([0.4, 0.6, 0.9])[:, None]
+    force = np.array([0.0, 0.0, -0.5])[:, None]
+    v, w = u[:3], u[3:]
+    linear = (np.cross(mass * v, w, axis=0) + force) / mass
+    angular = (np.cross(inertia * w, w, axis=0) + np.cross(added * v, v, axis=0)) / inertia
+    return [*linear, *angular]
+
+
+def _robertson(t: float, u: Array, p: Array) -> list[Array]:
+    slow, back, fast = p[0] * u[0], p[1] * u[1] * u[2], p[2] * u[1] ** 2
+    return [back - slow, slow - back - fast, fast]
+
+
+def _chain(t: float, u: Array, p: Array) -> list[Array]:
+    flow = p * u
+    return [-flow[0], *(flow[i - 1] - flow[i] for i in range(1, 10))]
+
+
+INDEPENDENT: dict[str, Independent] = {
+    "decay": Independent(_decay, lambda p: [1.0], ((0.5, 5),), 2.0, (1.0,)),
+    "linear": Independent(_linear, lambda p: [0.0], ((1, 10),), 5.0, (45.0,)),
+    "free_fall": Independent(_free_fall, lambda p: [0.0], ((0.1, 1.5),), 3.0, (20.0,)),
+    "coupled": Independent(_coupled, list, ((0.5, 1.5),) * 3, 0.5, (1.0,) * 3),
+    "lotka_volterra": Independent(_lotka_volterra, list, ((8, 12), (4, 6)), 6.0, (10.0, 10.0)),
+    "kirchhoff": Independent(_kirchhoff, list, ((0.5, 1),) * 6, 1.0, (1.0,) * 6),
+    "kirchhoff_long": Independent(_kirchhoff, list, ((0.5, 1),) * 6, 3.0, (1.0,) * 6),
+    "robertson": Independent(
+        _robertson,
+        lambda p: [1.0, 0.0, 0.0],
+        ((0.03, 0.05), (0.8e4, 1.2e4), (2e7, 4e7)),
+        40.0,
+        (1.0, 3e-5, 0.3),
+        stiff=True,
+    ),
+    "chain": Independent(
+        _chain, lambda p: [1.0, *[0.0] * 9], ((0.7, 1.3),) * 10, 5.0, (1.0, *[0.3] * 9)
+    ),
+}
