@@ -288,8 +288,7 @@ def _delivered(
     """Return the solution or raise what its status asks for."""
     if outcome.status is Status.BLOW_UP and outcome.blow_up is not None:
         when, values = outcome.blow_up
-        names = [name for name in solution.parameters]
-        where = dict(zip(names, values, strict=True))
+        where = dict(zip(solution.parameters, values, strict=True))
         at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
         raise BlowUpError(
             f"the solution blows up inside the horizon: near t = {when:.4g}"

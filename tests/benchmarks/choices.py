@@ -1,8 +1,8 @@
-"""Choices of the engine, measured: python tests/benchmarks/choices.py
+"""What the choices of the engine are worth: python tests/benchmarks/choices.py
 
-Chebyshev–Gauss against Gauss–Legendre parameter nodes (option ``basis``), and sweeps with one
-attempt, so that both run with the same inner tolerance. Errors are relative to each unknown's
-size, against SciPy trajectories at 256 random interior points and at 64 corners × 21 times.
+Each choice is undone on its own, by an option or by replacing one function, and the solve is made
+once with the same inner tolerance (one attempt). Errors are relative to each unknown's size,
+against SciPy trajectories at 256 random interior points and at corners × 21 times.
 """
 
 from __future__ import annotations
@@ -14,68 +14,156 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 import statistics
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-sys.path.insert(0, str(ROOT / "src"))
+sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-import numpy as np
-from examples import coupled, kirchhoff, lotka_volterra
+import numpy as np  # noqa: E402
+from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # noqa: E402
 
-import rankone as ro
-from rankone.solvers.reference import integrate_reference
+import rankone as ro  # noqa: E402
+from rankone.solvers.reference import integrate_reference  # noqa: E402
+from rankone.solvers.train import engine, march, nodes, sweep  # noqa: E402
+from rankone.tensors.truncation import truncated_svd  # noqa: E402
 
-CASES = [
-    ("coupled", coupled.problem, 1e-6),
-    ("Lotka–Volterra, T = 6", lotka_volterra.problem, 1e-6),
-    ("Kirchhoff, T = 1", kirchhoff.motion(1), 1e-4),
-    ("Kirchhoff, T = 3", kirchhoff.motion(3), 1e-3),
-]
+PROBLEMS = {
+    "linear": (linear.problem, 1e-6),
+    "coupled": (coupled.problem, 1e-6),
+    "Lotka–Volterra, T = 6": (lotka_volterra.problem, 1e-6),
+    "Kirchhoff, T = 1": (kirchhoff.motion(1), 1e-4),
+    "Kirchhoff, T = 3": (kirchhoff.motion(3), 1e-3),
+    "Robertson": (robertson.problem, 1e-4),
+}
+
+
+class BothWays(sweep.Sweeper):
+    """Solve the pairs on the way right as well."""
+
+    def iterate(self, tolerance: float) -> tuple[float, list[Any]]:
+        for b in range(self.dimensions - 1):
+            new, _ = self._pair_block(b)
+            shape = self.cores[b + 1].shape
+            rows = self.cores[b + 1].reshape(shape[0], -1)
+            left, weights, right = truncated_svd(new, tolerance, self.max_rank, rows)
+            self.cores[b] = left.reshape(*self.cores[b].shape[:-1], weights.size)
+            self.cores[b + 1] = (weights[:, None] * right).reshape(weights.size, *shape[1:])
+            self._changed(b)
+            self._contract_left(b + 1)
+        with mock.patch.object(self, "_shift_right"), mock.patch.object(self, "_contract_left"):
+            return super().iterate(tolerance)
+
+
+class Unsettled(sweep.Sweeper):
+    """Leave the first core as the sweep left it."""
+
+    def settle(self, tolerance: float, steps: int) -> float:
+        return super().settle(tolerance, steps) if self.dimensions == 0 else 0.0
+
+
+def _full_svd(matrix: Any, tolerance: float, max_rank: int, rows: Any = None) -> Any:
+    return truncated_svd(matrix, tolerance, max_rank)
+
+
+def _no_growth(*_: Any, **__: Any) -> Callable[[float], float]:
+    return lambda t: 1.0
+
+
+@contextmanager
+def _replaced(module: Any, name: str, value: Any) -> Iterator[None]:
+    with mock.patch.object(module, name, value):
+        yield
+
+
+VARIANTS: dict[
+    str, tuple[dict[str, Any], Callable[[], AbstractContextManager[None]], list[str]]
+] = {
+    "as it is": ({}, nullcontext, list(PROBLEMS)),
+    "Gauss–Legendre nodes": ({"basis": "legendre"}, nullcontext, list(PROBLEMS)[1:]),
+    "sweeps both ways": (
+        {},
+        lambda: _replaced(march, "Sweeper", BothWays),
+        list(PROBLEMS)[1:],
+    ),
+    "first core not settled": (
+        {},
+        lambda: _replaced(march, "Sweeper", Unsettled),
+        list(PROBLEMS)[1:],
+    ),
+    "full SVD": (
+        {},
+        lambda: _replaced(sweep, "truncated_svd", _full_svd),
+        ["Kirchhoff, T = 1", "Kirchhoff, T = 3"],
+    ),
+    "tolerance not divided by growth": (
+        {},
+        lambda: _replaced(engine, "amplification", _no_growth),
+        ["Lotka–Volterra, T = 6", "Kirchhoff, T = 3", "Robertson"],
+    ),
+    "known functions to the tolerance": (
+        {},
+        lambda: _replaced(nodes, "_FEW_PARAMETERS", 0),
+        ["linear", "Lotka–Volterra, T = 6"],
+    ),
+}
 
 
 def main() -> None:
-    print("| problem | rtol | basis | random points | corners | largest rank | solve |")
+    compiled = {title: ro.compile(problem) for title, (problem, _) in PROBLEMS.items()}
+    exact = {title: _trajectories(compiled[title]) for title in PROBLEMS}
+    print("| problem | rtol | engine | random points | corners | largest rank | solve |")
     print("|---|---|---|--:|--:|--:|--:|")
-    for title, problem, rtol in CASES:
-        compiled = ro.compile(problem)
-        for basis in ("legendre", "chebyshev"):
-            solution, seconds = _solve(compiled, rtol, basis)
-            inside, corners = _errors(compiled, solution)
+    for title, (_, rtol) in PROBLEMS.items():
+        for variant, (options, replacement, titles) in VARIANTS.items():
+            if title not in titles:
+                continue
+            with replacement():
+                solution, seconds = _solve(compiled[title], rtol, options)
+            if solution.time[1] < solution.metadata.horizon[1]:
+                print(f"| {title} | {rtol:g} | {variant} | {solution.status.value} | | | |")
+                continue
+            inside, corners = _errors(solution, *exact[title])
             print(
-                f"| {title} | {rtol:g} | {basis} | {inside:.1e} | {corners:.1e} "
-                f"| {solution.rank} | {seconds:.3g} s |",
+                f"| {title} | {rtol:g} | {variant} | {inside:.1e} | {corners:.1e} "
+                f"| {solution.rank} | {1e3 * seconds:.3g} ms |",
                 flush=True,
             )
 
 
-def _solve(compiled: ro.CompiledProblem, rtol: float, basis: str) -> tuple[ro.Solution, float]:
-    """The solution after one attempt, and the median seconds of three."""
+def _solve(
+    compiled: ro.CompiledProblem, rtol: float, options: dict[str, Any]
+) -> tuple[ro.Solution, float]:
+    """The solution after one attempt, and the median seconds of five."""
     seconds = []
-    for _ in range(3):
+    for _ in range(5):
         began = time.perf_counter()
-        solution = compiled.solve(rtol, basis=basis, max_attempts=1)
+        solution = compiled.solve(rtol, max_attempts=1, **options)
         seconds.append(time.perf_counter() - began)
     return solution, statistics.median(seconds)
 
 
-def _errors(compiled: ro.CompiledProblem, solution: ro.Solution) -> tuple[float, float]:
-    """Largest error at random interior points and at corners."""
-    rng = np.random.default_rng(4711)
-    box = np.array(list(solution.parameters.values()))
+def _trajectories(compiled: ro.CompiledProblem) -> tuple[Any, Any, Any]:
+    """Times, points (random ones, then corners) and states."""
+    system = compiled.system
+    box = np.array(system.BOX)
     d = len(box)
-    inside = rng.uniform(box[:, 0], box[:, 1], (256, d))
-    if d <= 6:
-        corners = np.stack(np.meshgrid(*box, indexing="ij"), axis=-1).reshape(-1, d)
-    else:
-        corners = rng.choice(2, size=(64, d)) * (box[:, 1] - box[:, 0]) + box[:, 0]
-    times = np.linspace(*solution.time, 21)
+    inside = np.random.default_rng(4711).uniform(box[:, 0], box[:, 1], (256, d))
+    corners = np.stack(np.meshgrid(*box, indexing="ij"), axis=-1).reshape(-1, d)
     points = np.concatenate([inside, corners])
-    exact = integrate_reference(compiled.system, points, *solution.time, 1e-11)(times)
-    exact = exact[: len(solution.unknowns)]
+    times = np.linspace(*system.TIME, 21)
+    return times, points, integrate_reference(system, points, *system.TIME, 1e-10)(times)
+
+
+def _errors(solution: ro.Solution, times: Any, points: Any, exact: Any) -> tuple[float, float]:
+    """Largest error at random interior points and at corners."""
     values = {
         name: column[:, None] for name, column in zip(solution.parameters, points.T, strict=True)
     }
+    exact = exact[: len(solution.unknowns)]
     errors = np.abs(solution(times, values) - exact)
     errors = errors.max(axis=2) / np.abs(exact).max(axis=(1, 2))[:, None]
     return float(errors[:, :256].max()), float(errors[:, 256:].max())

@@ -47,7 +47,7 @@ def amplification(
     """
     n = system.N_DIFFERENTIAL
     width = (end - reference.start) / steps
-    middle: Array = reference.start + width * (np.arange(steps) + 0.5)
+    middle = np.asarray(reference.start + width * (np.arange(steps) + 0.5), dtype=float)
     points = reference.points[:trajectories]
     m = len(points)
     states = reference(middle)[:, :m]

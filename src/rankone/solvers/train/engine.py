@@ -157,16 +157,17 @@ def _outcome(
     check: int,
 ) -> Outcome:
     result, measured = best.result, best.measured
+    limits = [status for status in Status if status in result.limits]
     if reference.blown is not None:
         status = Status.BLOW_UP
     elif result.stopped is not None:
-        status = result.stopped
+        gave_up = result.stopped is Status.NO_CONVERGENCE
+        status = limits[0] if gave_up and limits else result.stopped
     elif not check:
         status = Status.UNCHECKED
     elif best.error <= rtol:
         status = Status.CONVERGED
     else:
-        limits = [s for s in Status if s in result.limits]
         status = limits[0] if limits else Status.TOLERANCE
     blow_up = None
     if reference.blown is not None:

@@ -199,7 +199,8 @@ class March:
             if self._too_large(sweeper):
                 self.result.limits.add(Status.MEMORY_LIMIT)
                 break
-            wanted = self._refined(spectra, max(tolerance, current))
+            visible = max(tolerance, current, residual if limited else 0.0)
+            wanted = self._refined(spectra, visible)
             if wanted != self.bases:
                 sweeper, source = self._rebase(sweeper, source, wanted)
                 fresh, ratio = min(fresh, 1), 0.1

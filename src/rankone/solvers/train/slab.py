@@ -140,13 +140,12 @@ class SlabOperator:
         v = kernel(self.phi, x, weighted)
         paired = x[list(self.system.PAIRED[group.index])].reshape(-1, r)
         env = (paired.T @ v.reshape(paired.shape[0], r * s)).reshape(r, r, s)
-        return np.moveaxis(0.5 * (env + env.swapaxes(0, 1)), 2, 0)
+        return np.asarray(np.moveaxis(0.5 * (env + env.swapaxes(0, 1)), 2, 0))
 
     def left_minus_jacobian(self, weighted: Array, x: Array) -> Array:
         """<weighted_s, -A x>: (s, r)."""
-        return np.tensordot(weighted, self.minus_jacobian(x, 1), axes=([0, 1], [0, 1])).reshape(
-            weighted.shape[2], x.shape[2]
-        )
+        product = np.tensordot(weighted, self.minus_jacobian(x, 1), axes=([0, 1], [0, 1]))
+        return np.asarray(product)
 
     def initial(self, start: Array) -> Array:
         """E u_s for start values in scaled states (n_differential, r): (n, K, r)."""

@@ -1,0 +1,253 @@
+"""Operators and sources on shape functions: D = sum_i (x)_j D_j^i and G = sum_i (x)_j G_j^i.
+
+The slides' discrete equation ``D(U) = G`` of one unknown. With the shape functions phi of time and
+psi of a parameter k, the equation ``u' + k u = 0`` has
+
+    D = P (x) M_k + M_t (x) N,   P = int phi phi'^T dt,   M = int phi phi^T,   N = int k psi psi^T dk.
+
+The unknown is the state minus its initial value, so that its time functions vanish at the start of
+the slab: the first shape function in time is left out, of the unknown and of the test function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.discretization.finite_elements import LagrangeElements
+from rankone.solvers.greedy.options import GreedyOptions
+from rankone.solvers.greedy.terms import SourceTerm
+from rankone.system import System
+from rankone.tensors.rank_one_sums import RankOneSum
+
+__all__ = ["Equation", "ShapeSpace", "assemble", "identity", "named_matrices"]
+
+Array = NDArray[np.float64]
+
+
+class ShapeSpace:
+    """Shape functions in time and in every parameter, and the known factors at their points.
+
+    Parameters
+    ----------
+    system : System
+        The generated module.
+    time : LagrangeElements
+        Shape functions on the slab.
+    parameters : sequence of LagrangeElements
+        One for each parameter.
+    """
+
+    def __init__(
+        self, system: System, time: LagrangeElements, parameters: Sequence[LagrangeElements]
+    ) -> None:
+        self.time = time
+        self.parameters = tuple(parameters)
+        self.bases = (time, *self.parameters)
+        self.tables = (time.values[:, 1:], *(basis.values for basis in self.parameters))
+        self.weights = tuple(basis.weights for basis in self.bases)
+        self.rows = (
+            system.time_factors(time.points),
+            *(system.parameter_factors(j, b.points) for j, b in enumerate(self.parameters)),
+        )
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of unknown nodal values in each dimension."""
+        return tuple(table.shape[1] for table in self.tables)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Number of quadrature points in each dimension."""
+        return tuple(weights.size for weights in self.weights)
+
+    @property
+    def volume(self) -> float:
+        """Volume of the slab times the box."""
+        return float(np.prod([basis.upper - basis.lower for basis in self.bases]))
+
+    @cached_property
+    def masses(self) -> tuple[Array, ...]:
+        """Mass matrices of the shape functions, those of time without the first."""
+        return tuple(v.T @ (w[:, None] * v) for v, w in zip(self.tables, self.weights, strict=True))
+
+    def at_points(self, nodal: RankOneSum) -> RankOneSum:
+        """Values at the quadrature points from values at the nodes."""
+        return nodal.applied(self.tables)
+
+    def constant_in_time(self, start: RankOneSum) -> RankOneSum:
+        """Values at the quadrature points of a function of the parameters, given at the nodes."""
+        pairs = zip(self.tables[1:], start.factors[1:], strict=True)
+        ones = np.ones((self.weights[0].size, start.rank))
+        return RankOneSum((ones * start.factors[0], *(table @ f for table, f in pairs)))
+
+    def product(self, term: SourceTerm, states: Sequence[RankOneSum]) -> RankOneSum:
+        """One term at the quadrature points, the states given there."""
+        if term.monomial:
+            result = states[term.monomial[0]]
+            for state in term.monomial[1:]:
+                result = result.times(states[state])
+        else:
+            result = RankOneSum(tuple(np.ones((count, 1)) for count in self.counts))
+        pairs = zip(self.rows, term.rows, strict=True)
+        factors = [None if row == 0 else rows[row] for rows, row in pairs]
+        return result.weighted(factors).scaled(term.coefficient)
+
+
+@dataclass(frozen=True)
+class Equation:
+    """The discrete operator of one unknown.
+
+    Attributes
+    ----------
+    matrices : tuple of ndarray (U_j, N_j, N_j)
+        The distinct matrices of each dimension.
+    index : tuple of tuple of int
+        For each dimension and each term of D the matrix it takes.
+    tests : tuple of tuple of ndarray (Q_j, N_j)
+        For each dimension the test functions at the quadrature points times the weights: one
+        entry for Galerkin, one for each term of D for the minimal residual.
+    metrics : tuple of ndarray (N_j, N_j)
+        Inner products in which residuals are measured and modes normalised.
+    bandwidth : tuple of int
+        Largest distance of an entry of the matrices from the diagonal.
+    """
+
+    matrices: tuple[Array, ...]
+    index: tuple[tuple[int, ...], ...]
+    tests: tuple[tuple[Array, ...], ...]
+    metrics: tuple[Array, ...]
+    bandwidth: tuple[int, ...]
+
+    @property
+    def terms(self) -> int:
+        """Number of terms of D."""
+        return len(self.index[0])
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of unknowns in each dimension."""
+        return tuple(metric.shape[0] for metric in self.metrics)
+
+    @cached_property
+    def whitening(self) -> tuple[Array, ...]:
+        """For each dimension L^{-1} of the metric L L^T: residuals become Euclidean."""
+        return tuple(np.linalg.inv(np.linalg.cholesky(metric)) for metric in self.metrics)
+
+    def loads(self, source: RankOneSum) -> RankOneSum:
+        """The source G tested: from values at the quadrature points."""
+        tested = []
+        for k in range(len(self.tests[0])):
+            tables = [tests[min(k, len(tests) - 1)] for tests in self.tests]
+            tested.append(source.applied([table.T for table in tables]))
+        return RankOneSum.joined(tested, self.sizes)
+
+    def image(self, nodal: RankOneSum) -> RankOneSum:
+        """D(U), of rank terms * rank."""
+        factors = []
+        for matrices, index, factor in zip(self.matrices, self.index, nodal.factors, strict=True):
+            products = matrices @ factor
+            factors.append(np.concatenate([products[u] for u in index], axis=1))
+        return RankOneSum(tuple(factors))
+
+
+def identity(space: ShapeSpace) -> Equation:
+    """The equation whose operator is the identity: mass matrices."""
+    tests = tuple((w[:, None] * v,) for v, w in zip(space.tables, space.weights, strict=True))
+    stacks = tuple(mass[None] for mass in space.masses)
+    widths = tuple(map(_bandwidth, stacks))
+    return Equation(stacks, ((0,),) * len(stacks), tests, space.masses, widths)
+
+
+def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOptions) -> Equation:
+    """The operator of one equation.
+
+    ``D(u) = u' - f_own(u)``, or in the Volterra form ``D(u) = u - int f_own(u) dt``, where f_own
+    holds the terms of f that are linear in the unknown; those that share their parameter factors
+    share one term of D.
+
+    Parameters
+    ----------
+    space : ShapeSpace
+    own : sequence of SourceTerm
+        The terms f_own.
+    options : GreedyOptions
+        Weak form and projection.
+    """
+    table = space.tables[0]
+    derivative = options.weak_form == "derivative"
+    one = (0,) * len(space.parameters)
+    in_time = {one: space.time.derivatives[:, 1:] if derivative else table}
+    for term in own:
+        image = term.coefficient * space.rows[0][term.rows[0]][:, None] * table
+        image = image if derivative else space.time.integrated(image)
+        in_time[term.rows[1:]] = in_time.get(term.rows[1:], 0.0) - image
+    applied = [list(in_time.values())]  # for each dimension and term D on the shape functions
+    for j, (v, rows) in enumerate(zip(space.tables[1:], space.rows[1:], strict=True)):
+        applied.append([rows[key[j]][:, None] * v for key in in_time])
+    labels = [list(range(len(in_time))), *([key[j] for key in in_time] for j in range(len(one)))]
+    tests, matrices, index = [], [], []
+    for j, (v, w) in enumerate(zip(space.tables, space.weights, strict=True)):
+        if options.projection == "galerkin":
+            tests.append((w[:, None] * v,))
+            pairs = [(0, i) for i in range(len(in_time))]
+            names = [(0, labels[j][i]) for _, i in pairs]
+        else:
+            tests.append(tuple(w[:, None] * a for a in applied[j]))
+            pairs = [(k, i) for k in range(len(in_time)) for i in range(len(in_time))]
+            names = [(labels[j][k], labels[j][i]) for k, i in pairs]
+        first = {name: pair for name, pair in zip(reversed(names), reversed(pairs), strict=True)}
+        distinct = list(dict.fromkeys(names))
+        stack = [tests[j][first[name][0]].T @ applied[j][first[name][1]] for name in distinct]
+        matrices.append(np.stack(stack))
+        index.append(tuple(distinct.index(name) for name in names))
+    metrics = list(space.masses)
+    if options.projection == "minimal-residual":
+        metrics[0] = matrices[0][0]
+    return Equation(
+        tuple(matrices),
+        tuple(index),
+        tuple(tests),
+        tuple(metrics),
+        tuple(map(_bandwidth, matrices)),
+    )
+
+
+def named_matrices(
+    system: System, space: ShapeSpace, names: Sequence[str] | None = None
+) -> dict[str, Array]:
+    """The slides' matrices on all shape functions, boundary included.
+
+    ``P`` for d/dt, ``M_t`` and ``M_k`` for mass, ``N_k`` (``N_k1``, ``N_k2``, ...) for the known
+    factors of the parameter k; with one parameter and one factor it is plain ``N``.
+
+    Parameters
+    ----------
+    system : System
+    space : ShapeSpace
+    names : sequence of str, optional
+        Names of time and the parameters; ``t`` and the system's by default.
+    """
+    time, *parameters = names or ("t", *system.PARAMETERS)
+    v, w = space.time.values, space.time.weights[:, None]
+    matrices = {"P": v.T @ (w * space.time.derivatives), f"M_{time}": v.T @ (w * v)}
+    for i, row in enumerate(space.rows[0][1:], start=1):
+        matrices[f"N_{time}{i}"] = v.T @ (w * row[:, None] * v)
+    plain = len(parameters) == 1 and len(space.rows[1]) == 2
+    for name, table, weights, rows in zip(
+        parameters, space.tables[1:], space.weights[1:], space.rows[1:], strict=True
+    ):
+        matrices[f"M_{name}"] = table.T @ (weights[:, None] * table)
+        for i, row in enumerate(rows[1:], start=1):
+            label = "N" if plain else f"N_{name}" if len(rows) == 2 else f"N_{name}{i}"
+            matrices[label] = table.T @ ((weights * row)[:, None] * table)
+    return matrices
+
+
+def _bandwidth(stack: Array) -> int:
+    rows, columns = np.nonzero(np.abs(stack).max(axis=0))
+    return int(np.abs(rows - columns).max(initial=0))

@@ -1,0 +1,160 @@
+"""Options of the classic method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rankone.errors import OptionError
+
+__all__ = ["GreedyOptions"]
+
+_CHOICES = {
+    "weak_form": ("derivative", "volterra"),
+    "projection": ("galerkin", "minimal-residual"),
+    "update": ("amplitudes", "time", "all"),
+    "elements": ("linear", "quadratic", "legendre"),
+}
+_SLIDES: dict[str, Any] = {
+    "weak_form": "derivative",
+    "projection": "galerkin",
+    "update": "amplitudes",
+    "elements": "linear",
+    "time_slabs": 1,
+    "max_attempts": 1,
+    "max_fixed_point": 50,
+    "fixed_point_tolerance": 1e-6,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GreedyOptions:
+    """What is solved, how it is projected, and the limits of ``method="greedy"``.
+
+    The defaults are the best choice found over the reference problems (docs/classic-method.md):
+    the Volterra form, whose operator is the identity but for the own linear terms of an equation,
+    and all modes updated. :meth:`slides` is the choice of the slides.
+
+    Attributes
+    ----------
+    weak_form : {"volterra", "derivative"}
+        ``u = u_s + integral of f``, or ``u' = f``.
+    projection : {"galerkin", "minimal-residual"}
+        Test functions: the shape functions, or the operator applied to them.
+    update : {"all", "time", "amplitudes"}
+        What is solved for again with every new mode: the functions of each dimension in turn, the
+        time functions, or the amplitudes alone.
+    elements : {"legendre", "linear", "quadratic"}
+        One spectral element, or finite elements, in every dimension.
+    time_nodes : int or None
+        Nodes in time on one slab, its start included; None chooses by the tolerance (41 for
+        finite elements).
+    parameter_nodes : int, tuple of int or None
+        Nodes in the parameters; None as for time.
+    time_slabs : int or None
+        Number of equal slabs; None adapts their length to the lagged iteration.
+    max_modes : int
+        Most modes of one unknown on one slab.
+    max_fixed_point : int
+        Most passes over the dimensions for one mode.
+    fixed_point_tolerance : float
+        Change of a mode between passes at which it is taken, relative to the mode.
+    update_sweeps : int
+        Passes over the dimensions for each new mode with ``update="all"``.
+    max_iterations : int
+        Most updates of the lagged terms on one slab.
+    tolerance : float or None
+        Tolerance of residuals and lagged iterations, in units of each state's size; None derives
+        it from ``rtol`` and the growth of errors.
+    max_slabs : int
+        Most slabs tried in one attempt.
+    max_attempts : int
+        How often the solve may be repeated with a tighter tolerance or more nodes.
+    """
+
+    weak_form: Literal["volterra", "derivative"] = "volterra"
+    projection: Literal["galerkin", "minimal-residual"] = "galerkin"
+    update: Literal["all", "time", "amplitudes"] = "all"
+    elements: Literal["legendre", "linear", "quadratic"] = "legendre"
+    time_nodes: int | None = None
+    parameter_nodes: int | tuple[int, ...] | None = None
+    time_slabs: int | None = None
+    max_modes: int = 40
+    max_fixed_point: int = 6
+    fixed_point_tolerance: float = 1e-2
+    update_sweeps: int = 2
+    max_iterations: int = 30
+    tolerance: float | None = None
+    max_slabs: int = 400
+    max_attempts: int = 3
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in choices:
+                raise OptionError(
+                    f"{name}={value!r} is unknown", remedy=f"choose one of {', '.join(choices)}"
+                )
+        counts = ("max_modes", "max_fixed_point", "update_sweeps", "max_iterations")
+        for name in (*counts, "max_slabs", "max_attempts"):
+            if not getattr(self, name) >= 1:
+                raise OptionError(
+                    f"{name}={getattr(self, name)!r} is too small", remedy="at least 1"
+                )
+        if self.time_slabs is not None and not self.time_slabs >= 1:
+            raise OptionError(f"time_slabs={self.time_slabs!r} is too small", remedy="at least 1")
+        for name in ("fixed_point_tolerance", "tolerance"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < 1.0:
+                raise OptionError(f"{name}={value!r} is out of range", remedy="between 0 and 1")
+        given = (
+            self.parameter_nodes
+            if isinstance(self.parameter_nodes, tuple)
+            else (self.parameter_nodes,)
+        )
+        for name, value in [("time_nodes", self.time_nodes)] + [
+            ("parameter_nodes", count) for count in given
+        ]:
+            if value is not None and (value < 2 or (value - 1) % self.order):
+                raise OptionError(
+                    f"{name}={value!r} does not fit {self.elements} elements",
+                    remedy="at least 3 and odd" if self.order == 2 else "at least 2",
+                )
+
+    @classmethod
+    def slides(cls, **changes: Any) -> GreedyOptions:
+        """The choice of the slides: derivative form, Galerkin, amplitudes, linear elements."""
+        return cls.of("slides", **changes)
+
+    @classmethod
+    def of(cls, preset: Literal["slides"] | None = None, **changes: Any) -> GreedyOptions:
+        """Options from a preset and changes to it.
+
+        Raises
+        ------
+        OptionError
+            If the preset or an option is unknown, or out of its range.
+        """
+        if preset not in (None, "slides"):
+            raise OptionError(f"preset={preset!r} is unknown", remedy="use preset='slides'")
+        known = sorted(cls.__dataclass_fields__)
+        for name in changes:
+            if name not in known:
+                raise OptionError(
+                    f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}"
+                )
+        return cls(**{**(_SLIDES if preset else {}), **changes})
+
+    @property
+    def order(self) -> int:
+        """Polynomial order that node numbers must fit: 2 for quadratic elements, else 1."""
+        return 2 if self.elements == "quadratic" else 1
+
+    def time_nodes_for(self, rtol: float) -> int:
+        """Nodes in time on one slab: for Legendre 10 at 1e-3 and 17 at 1e-8."""
+        if self.time_nodes is not None:
+            return self.time_nodes
+        if self.elements != "legendre":
+            return 41
+        return int(min(max(round(5.6 + 1.4 * -math.log10(rtol)), 6), 24))

@@ -1,0 +1,114 @@
+"""Arithmetic of sums of products: tensors held as one factor matrix for each dimension.
+
+    X[n_0, ..., n_d] = sum_r F_0[n_0, r] F_1[n_1, r] ... F_d[n_d, r]
+
+Addition joins columns, a pointwise product pairs them; both raise the rank, and the classic method
+lowers it again by solving with the identity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["RankOneSum"]
+
+Array = NDArray[np.float64]
+
+_STABLE = 160
+"""Largest rank whose norm is found by orthogonalisation; above, by Gram matrices."""
+
+
+@dataclass(frozen=True)
+class RankOneSum:
+    """A sum of R products of one vector for each dimension.
+
+    Attributes
+    ----------
+    factors : tuple of ndarray (N_j, R)
+        One matrix for each dimension; amplitudes are part of the columns.
+    """
+
+    factors: tuple[Array, ...]
+
+    @property
+    def rank(self) -> int:
+        """Number of products R."""
+        return self.factors[0].shape[1]
+
+    def __add__(self, other: RankOneSum) -> RankOneSum:
+        pairs = zip(self.factors, other.factors, strict=True)
+        return RankOneSum(tuple(np.concatenate(pair, axis=1) for pair in pairs))
+
+    def __neg__(self) -> RankOneSum:
+        return self.scaled(-1.0)
+
+    def __sub__(self, other: RankOneSum) -> RankOneSum:
+        return self + -other
+
+    def scaled(self, amplitudes: float | Array) -> RankOneSum:
+        """Multiply by a number, or every product by its own."""
+        return RankOneSum((self.factors[0] * amplitudes, *self.factors[1:]))
+
+    def times(self, other: RankOneSum) -> RankOneSum:
+        """The pointwise product; a square keeps each pair of products once."""
+        if other is self:
+            i, j = np.triu_indices(self.rank)
+            square = RankOneSum(tuple(f[:, i] * f[:, j] for f in self.factors))
+            return square.scaled(np.where(i == j, 1.0, 2.0))
+        pairs = zip(self.factors, other.factors, strict=True)
+        return RankOneSum(
+            tuple((a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs)
+        )
+
+    def weighted(self, rows: Sequence[Array | None]) -> RankOneSum:
+        """Multiply pointwise by a function of each coordinate; None is one."""
+        pairs = zip(self.factors, rows, strict=True)
+        return RankOneSum(tuple(f if row is None else f * row[:, None] for f, row in pairs))
+
+    def applied(self, matrices: Sequence[Array]) -> RankOneSum:
+        """Apply one matrix to each dimension."""
+        pairs = zip(matrices, self.factors, strict=True)
+        return RankOneSum(tuple(matrix @ f for matrix, f in pairs))
+
+    def inner(self, other: RankOneSum) -> float:
+        """Euclidean inner product."""
+        gram = np.ones((self.rank, other.rank))
+        for a, b in zip(self.factors, other.factors, strict=True):
+            gram *= a.T @ b
+        return float(gram.sum())
+
+    def norm(self) -> float:
+        """Euclidean norm; small differences keep their digits up to rank 160."""
+        if self.rank == 0:
+            return 0.0
+        if self.rank > _STABLE:
+            return math.sqrt(max(self.inner(self), 0.0))
+        carry = np.ones((1, self.rank))
+        for factor in self.factors[:-1]:
+            block = (carry[:, None, :] * factor).reshape(-1, self.rank)
+            carry = block if len(block) <= self.rank else np.linalg.qr(block, mode="r")
+        return float(np.linalg.norm(carry @ self.factors[-1].T))
+
+    def merged(self) -> RankOneSum:
+        """The same tensor without repeated work: one column if there is one dimension only."""
+        if len(self.factors) > 1:
+            return self
+        return RankOneSum((self.factors[0].sum(axis=1, keepdims=True),))
+
+    @staticmethod
+    def zero(sizes: Sequence[int]) -> RankOneSum:
+        """The empty sum."""
+        return RankOneSum(tuple(np.zeros((size, 0)) for size in sizes))
+
+    @staticmethod
+    def joined(tensors: Sequence[RankOneSum], sizes: Sequence[int]) -> RankOneSum:
+        """The sum of any number of tensors of the given sizes."""
+        if not tensors:
+            return RankOneSum.zero(sizes)
+        columns = zip(*(tensor.factors for tensor in tensors), strict=True)
+        return RankOneSum(tuple(np.concatenate(parts, axis=1) for parts in columns))

@@ -1,0 +1,51 @@
+"""The pipeline object: stages, timings, pickling, errors."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from tests.problems import REFERENCE
+
+
+def test_every_stage_can_be_looked_at():
+    compiled = ro.compile(REFERENCE["lotka_volterra"]())
+    assert "dx/dt" in str(compiled.weak_form)
+    assert "x*y" in str(compiled.separated)
+    assert "def rhs(" in compiled.source
+    assert set(compiled.timings) == {"weak form", "separation", "code generation", "import"}
+    assert "x, y" in repr(compiled)
+
+
+def test_a_compiled_problem_survives_pickling_and_solves_the_same():
+    compiled = ro.compile(REFERENCE["coupled"]())
+    again = pickle.loads(pickle.dumps(compiled))
+    assert again.source == compiled.source
+    one, two = compiled.solve(1e-4), again.solve(1e-4)
+    names = dict(zip(one.parameters, (0.7, 1.1, 1.3)))
+    np.testing.assert_array_equal(one(t=0.4, **names), two(t=0.4, **names))
+
+
+def test_the_generated_module_is_found_in_tracebacks():
+    system = ro.compile(REFERENCE["decay"]()).system
+    with pytest.raises(ValueError, match="unpack"):
+        system.rhs(0.0, [1.0, 2.0], [1.0])
+
+
+def test_compile_wants_a_problem():
+    with pytest.raises(ro.OptionError, match=r"rankone\.Problem"):
+        ro.compile("x' = -x")
+
+
+def test_compiling_warns_of_a_parameter_that_appears_nowhere():
+    with pytest.warns(ro.RankoneWarning, match="unused"):
+        problem = ro.Problem.from_strings(
+            rhs={"x": "-k*x"},
+            initial={"x": 1},
+            parameters={"k": (1, 2), "unused": (0, 1)},
+            time=(0, 1),
+        )
+    solution = ro.solve(problem, rtol=1e-6)
+    assert solution.success
+    assert solution["x"](t=1.0, k=1.5, unused=0.3) == pytest.approx(np.exp(-1.5), rel=1e-5)
