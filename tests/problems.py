@@ -15,7 +15,6 @@ from examples import (
     lotka_volterra,
     robertson,
 )
-
 from rankone import Problem
 
 __all__ = ["EXAMPLES", "REFERENCE"]

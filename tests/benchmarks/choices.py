@@ -24,9 +24,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import numpy as np  # noqa: E402
-from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # noqa: E402
 
 import rankone as ro  # noqa: E402
+from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # noqa: E402
 from rankone.solvers.reference import integrate_reference  # noqa: E402
 from rankone.solvers.train import engine, march, nodes, sweep  # noqa: E402
 from rankone.tensors.truncation import truncated_svd  # noqa: E402

@@ -85,10 +85,10 @@ def main() -> None:
 def _measure(name: str, rtol: float, repetitions: int) -> dict[str, Any]:
     """All numbers of one problem and tolerance."""
     import scipy.integrate  # noqa: F401 - part of the baseline
-    from examples import kirchhoff
-    from tests.problems import EXAMPLES
 
     import rankone as ro
+    from examples import kirchhoff
+    from tests.problems import EXAMPLES
 
     problem = kirchhoff.motion(3) if name == "kirchhoff_long" else EXAMPLES[name].problem
     baseline = _peak_memory()

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.solution.functions import two_unknowns
 
 import rankone
 from rankone.cli import main
@@ -19,6 +18,7 @@ from rankone.problem_files import TOML_LAYOUT
 from rankone.solution import Solution
 from rankone.solvers.outcome import Status
 from rankone.storage import load
+from tests.solution.functions import two_unknowns
 
 SOLVED = two_unknowns().solution
 FAILED = Solution(

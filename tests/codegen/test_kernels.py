@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.codegen.interpreter import Interpreter
-from tests.codegen.strategies import forms
-from tests.codegen.systems import kirchhoff
 
 from rankone.codegen import generate_source, load_module
 from rankone.codegen.grouping import group_terms
 from rankone.codegen.lowering import lower, right_hand_side
 from rankone.ir import SeparatedForm, Term
 from rankone.system import Array, System
+from tests.codegen.interpreter import Interpreter
+from tests.codegen.strategies import forms
+from tests.codegen.systems import kirchhoff
 
 P, R, S = 3, 4, 2
 

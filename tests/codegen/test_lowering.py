@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.codegen.systems import decay, driven, lotka_volterra, separated
 
 from rankone.codegen.grouping import vertex_cover
 from rankone.codegen.lowering import extract_pairs, lower, right_hand_side
 from rankone.errors import SeparationError
 from rankone.ir import SeparatedForm, Term
+from tests.codegen.systems import decay, driven, lotka_volterra, separated
 
 MONOMIALS = st.lists(st.lists(st.integers(0, 3), max_size=6).map(tuple), max_size=8)
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy as sp
-from tests.codegen.interpreter import Interpreter
-from tests.codegen.systems import REFERENCE, Separated, driven, lotka_volterra, separated, t
 
 from rankone.codegen import generate_source, load_module
+from tests.codegen.interpreter import Interpreter
+from tests.codegen.systems import REFERENCE, Separated, driven, lotka_volterra, separated, t
 
 ROOT = Path(__file__).parents[2]
 GOLDEN = ROOT / "tests" / "golden"

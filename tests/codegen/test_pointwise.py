@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.codegen.interpreter import Interpreter
-from tests.codegen.strategies import forms
-from tests.codegen.systems import REFERENCE, driven, lotka_volterra, separated
 
 from rankone.codegen import generate_source, load_module
 from rankone.ir import SeparatedForm
 from rankone.system import Array, System
+from tests.codegen.interpreter import Interpreter
+from tests.codegen.strategies import forms
+from tests.codegen.systems import REFERENCE, driven, lotka_volterra, separated
 
 RTOL = 1e-11
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-import examples
 import numpy as np
 import pytest
+
+import examples
+import rankone as ro
+from rankone.problem_files import load_problem
 from tests.problems import EXAMPLES
 from tests.reference.measure import measured_errors
 from tests.reference.systems import INDEPENDENT
-
-import rankone as ro
-from rankone.problem_files import load_problem
 
 FOLDER = Path(next(iter(examples.__path__)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from tests.reference.measure import Array, Independent
 
 __all__ = ["INDEPENDENT"]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
+import rankone as ro
 from examples import kirchhoff
 from tests.problems import EXAMPLES
 from tests.reference.measure import measured_errors
 from tests.reference.systems import INDEPENDENT
-
-import rankone as ro
 
 SMOOTH = ("decay", "linear", "free_fall", "coupled", "lotka_volterra")
 BARS = [(name, rtol) for name in SMOOTH for rtol in (1e-3, 1e-6, 1e-8)] + [

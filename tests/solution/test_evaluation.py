@@ -10,9 +10,9 @@ import pytest
 import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 from rankone.errors import EvaluationError
+from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 t, s, x0, y0, k = sp.symbols("t s x0 y0 k")
 x, y = sp.Function("x"), sp.Function("y")

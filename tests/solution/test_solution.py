@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy as sp
-from tests.solution.functions import decay, oscillator, two_unknowns
 
 from rankone.errors import EvaluationError
 from rankone.solution import Solution
 from rankone.solvers.outcome import Status
+from tests.solution.functions import decay, oscillator, two_unknowns
 
 SOLUTION = two_unknowns().solution
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 from rankone import storage
 from rankone.errors import StorageError
 from rankone.solution import Solution
 from rankone.solvers.outcome import Status
+from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 SOLUTION = two_unknowns(2).solution
 

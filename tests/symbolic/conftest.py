@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from tests.problems import REFERENCE
 
 from rankone.symbolic import Problem
+from tests.problems import REFERENCE
 
 
 @pytest.fixture(params=REFERENCE, ids=str)

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from tests.solution.functions import TIME_MODES, Array, Known, known, one, slab_train, two_unknowns
 
 from rankone.discretization import ChebyshevBasis, LegendreBasis
 from rankone.errors import OptionError, RankoneWarning
 from rankone.tensors.canonical import CanonicalForm, canonical_form
 from rankone.tensors.slab import SlabTrain
+from tests.solution.functions import TIME_MODES, Array, Known, known, one, slab_train, two_unknowns
 
 
 def form_of(example: Known, rtol: float, state: int = 0, max_rank: int = 500) -> CanonicalForm:

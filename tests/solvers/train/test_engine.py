@@ -1,5 +1,7 @@
 """The engine: exactness, equation classes, limits and failures. Nothing is silently wrong."""
 
+import itertools
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -126,9 +128,7 @@ def test_equation_classes_meet_the_tolerance(name):
 def test_bases_agree_within_their_errors():
     chebyshev = ro.solve(REFERENCE["coupled"](), rtol=1e-5, basis="chebyshev")
     legendre = ro.solve(REFERENCE["coupled"](), rtol=1e-5, basis="legendre")
-    where = {"t": 0.4, "a1": 0.7, "a2": 1.1, "a3": 1.3}
-    names = [name for name in chebyshev.parameters]
-    where = {"t": 0.4} | dict(zip(names, (0.7, 1.1, 1.3)))
+    where = {"t": 0.4} | dict(zip(chebyshev.parameters, (0.7, 1.1, 1.3)))
     size = np.abs(chebyshev(**where)).max()
     bound = (chebyshev.error + legendre.error) * size
     assert np.abs(chebyshev(**where) - legendre(**where)).max() <= max(bound, 1e-5 * size)
@@ -146,7 +146,7 @@ def test_history_tells_every_slab():
     accepted = [r for r in solution.history if r.accepted and r.attempt == last]
     assert accepted[0].start == 0.0
     assert accepted[-1].end == pytest.approx(6.0)
-    for one, two in zip(accepted, accepted[1:]):
+    for one, two in itertools.pairwise(accepted):
         assert one.end == two.start
     assert all(record.residuals for record in accepted)
     assert {"compile", "reference", "march", "check", "solve"} <= set(solution.timings)

@@ -151,4 +151,4 @@ class SlabOperator:
         """E u_s for start values in scaled states (n_differential, r): (n, K, r)."""
         n, count = self.shape
         values = self.propagator @ start
-        return np.asarray(values.reshape(n, count, -1)) / np.sqrt(count)
+        return np.asarray(values.reshape(n, count, -1) / np.sqrt(count))

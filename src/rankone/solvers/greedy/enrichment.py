@@ -1,0 +1,363 @@
+"""Enrichment of one unknown: fixed point over the dimensions, normalisation, projection.
+
+The discrete equation ``D(U) = G`` is solved in modes ``U = sum_i alpha_i (x)_j U_i^j`` that are
+found one after the other. A new mode R solves, in each dimension j in turn,
+
+    E R_j = sum_i (prod_{k!=j} R_k^T G_k^i) G_j^i
+            - sum_i sum_{k<n} alpha_k (prod_{m!=j} R_m^T D_m^i U_k^m) D_j^i U_k^j,
+    E = sum_i (prod_{k!=j} R_k^T D_k^i R_k) D_j^i,
+
+until ``||(x)R^p - (x)R^{p-1}||`` is small. Then all amplitudes are found anew from ``B alpha = H``,
+or the functions of one or all dimensions (block alternating least squares).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+
+from rankone.solvers.greedy.history import ModeRecord
+from rankone.solvers.greedy.operators import Equation
+from rankone.solvers.greedy.options import GreedyOptions
+from rankone.tensors.rank_one_sums import RankOneSum
+
+__all__ = ["Enriched", "Enrichment"]
+
+Array = NDArray[np.float64]
+
+_STALLED = 4
+"""Modes in a row without a better residual after which enrichment ends."""
+_BETTER = 0.98
+"""What counts as a better residual."""
+_PROXIMAL = 1e-12
+"""Weight, relative to the largest diagonal entry, that ties an update to the modes it replaces."""
+_LARGEST_DENSE = 1200
+"""Largest system of coupled modes that is solved densely whatever its bandwidth."""
+
+
+@dataclass(frozen=True)
+class Enriched:
+    """The result of the enrichment of one unknown.
+
+    Attributes
+    ----------
+    modes : RankOneSum
+        Values at the nodes, amplitudes in the first dimension, the largest first.
+    amplitudes : ndarray (R,)
+        Norms of the modes.
+    residual : float
+        Norm of the discrete residual.
+    records : tuple of ModeRecord
+        One for each new mode.
+    """
+
+    modes: RankOneSum
+    amplitudes: Array
+    residual: float
+    records: tuple[ModeRecord, ...]
+
+
+class Enrichment:
+    """Modes of one unknown for one source.
+
+    Parameters
+    ----------
+    equation : Equation
+        The operator D.
+    loads : RankOneSum
+        The source G, tested.
+    options : GreedyOptions
+    start : RankOneSum, optional
+        Modes to begin with.
+    functional : float, optional
+        Squared norm of the source over the box; with it the residuals recorded are those of the
+        minimal residual, ``||D(U) - G||`` over the box.
+    unit : float
+        What residuals and amplitudes are divided by in the records, and tolerances multiplied.
+    """
+
+    def __init__(
+        self,
+        equation: Equation,
+        loads: RankOneSum,
+        options: GreedyOptions,
+        start: RankOneSum | None = None,
+        functional: float | None = None,
+        unit: float = 1.0,
+        amplitude_unit: float = 1.0,
+    ) -> None:
+        self.equation = equation
+        self.options = options
+        self.loads = loads
+        self.functional = functional
+        self.unit = unit
+        self.amplitude_unit = amplitude_unit
+        self._whitened = loads.applied(equation.whitening)
+        self._load_square: float | None = None
+        self._random = np.random.default_rng(20140)
+        self._dimensions = range(len(equation.sizes))
+        start = start or RankOneSum.zero(equation.sizes)
+        self.factors = list(start.factors)
+        self.amplitudes = np.ones(start.rank)
+        self._images: list[Array] = [np.zeros(0)] * len(self.factors)
+        self._grams: list[Array] = [np.zeros(0)] * len(self.factors)
+        self._load_products: list[Array] = [np.zeros(0)] * len(self.factors)
+        for j in self._dimensions:
+            self._normalise(j)
+
+    @property
+    def rank(self) -> int:
+        """Number of modes."""
+        return self.amplitudes.size
+
+    @property
+    def modes(self) -> RankOneSum:
+        """The modes with their amplitudes."""
+        return RankOneSum(tuple(self.factors)).scaled(self.amplitudes)
+
+    def run(self, tolerance: float) -> Enriched:
+        """Enrich until the residual is at most ``tolerance * unit``, or no longer falls."""
+        records: list[ModeRecord] = []
+        limit = tolerance * self.unit
+        if self.rank:
+            self._update()
+            self._drop(0.02 * tolerance * self.amplitude_unit)
+        residual = self.residual()
+        best = residual, self.factors.copy(), self.amplitudes
+        stalled = 0
+        while residual > limit and self.rank < self.options.max_modes and stalled < _STALLED:
+            mode, amplitude, differences = self._fixed_point()
+            if mode is None:
+                break
+            self._append(mode, amplitude)
+            self._update()
+            residual = self.residual()
+            shown = residual if self.functional is None else self.minimal_residual()
+            records.append(
+                ModeRecord(differences, amplitude / self.amplitude_unit, shown / self.unit)
+            )
+            if residual < best[0]:
+                stalled = 0 if residual < _BETTER * best[0] else stalled + 1
+                best = residual, self.factors.copy(), self.amplitudes
+            else:
+                stalled += 1
+            if not math.isfinite(residual):
+                break
+        residual, self.factors, self.amplitudes = best
+        order = np.argsort(-np.abs(self.amplitudes), kind="stable")
+        modes = RankOneSum(tuple(factor[:, order] for factor in self.modes.factors))
+        return Enriched(modes, np.abs(self.amplitudes[order]), residual, tuple(records))
+
+    # --- a new mode ----------------------------------------------------------------------------
+
+    def _fixed_point(self) -> tuple[list[Array] | None, float, tuple[float, ...]]:
+        """A new mode: unit functions, amplitude, change in each pass; None if there is none."""
+        equation = self.equation
+        mode = [self._random.standard_normal(size) for size in equation.sizes]
+        mode = [r / math.sqrt(r @ m @ r) for r, m in zip(mode, equation.metrics, strict=True)]
+        onto_loads = [self.loads.factors[k].T @ mode[k] for k in self._dimensions]
+        onto_modes = [self._against_modes(k, mode[k]) for k in self._dimensions]
+        own = [self._energies(k, mode[k]) for k in self._dimensions]
+        amplitude = 0.0
+        differences: list[float] = []
+        for _ in range(self.options.max_fixed_point):
+            before, previous = mode.copy(), amplitude
+            for j in self._dimensions:
+                right = self.loads.factors[j] @ _product(onto_loads, j)
+                if self.rank:
+                    weights = self.amplitudes * _product(onto_modes, j)
+                    for i, u in enumerate(equation.index[j]):
+                        right = right - self._images[j][u] @ weights[i]
+                matrix = np.tensordot(
+                    _collected(_product(own, j), equation.index[j]), equation.matrices[j], 1
+                )
+                solved = _solve(matrix, right, equation.bandwidth[j])
+                norm = math.sqrt(max(solved @ equation.metrics[j] @ solved, 0.0))
+                if not math.isfinite(norm) or norm == 0.0:
+                    return None, 0.0, tuple(differences)
+                mode[j], amplitude = solved / norm, norm
+                onto_loads[j] = self.loads.factors[j].T @ mode[j]
+                onto_modes[j] = self._against_modes(j, mode[j])
+                own[j] = self._energies(j, mode[j])
+            differences.append(self._difference(mode, amplitude, before, previous))
+            if differences[-1] < self.options.fixed_point_tolerance:
+                break
+        return mode, amplitude, tuple(differences)
+
+    def _against_modes(self, j: int, r: Array) -> Array:
+        """``r^T D_j^i U_k`` for all terms i and modes k, (terms, rank)."""
+        if not self.rank:
+            return np.zeros((self.equation.terms, 0))
+        return (r @ self._images[j])[list(self.equation.index[j])]
+
+    def _energies(self, j: int, r: Array) -> Array:
+        """``r^T D_j^i r`` for all terms i."""
+        return ((r @ self.equation.matrices[j]) @ r)[list(self.equation.index[j])]
+
+    def _difference(
+        self, mode: list[Array], amplitude: float, before: list[Array], previous: float
+    ) -> float:
+        """``||(x)R^p - (x)R^{p-1}||`` relative to the mode, without cancellation.
+
+        The cosine of two unit functions is one minus half their squared distance.
+        """
+        logarithm = 0.0
+        for new, old, metric in zip(mode, before, self.equation.metrics, strict=True):
+            gap = new - old
+            logarithm += math.log1p(-min(0.5 * float(gap @ metric @ gap), 1.0 - 1e-15))
+        square = (amplitude - previous) ** 2 - 2.0 * amplitude * previous * math.expm1(logarithm)
+        return math.sqrt(max(square, 0.0)) / amplitude
+
+    def _append(self, mode: list[Array], amplitude: float) -> None:
+        self.amplitudes = np.append(self.amplitudes, amplitude)
+        for j, r in enumerate(mode):
+            self.factors[j] = np.concatenate([self.factors[j], r[:, None]], axis=1)
+            self._refresh(j)
+
+    # --- projection and updates ----------------------------------------------------------------
+
+    def _update(self) -> None:
+        """Amplitudes alone, or the functions of one or all dimensions anew."""
+        update = self.options.update
+        if update == "time":
+            self._solve_dimension(0)
+        if update == "all":
+            for _ in range(self.options.update_sweeps if self.rank > 1 else 1):
+                for j in self._dimensions:
+                    self._solve_dimension(j)
+        else:
+            self._project()
+
+    def _project(self) -> None:
+        """Amplitudes from ``B alpha = H``."""
+        matrix, right = self._projected()
+        self.amplitudes = _solve(matrix, right)
+
+    def _projected(self) -> tuple[Array, Array]:
+        """B (R, R) and H (R,) of the projection step."""
+        matrix = self._other_grams(None).sum(axis=0)
+        right = np.prod(self._load_products, axis=0).sum(axis=0)
+        return matrix, right
+
+    def _solve_dimension(self, j: int) -> None:
+        """All functions of dimension j at once, those of the others fixed."""
+        equation = self.equation
+        grams = _collected(self._other_grams(j), equation.index[j])
+        right = self.loads.factors[j] @ _product(self._load_products, j)
+        held = _PROXIMAL * float(np.abs(np.diagonal(grams[0])).max())
+        grams[0] += held * np.eye(self.rank)
+        weighted = self.amplitudes * self._images[j][0]
+        right = right + held * weighted
+        self.factors[j] = _solve_coupled(grams, equation.matrices[j], right, equation.bandwidth[j])
+        self.amplitudes = np.ones(self.rank)
+        self._normalise(j)
+
+    def _other_grams(self, j: int | None) -> Array:
+        """For each term the products of ``U_k^T D_k^i U_k`` over the dimensions but j."""
+        result = np.ones((self.equation.terms, self.rank, self.rank))
+        for k in self._dimensions:
+            if k != j:
+                result *= self._grams[k][list(self.equation.index[k])]
+        return result
+
+    def _normalise(self, j: int) -> None:
+        """Unit functions in dimension j; the norms go to the amplitudes."""
+        factor = self.factors[j]
+        norms = np.sqrt(np.maximum(np.sum(factor * (self.equation.metrics[j] @ factor), 0), 0.0))
+        self.factors[j] = factor / np.where(norms > 0.0, norms, 1.0)
+        self.amplitudes = self.amplitudes * norms
+        self._refresh(j)
+
+    def _refresh(self, j: int) -> None:
+        """Products that the functions of dimension j are part of."""
+        factor = self.factors[j]
+        self._images[j] = self.equation.matrices[j] @ factor
+        self._grams[j] = factor.T @ self._images[j]
+        self._load_products[j] = self.loads.factors[j].T @ factor
+
+    def _drop(self, limit: float) -> None:
+        """Leave out modes with amplitudes below ``limit``."""
+        keep = np.abs(self.amplitudes) > limit
+        if keep.all():
+            return
+        self.amplitudes = self.amplitudes[keep]
+        for j in self._dimensions:
+            self.factors[j] = self.factors[j][:, keep]
+            self._refresh(j)
+
+    # --- residuals -----------------------------------------------------------------------------
+
+    def residual(self) -> float:
+        """Norm of ``D(U) - G`` tested with the shape functions, in the dual of the metric."""
+        image = self.equation.image(self.modes).applied(self.equation.whitening)
+        if image.rank + self._whitened.rank <= 120:
+            return (self._whitened - image).norm()
+        if self._load_square is None:
+            self._load_square = self._whitened.inner(self._whitened)
+        square = self._load_square - 2.0 * self._whitened.inner(image) + image.inner(image)
+        return math.sqrt(max(square, 0.0))
+
+    def minimal_residual(self) -> float:
+        """``||D(U) - G||`` over the box, for the minimal residual projection."""
+        assert self.functional is not None
+        matrix, right = self._projected()
+        square = self.functional - 2.0 * self.amplitudes @ right
+        square += self.amplitudes @ matrix @ self.amplitudes
+        return math.sqrt(max(float(square), 0.0))
+
+
+def _product(arrays: list[Array], j: int) -> Array:
+    """Product of all arrays but the j-th."""
+    others = arrays[:j] + arrays[j + 1 :]
+    if not others:
+        return np.ones_like(arrays[j])
+    result = others[0]
+    for other in others[1:]:
+        result = result * other
+    return result
+
+
+def _collected(values: Array, index: tuple[int, ...]) -> Array:
+    """Sum the values of the terms that share a matrix: (matrices, ...)."""
+    result = np.zeros((max(index) + 1, *values.shape[1:]))
+    for value, u in zip(values, index, strict=True):
+        result[u] += value
+    return result
+
+
+def _solve(matrix: Array, right: Array, bandwidth: int | None = None) -> Array:
+    """Solve a small system; singular ones in the least squares sense."""
+    size = len(matrix)
+    try:
+        if bandwidth is not None and size > 24 * (bandwidth + 1):
+            bands = np.zeros((2 * bandwidth + 1, size))
+            for k in range(-bandwidth, bandwidth + 1):
+                diagonal = np.diagonal(matrix, k)
+                bands[bandwidth - k, max(k, 0) : max(k, 0) + diagonal.size] = diagonal
+            return np.asarray(scipy.linalg.solve_banded((bandwidth, bandwidth), bands, right))
+        return np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+            return np.full_like(right, np.inf)
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-13)[0])
+
+
+def _solve_coupled(grams: Array, matrices: Array, right: Array, bandwidth: int) -> Array:
+    """Solve ``sum_u A_u X Gamma_u^T = right`` for X (N, R)."""
+    size, rank = right.shape
+    if len(matrices) == 1:
+        return _solve(grams[0], _solve(matrices[0], right, bandwidth).T).T
+    if size * rank <= _LARGEST_DENSE or 4 * bandwidth > size:
+        total = sum(np.kron(a, g) for a, g in zip(matrices, grams, strict=True))
+        return _solve(np.asarray(total), right.ravel()).reshape(size, rank)
+    sparse = sum(
+        scipy.sparse.kron(scipy.sparse.csc_array(a), g, format="csc")
+        for a, g in zip(matrices, grams, strict=True)
+    )
+    return np.asarray(scipy.sparse.linalg.spsolve(sparse, right.ravel())).reshape(size, rank)
