@@ -2,7 +2,8 @@
 
 Each choice is undone on its own, by an option or by replacing one function, and the solve is made
 once with the same inner tolerance (one attempt). Errors are relative to each unknown's size,
-against SciPy trajectories at 256 random interior points and at corners × 21 times.
+against SciPy trajectories at 256 random interior points and at corners × 21 times. ``--update``
+writes the table to docs/engine.md.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # no
 from rankone.solvers.reference import integrate_reference  # noqa: E402
 from rankone.solvers.train import engine, march, nodes, sweep  # noqa: E402
 from rankone.tensors.truncation import truncated_svd  # noqa: E402
+from tests.benchmarks.report import machine, update  # noqa: E402
 
 PROBLEMS = {
     "linear": (linear.problem, 1e-6),
@@ -114,24 +116,31 @@ VARIANTS: dict[
 
 def main() -> None:
     compiled = {title: ro.compile(problem) for title, (problem, _) in PROBLEMS.items()}
-    exact = {title: _trajectories(compiled[title]) for title in PROBLEMS}
-    print("| problem | rtol | engine | random points | corners | largest rank | solve |")
-    print("|---|---|---|--:|--:|--:|--:|")
+    lines = [
+        "| problem | rtol | engine | random points | corners | largest rank | solve |",
+        "|---|---|---|--:|--:|--:|--:|",
+    ]
     for title, (_, rtol) in PROBLEMS.items():
+        exact = _trajectories(compiled[title])
         for variant, (options, replacement, titles) in VARIANTS.items():
             if title not in titles:
                 continue
+            print(f"{title}, {variant} ...", file=sys.stderr, flush=True)
             with replacement():
                 solution, seconds = _solve(compiled[title], rtol, options)
+            row = [title, f"{rtol:.0e}".replace("e-0", "e-"), variant]
             if solution.time[1] < solution.metadata.horizon[1]:
-                print(f"| {title} | {rtol:g} | {variant} | {solution.status.value} | | | |")
-                continue
-            inside, corners = _errors(solution, *exact[title])
-            print(
-                f"| {title} | {rtol:g} | {variant} | {inside:.1e} | {corners:.1e} "
-                f"| {solution.rank} | {1e3 * seconds:.3g} ms |",
-                flush=True,
-            )
+                row += [solution.status.value, "", "", ""]
+            else:
+                row += [f"{error:.1e}" for error in _errors(solution, *exact)]
+                row += [str(solution.rank), f"{seconds:.2g} s"]
+            lines.append(f"| {' | '.join(row)} |")
+    text = "\n".join(lines)
+    print(text)
+    if "--update" in sys.argv[1:]:
+        update(
+            ROOT / "docs" / "engine.md", f"{text}\n\nMeasured on {', '.join(machine().values())}."
+        )
 
 
 def _solve(

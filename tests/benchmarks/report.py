@@ -61,6 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="four problems, fewer repetitions")
     parser.add_argument("--json", metavar="PATH", type=Path, help="write the numbers to PATH")
+    parser.add_argument("--update", action="store_true", help="write the tables to the README")
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.one:
@@ -73,8 +74,11 @@ def main() -> None:
         command = ["--one", name, repr(rtol), "3" if arguments.quick else "9"]
         rows.append(json.loads(_python(str(Path(__file__)), *command)))
     _say("imports ...")
-    report = {"machine": _machine(), "import": _import_times(), "problems": rows}
-    print(_markdown(report))
+    report = {"machine": machine(), "import": _import_times(), "problems": rows}
+    text = _markdown(report)
+    print(text)
+    if arguments.update:
+        update(ROOT / "README.md", text)
     if arguments.json:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n")
 
@@ -222,15 +226,23 @@ def _python(*arguments: str) -> str:
 # -- the report -----------------------------------------------------------------------------------
 
 
-def _machine() -> dict[str, str]:
+def update(path: Path, text: str) -> None:
+    """Replace what is between the marks ``<!-- measured -->`` of a file."""
+    before, _, rest = path.read_text().partition("<!-- measured -->\n")
+    _, mark, after = rest.partition("<!-- /measured -->\n")
+    assert mark, f"no marks in {path}"
+    path.write_text(f"{before}<!-- measured -->\n{text}\n{mark}{after}")
+
+
+def machine() -> dict[str, str]:
     from importlib.metadata import version
 
     return {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
-        "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "scipy", "sympy")},
+        "python": f"Python {platform.python_version()}",
+        **{name: f"{name} {version(name)}" for name in ("numpy", "scipy", "sympy")},
     }
 
 
@@ -280,12 +292,15 @@ def _markdown(report: dict[str, Any]) -> str:
         [
             *_table(header[0], ratios),
             "",
+            "The same in absolute numbers; memory is the peak of a process that solves once, above the "
+            "process after importing rankone:",
+            "",
             *_table(header[1], absolute),
             "",
             f"Import: rankone {imports['rankone']:.2f} s, sympy and scipy.integrate "
             f"{imports['baseline']:.2f} s, ratio {imports['ratio']:.2f}.",
             "",
-            ", ".join(f"{key} {value}" for key, value in machine.items()) + ", one BLAS thread",
+            "Measured on " + ", ".join(machine.values()) + ".",
         ]
     )
 

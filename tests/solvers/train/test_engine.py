@@ -203,7 +203,7 @@ def test_blow_up_names_time_and_parameters_and_keeps_the_solved_part():
         dict(original.initial),
     )
     with pytest.raises(
-        ro.BlowUpError, match="blows up inside the horizon: near t = 0.89"
+        ro.BlowUpError, match=r"blows up inside the horizon: near t = 0\.89"
     ) as caught:
         ro.solve(longer, rtol=1e-4)
     error = caught.value

@@ -15,6 +15,7 @@ import numpy as np
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.reference import Reference
+from rankone.solvers.train.convergence import Convergence
 from rankone.solvers.train.groups import ParameterOperators, term_groups
 from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import SlabOperator
@@ -165,49 +166,39 @@ class March:
         """
         tolerance = self.tolerance(time)
         sweeper = self._start(time, length, source, guess)
-        residuals: list[float] = []
+        coarse = min(0.1 * self._second_residual, _COARSEST * tolerance)
+        convergence = Convergence(tolerance, coarse)
         accepted = False
         spectra: list[Array] = []
-        parameters = max(sweeper.dimensions, 1)
         if sweeper.dimensions == 0:
-            residuals.append(sweeper.settle(tolerance, 40))
-            accepted = residuals[-1] <= tolerance
+            convergence.add(sweeper.settle(tolerance, 40))
+            accepted = convergence.solved(limited=False)
         else:
             sweeper.settle(max(tolerance, 1e-3), 8)
-        ratio = 0.1
-        fresh = 0
-        while not accepted and sweeper.dimensions and len(residuals) < self.options.max_sweeps:
-            coarse = min(0.1 * self._second_residual, _COARSEST * tolerance)
-            current = tolerance if fresh else max(tolerance, coarse)
-            with np.errstate(over="ignore", invalid="ignore"):
-                try:
-                    residual, spectra = sweeper.iterate(current / np.sqrt(parameters))
-                    sweeper.settle(0.2 * tolerance, 12)
-                except (np.linalg.LinAlgError, ValueError):
-                    residual = np.inf
-            if fresh:
-                ratio = residual / residuals[-1] if residuals[-1] > 0.0 else 0.0
-            fresh += 1
-            residuals.append(residual)
-            if fresh == 2:
-                self._second_residual = residual
+        while (
+            not accepted
+            and sweeper.dimensions
+            and len(convergence.residuals) < self.options.max_sweeps
+        ):
+            current = convergence.next_tolerance
+            residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
+            convergence.add(residual)
             limited = max(sweeper.ranks) >= self.options.max_rank
             if limited:
                 self.result.limits.add(Status.RANK_LIMIT)
-            if not residual < 1e2 or (fresh >= 4 and ratio > 0.6 and not limited):
+            if convergence.hopeless(limited):
                 break
             if self._too_large(sweeper):
                 self.result.limits.add(Status.MEMORY_LIMIT)
                 break
-            visible = max(tolerance, current, residual if limited else 0.0)
-            wanted = self._refined(spectra, visible)
-            if wanted != self.bases:
+            sweeper.settle(0.2 * tolerance, 12)
+            wanted = self._refined(spectra, max(current, residual if limited else 0.0))
+            if wanted == self.bases:
+                accepted = convergence.solved(limited)
+            else:
                 sweeper, source = self._rebase(sweeper, source, wanted)
-                fresh, ratio = min(fresh, 1), 0.1
-                continue
-            ahead = residual * (max(ratio, 0.15) if fresh > 1 and ratio < 0.5 else 1.0)
-            accepted = current == tolerance and ahead <= tolerance
-            accepted = accepted or (limited and fresh >= 3 and ratio > 0.3)
+                convergence.restart()
+        residuals = convergence.residuals
         record = SlabRecord(
             self.attempt,
             time,
@@ -218,8 +209,9 @@ class March:
             sweeper.ranks,
             tuple(basis.size for basis in self.bases),
         )
-        if accepted and spectra:
+        if accepted:
             self._spectra = spectra
+            self._second_residual = residuals[min(1, len(residuals) - 1)]
         return (sweeper if accepted else None), record, source
 
     def _start(

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.solvers.train.groups import (
     CONSTANT,
@@ -25,17 +24,12 @@ from rankone.solvers.train.groups import (
     Key,
     ParameterOperators,
 )
+from rankone.solvers.train.products import left_products, multiplicity, right_products, unpack
 from rankone.solvers.train.slab import SlabOperator
 from rankone.system import Array
 from rankone.tensors.truncation import truncated_svd
 
 __all__ = ["Sweeper"]
-
-
-def _pairs(rank: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Indices (i <= j) of a symmetric matrix and the multiplicity of each entry."""
-    i, j = np.triu_indices(rank)
-    return i, j, np.where(i == j, 1.0, 2.0)
 
 
 @dataclass
@@ -102,7 +96,8 @@ class Sweeper:
         """Iterate the first core in the present frame; return the last change."""
         change = np.inf
         for _ in range(steps):
-            new = self._first_block(self.cores[0], 1)
+            with np.errstate(over="ignore", invalid="ignore"):
+                new = self._first_block(self.cores[0], 1)
             previous, change = change, float(np.linalg.norm(new - self.cores[0]))
             self.cores[0] = new
             if change <= tolerance or not np.isfinite(change) or change > 2.0 * previous:
@@ -161,11 +156,7 @@ class Sweeper:
             if degree == CONSTANT:
                 env = env[0]
             elif degree == QUADRATIC:
-                i, j, _ = _pairs(r)
-                full = np.empty((r, r, r))
-                full[i, j] = env
-                full[j, i] = env
-                env = full
+                env = unpack(env.T, r)
             self._right[b][key] = env
         self._source_right[b] = self._source_right_half(b) @ flat.T
         if b > 1:
@@ -192,7 +183,7 @@ class Sweeper:
             half = half if rows[0] == 0 else half * vector[:, None]
         else:
             assert env is not None
-            half = self._products(env, core, vector)
+            half = right_products(env, core, vector)
         half = half.reshape(-1, size * env.shape[-1] if env is not None else size * s)
         self._right_halves[b][key] = half
         return half
@@ -202,20 +193,6 @@ class Sweeper:
         other = self.source[b]
         flat = other.reshape(-1, other.shape[2]) @ self._source_right[b + 1]
         return flat.reshape(other.shape[0], -1)
-
-    @staticmethod
-    def _products(env: Array, core: Array, vector: Array) -> Array:
-        """Right half contraction of a quadratic key: (packed pairs of r, size * s).
-
-        ``env`` (s, s, s) is fully symmetric, ``core`` (r, size, s).
-        """
-        r, size, s = core.shape
-        nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
-        once = (nodes.reshape(size * r, s) @ env.reshape(s, s * s)).reshape(size, r * s, s)
-        twice = np.matmul(once, nodes.swapaxes(1, 2)).reshape(size, r, s, r)
-        i, j, _ = _pairs(r)
-        packed = twice.transpose(1, 3, 0, 2)[i, j] * vector[:, None]
-        return np.asarray(packed.reshape(i.size, size * s))
 
     # -- contractions from the left: (state, time) and the parameters 1, ..., b - 1 --------------
 
@@ -240,27 +217,10 @@ class Sweeper:
                     half = half.reshape(-1, size, s) * vector[:, None]
                 half = half.reshape(-1, s)
             else:
-                half = self._products_left(env, core, vector)
+                half = left_products(env, core, vector)
             rest = (degree, rows[1:])
             halves[rest] = halves[rest] + half if rest in halves else half
         return halves
-
-    @staticmethod
-    def _products_left(env: Array, core: Array, vector: Array) -> Array:
-        """Left half contraction of a quadratic key: (tests * size, packed pairs of s).
-
-        ``env`` (tests, r, r) is symmetric in the last two, ``core`` (r, size, s). The packed
-        entries carry their multiplicity.
-        """
-        tests = env.shape[0]
-        r, size, s = core.shape
-        nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
-        once = (env.reshape(tests * r, r) @ core.reshape(r, size * s)).reshape(tests, r, size, s)
-        rows = np.ascontiguousarray(once.transpose(2, 0, 3, 1)).reshape(size, tests * s, r)
-        twice = np.matmul(rows, nodes).reshape(size, tests, s, s)
-        i, j, multiplicity = _pairs(s)
-        packed = twice.transpose(2, 3, 1, 0)[i, j] * multiplicity[:, None, None]
-        return np.ascontiguousarray((packed * vector).reshape(i.size, -1).T)
 
     def _contract_left(self, b: int) -> None:
         """``left[b]`` from ``left[b - 1]`` and the left-orthonormal core b - 1."""
@@ -283,11 +243,7 @@ class Sweeper:
             if key[0] == CONSTANT:
                 env = env[:, 0]
             elif key[0] == QUADRATIC:
-                i, j, multiplicity = _pairs(s)
-                full = np.empty((s, s, s))
-                full[:, i, j] = env / multiplicity
-                full[:, j, i] = full[:, i, j]
-                env = full
+                env = unpack(env / multiplicity(s), s)
             self._left[b][key] = env
         self._source_left[b] = flat.T @ self._source_left_half(b - 1)
 
@@ -321,7 +277,7 @@ class Sweeper:
         Solving pairs in both directions converges no faster per unit of work (docs/engine.md).
 
         Returns the residual (largest change of a pair) and, for each parameter, the norms of its
-        modes, shape (nodes,).
+        modes, shape (nodes,). The residual is infinite where the iteration overflowed.
         """
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
@@ -329,8 +285,12 @@ class Sweeper:
             self._shift_right(b)
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
-            new, present = self._pair_block(b)
-            largest = max(largest, float(np.linalg.norm(new - present)))
+            with np.errstate(over="ignore", invalid="ignore"):
+                new, present = self._pair_block(b)
+                change = float(np.linalg.norm(new - present))
+            if not np.isfinite(change):
+                return np.inf, spectra
+            largest = max(largest, change)
             spectra[b] = self._split(b, new, tolerance)
             self._contract_right(b + 1)
         return largest, spectra

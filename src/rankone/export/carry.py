@@ -1,0 +1,463 @@
+"""Carrying definitions of the library over into one file.
+
+Starting from a few roots, everything they reach is selected: functions, classes, constants and,
+within classes, the methods whose names occur in what was selected so far. The text is taken as it
+stands, with its comments. What changes is little: imports from the library go, module docstrings
+become the titles of sections, docstrings keep their summary and the attributes of classes, and
+a name that two modules use for different things gets the name of its module in front.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from rankone.errors import ExportError
+from rankone.export.modules import Import, SourceModule, Statement, imported, read_module, resolve
+
+__all__ = ["Section", "carry", "import_lines"]
+
+Key = tuple[str, str]
+"""(module, name) of a definition."""
+
+_KEPT_HEADINGS = ("Attributes",)
+"""Sections of numpydoc docstrings that are carried over."""
+_ROLE = re.compile(r":(?:class|func|meth|mod|attr|data):`~?(?:[\w.]*\.)?(\w+)`")
+_BANNER = "# " + "=" * 97
+
+
+@dataclass(frozen=True)
+class Section:
+    """The definitions of one module, ready to be written.
+
+    Attributes
+    ----------
+    module : str
+    title : tuple of str
+        Lines of its docstring.
+    text : str
+        Its definitions, without imports.
+    """
+
+    module: str
+    title: tuple[str, ...]
+    text: str
+
+    def __str__(self) -> str:
+        comment = (f"# {line}".rstrip() for line in self.title)
+        return "\n".join([_BANNER, *comment, _BANNER, "", "", self.text])
+
+
+def carry(
+    roots: Iterable[str],
+    *,
+    reserved: Collection[str] = (),
+    replaced: Mapping[str, str] | None = None,
+    dropped: Collection[str] = (),
+) -> tuple[list[Section], set[Import]]:
+    """Select what the roots need and write it as sections, each after those it needs.
+
+    Parameters
+    ----------
+    roots : iterable of str
+        ``"module:name"``, or ``"module:Class.method"`` for a method that nothing calls.
+    reserved : collection of str
+        Names that are taken by the text the sections will stand beside.
+    replaced : mapping of str to str
+        Definitions, ``"module:name"``, that others stand in for (of the same name), or ``""`` for
+        a name among those reserved.
+    dropped : collection of str
+        Methods, ``"module:Class.method"``, that are left behind.
+
+    Returns
+    -------
+    sections : list of Section
+    imports : set of Import
+        What the sections import from elsewhere.
+
+    Raises
+    ------
+    ExportError
+        If a definition cannot be carried over.
+    """
+    selection = _Selection(replaced or {}, dropped)
+    selection.take(roots)
+    order = selection.order()
+    names = _new_names(selection, order, reserved)
+    sections = []
+    written: dict[str, str] = {}
+    for module in order:
+        text = _ModuleText(module, selection, names).write(written)
+        if text:
+            title = tuple(_plain(module.docstring).splitlines())
+            sections.append(Section(module.name, title, text))
+    return sections, selection.imports
+
+
+def import_lines(imports: Iterable[Import]) -> list[str]:
+    """Import statements in the order of isort, standard library first."""
+    import sys
+
+    plain: dict[bool, set[str]] = {True: set(), False: set()}
+    members: dict[bool, dict[str, set[str]]] = {True: {}, False: {}}
+    for found in imports:
+        standard = found.module.split(".")[0] in sys.stdlib_module_names
+        if found.name is None:
+            same = found.alias == found.module
+            plain[standard].add(f"import {found.module}" + ("" if same else f" as {found.alias}"))
+        else:
+            same = found.alias == found.name
+            member = found.name if same else f"{found.name} as {found.alias}"
+            members[standard].setdefault(found.module, set()).add(member)
+    lines: list[str] = []
+    for standard in (True, False):
+        block = sorted(plain[standard])
+        for module in sorted(members[standard]):
+            names = sorted(members[standard][module], key=_member_order)
+            line = f"from {module} import {', '.join(names)}"
+            if len(line) > 100:
+                line = "\n".join(
+                    [f"from {module} import (", *(f"    {name}," for name in names), ")"]
+                )
+            block.append(line)
+        if block:
+            lines += [*block, ""]
+    return lines[:-1]
+
+
+def _member_order(name: str) -> tuple[int, str]:
+    """Constants, then classes, then functions, as isort has them."""
+    kind = 0 if name.isupper() and len(name) > 1 else 1 if name[0].isupper() else 2
+    return kind, name
+
+
+# --- selection ---------------------------------------------------------------------------------
+
+
+class _Selection:
+    """What is carried over: top-level names, and the methods of classes."""
+
+    def __init__(self, replaced: Mapping[str, str], dropped: Collection[str]) -> None:
+        self.replaced = {_key(old): new for old, new in replaced.items()}
+        self.dropped = set(dropped)
+        self.names: dict[str, set[str]] = {}
+        self.methods: set[tuple[str, str, str]] = set()
+        self.imports: set[Import] = set()
+        self.needs: dict[str, set[str]] = {}
+        self._attributes: set[str] = set()
+        self._waiting: dict[tuple[str, str, str], ast.FunctionDef] = {}
+
+    def take(self, roots: Iterable[str]) -> None:
+        """Select the roots and everything they reach."""
+        asked: set[tuple[str, str, str]] = set()
+        for root in roots:
+            module, name = _key(root)
+            top, _, method = name.partition(".")
+            if method:
+                asked.add((module, top, method))
+            self._take_name(read_module(module), top)
+        grown = True
+        while grown:
+            grown = False
+            for key in list(self._waiting):
+                if key in asked or key[2] in self._attributes:
+                    node = self._waiting.pop(key)
+                    self.methods.add(key)
+                    self._take_node(read_module(key[0]), node)
+                    grown = True
+        if unknown := asked - self.methods:
+            raise ExportError(f"no such methods: {sorted(unknown)}")
+
+    def order(self) -> list[SourceModule]:
+        """The modules, each after those whose definitions it uses where there is no cycle."""
+        done: list[str] = []
+        open_: set[str] = set()
+
+        def visit(name: str) -> None:
+            if name in done or name in open_:
+                return
+            open_.add(name)
+            for other in sorted(self.needs.get(name, ())):
+                visit(other)
+            open_.discard(name)
+            done.append(name)
+
+        for name in self.names:
+            visit(name)
+        return [read_module(name) for name in done if name in self.names]
+
+    def target(self, module: SourceModule, name: str) -> tuple[SourceModule, str] | Import | None:
+        """What a name stands for, after replacement; None also for a reserved stand-in."""
+        found = resolve(module, name)
+        if not isinstance(found, tuple):
+            return found
+        owner, own_name = found
+        stand_in = self.replaced.get((owner.name, own_name))
+        if stand_in is None:
+            return found
+        if not stand_in:
+            return None
+        other, other_name = _key(stand_in)
+        return read_module(other), other_name
+
+    def _take_name(self, module: SourceModule, name: str) -> None:
+        found = self.target(module, name)
+        if found is None:
+            return
+        if isinstance(found, Import):
+            self.imports.add(found)
+            return
+        owner, own_name = found
+        statement = owner.definitions.get(own_name)
+        if statement is None:
+            raise ExportError(f"`{owner.name}` does not define `{own_name}`")
+        if owner is not module and name not in module.typing_imports:
+            self.needs.setdefault(module.name, set()).add(owner.name)
+        known = self.names.setdefault(owner.name, set())
+        if own_name in known:
+            return
+        known.update(statement.names)
+        node = statement.node
+        if not isinstance(node, ast.ClassDef):
+            self._take_node(owner, node)
+            return
+        for part in [*node.decorator_list, *node.bases, *node.keywords]:
+            self._take_node(owner, part)
+        for member in node.body:
+            if not isinstance(member, ast.FunctionDef):
+                self._take_node(owner, member)
+                continue
+            key = owner.name, node.name, member.name
+            if f"{owner.name}:{node.name}.{member.name}" in self.dropped:
+                continue
+            if re.fullmatch("__.*__", member.name):
+                self.methods.add(key)
+                self._take_node(owner, member)
+            else:
+                self._waiting[key] = member
+
+    def _take_node(self, module: SourceModule, node: ast.AST) -> None:
+        """Select what a piece of code refers to."""
+        lazily = {
+            found.alias: found
+            for inner in ast.walk(node)
+            if isinstance(inner, ast.ImportFrom)
+            for found in imported(inner)
+            if found.internal
+        }
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.Attribute):
+                self._attributes.add(inner.attr)
+                dotted = ast.unparse(inner)
+                for found in module.imports.values():
+                    if found.name is None and dotted.startswith(f"{found.alias}."):
+                        self.imports.add(found)
+            elif isinstance(inner, ast.Name) and inner.id in lazily:
+                found = lazily[inner.id]
+                self._take_name(read_module(found.module), found.name or "")
+            elif isinstance(inner, ast.Name) and inner.id not in _builtins():
+                self._take_name(module, inner.id)
+
+
+def _builtins() -> Collection[str]:
+    import builtins
+
+    return vars(builtins)
+
+
+def _key(text: str) -> Key:
+    module, _, name = text.partition(":")
+    return module, name
+
+
+def _new_names(
+    selection: _Selection, order: Sequence[SourceModule], reserved: Collection[str]
+) -> dict[Key, str]:
+    """New names for those that are taken: the module's name goes in front."""
+    taken: dict[str, str] = dict.fromkeys(reserved, "")
+    for found in selection.imports:
+        taken[found.alias.split(".")[0]] = ""
+    renamed: dict[Key, str] = {}
+    for module in order:
+        for statement in module.statements:
+            for name in statement.names:
+                if name not in selection.names[module.name]:
+                    continue
+                text = _source(module, statement)
+                if taken.get(name, text) != text:
+                    new = _prefixed(name, module.stem)
+                    if new in taken:
+                        raise ExportError(f"`{name}` of `{module.name}` is taken, so is `{new}`")
+                    renamed[module.name, name] = new
+                    taken[new] = text
+                else:
+                    taken[name] = text
+    return renamed
+
+
+def _prefixed(name: str, stem: str) -> str:
+    if name.startswith("_"):
+        return f"_{stem}_{name.strip('_')}"
+    if name.isupper():
+        return f"{stem.upper()}_{name}"
+    return f"{stem.title() if name[0].isupper() else f'{stem}_'}{name}"
+
+
+# --- text --------------------------------------------------------------------------------------
+
+
+class _ModuleText:
+    """The text of the selected definitions of one module."""
+
+    def __init__(
+        self, module: SourceModule, selection: _Selection, renamed: Mapping[Key, str]
+    ) -> None:
+        self.module = module
+        self.selection = selection
+        self.lines: list[str | None] = [*module.lines]
+        self.renamed = self._local_names(renamed)
+
+    def write(self, written: dict[str, str]) -> str:
+        """The definitions in their order; those written before, word for word, are left out."""
+        parts: list[str] = []
+        last: Statement | None = None
+        kept = self.selection.names[self.module.name]
+        for statement in self.module.statements:
+            if not kept.intersection(statement.names):
+                continue
+            text = self._statement(statement)
+            if all(written.get(name) == text for name in statement.names):
+                continue
+            written.update(dict.fromkeys(statement.names, text))
+            if last is not None:
+                parts += [""] * self._gap(last, statement)
+            parts.append(text)
+            last = statement
+        return "\n".join(parts)
+
+    def _gap(self, last: Statement, statement: Statement) -> int:
+        definitions = (ast.FunctionDef, ast.ClassDef)
+        if isinstance(last.node, definitions) or isinstance(statement.node, definitions):
+            return 2
+        between = self.module.lines[last.last : statement.first - 1]
+        return 0 if not between else 1
+
+    def _statement(self, statement: Statement) -> str:
+        self._rename(statement.node)
+        if isinstance(statement.node, ast.ClassDef):
+            self._drop_methods(statement.node)
+        for inner in ast.walk(statement.node):
+            if isinstance(inner, ast.FunctionDef | ast.ClassDef):
+                self._shorten_docstring(inner)
+            elif isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone"):
+                self._drop(inner.lineno, (inner.end_lineno or 0), and_blank=True)
+        text = [
+            line
+            for row in self.lines[statement.first - 1 : statement.last]
+            if row is not None
+            for line in row.split("\n")
+        ]
+        if isinstance(statement.node, ast.ClassDef):
+            text = _tidy_class(text)
+        return "\n".join(_plain(line) for line in text)
+
+    def _local_names(self, renamed: Mapping[Key, str]) -> dict[str, str]:
+        """Names of this module that have to be written differently."""
+        local = {}
+        for name in {*self.module.definitions, *self.module.imports}:
+            found = self.selection.target(self.module, name)
+            if isinstance(found, tuple) and (found[0].name, found[1]) in renamed:
+                local[name] = renamed[found[0].name, found[1]]
+        return local
+
+    def _rename(self, node: ast.stmt) -> None:
+        places: dict[int, list[tuple[int, str]]] = {}
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.Name) and inner.id in self.renamed:
+                places.setdefault(inner.lineno, []).append((inner.col_offset, inner.id))
+            elif isinstance(inner, ast.FunctionDef | ast.ClassDef) and inner.name in self.renamed:
+                if inner is node:
+                    offset = 4 if isinstance(inner, ast.FunctionDef) else 6
+                    places.setdefault(inner.lineno, []).append((offset, inner.name))
+            elif isinstance(inner, ast.arg) and inner.arg in self.renamed:
+                raise ExportError(f"`{inner.arg}` of `{self.module.name}` is also an argument")
+        for number, found in places.items():
+            line = (self.lines[number - 1] or "").encode()
+            for offset, name in sorted(found, reverse=True):
+                end = offset + len(name.encode())
+                line = line[:offset] + self.renamed[name].encode() + line[end:]
+            self.lines[number - 1] = line.decode()
+
+    def _drop(self, first: int, last: int, *, and_blank: bool = False) -> None:
+        """Leave lines out, and a blank line that follows them."""
+        self.lines[first - 1 : last] = [None] * (last - first + 1)
+        if and_blank and last < len(self.lines) and self.lines[last] == "":
+            self.lines[last] = None
+
+    def _drop_methods(self, node: ast.ClassDef) -> None:
+        previous = node.lineno
+        for member in node.body:
+            first = member.lineno
+            if isinstance(member, ast.FunctionDef):
+                first = min([first, *(item.lineno for item in member.decorator_list)])
+                if (self.module.name, node.name, member.name) not in self.selection.methods:
+                    start = previous + 1
+                    self._drop(start, member.end_lineno or 0)
+            previous = member.end_lineno or 0
+
+    def _shorten_docstring(self, node: ast.FunctionDef | ast.ClassDef) -> None:
+        """Keep the summary, the prose and the sections that are worth their lines."""
+        if ast.get_docstring(node) is None:
+            return
+        text = node.body[0]
+        first, last = text.lineno, text.end_lineno or 0
+        if self.lines[first - 1] is None or first == last:
+            return
+        lines = [line or "" for line in self.lines[first - 1 : last]]
+        closing = lines.pop().strip()
+        if closing != '"""':
+            lines.append(closing.removesuffix('"""'))
+        kept = _without_sections(lines)
+        if len(kept) == 1:
+            kept[0] += '"""'
+        else:
+            kept.append(" " * text.col_offset + '"""')
+        self.lines[first - 1 : last] = [*kept, *[None] * (last - first + 1 - len(kept))]
+
+
+def _without_sections(lines: Sequence[str]) -> list[str]:
+    """Lines of a docstring without most of its numpydoc sections."""
+    kept: list[str] = []
+    keep = True
+    for number, line in enumerate(lines):
+        following = lines[number + 1].strip() if number + 1 < len(lines) else ""
+        if following and set(following) == {"-"} and len(following) >= 3:
+            keep = line.strip() in _KEPT_HEADINGS
+        if keep:
+            kept.append(line)
+    while kept and not kept[-1].strip():
+        kept.pop()
+    return kept
+
+
+def _tidy_class(lines: Sequence[str]) -> list[str]:
+    """One blank line at most between the members that are left, none at the end."""
+    tidy: list[str] = []
+    for line in lines:
+        if line.strip() or (tidy and tidy[-1].strip()):
+            tidy.append(line)
+    while tidy and not tidy[-1].strip():
+        tidy.pop()
+    return tidy
+
+
+def _plain(text: str) -> str:
+    """Text without the markup of cross references."""
+    return _ROLE.sub(r"`\1`", text)
+
+
+def _iterate(sections: Iterable[Section]) -> Iterator[str]:
+    for section in sections:
+        yield str(section)

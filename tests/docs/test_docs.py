@@ -1,0 +1,134 @@
+"""Every Python block of the README and the docs runs, and prints what the text shows.
+
+A block marked ``text`` that follows a Python block is its output. The blocks of a file share one
+namespace. ``pytest tests/docs --update-golden`` writes the outputs anew.
+
+Numbers are compared with a tolerance, and those in the summary of a solution, which depend on
+the machine, not at all. ``...`` stands for anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+
+import rankone
+
+ROOT = Path(__file__).parents[2]
+FILES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(
+    r"^```python\n(?P<code>.*?)^```\n(?:\n```text\n(?P<output>.*?)^```\n)?", re.M | re.S
+)
+NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?![\w])")
+SUMMARY = re.compile(r"^  (?:success|error|train|timings) .*(?:\n {12}.*)*", re.M)
+CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.M | re.S)
+LINK = re.compile(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)")
+
+FREE, RTOL, ATOL, MEASURED_FACTOR = "#", 1e-4, 1e-7, 100.0
+
+
+def _name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def _normal(text: str) -> str:
+    """Text without what depends on the machine: numbers of summaries, versions, line breaks."""
+    text = SUMMARY.sub(lambda found: NUMBER.sub(FREE, found.group()), text)
+    text = re.sub(rf" \(up to {FREE} at the corners of the box\)", "", " ".join(text.split()))
+    return re.sub(r"\(rankone [^)]*\)", "(rankone)", text)
+
+
+def _close(wanted: str, got: str) -> bool:
+    a, b = float(wanted), float(got)
+    if "e-" in wanted and "e-" in got:  # a measured error
+        return a * b > 0 and 1 / MEASURED_FACTOR <= a / b <= MEASURED_FACTOR
+    return abs(a - b) <= ATOL + RTOL * abs(a)
+
+
+def _agree(wanted: str, got: str) -> bool:
+    """Whether two outputs agree: the same words, close numbers."""
+    wanted, got = _normal(wanted), _normal(got)
+    pattern = "".join(
+        rf"({NUMBER.pattern})" if kind else re.escape(part).replace(re.escape("..."), ".*")
+        for part, kind in _parts(wanted)
+    )
+    match = re.fullmatch(pattern, got, re.S)
+    numbers = [part for part, kind in _parts(wanted) if kind]
+    return match is not None and all(map(_close, numbers, match.groups()))
+
+
+def _parts(text: str) -> list[tuple[str, bool]]:
+    """Words and numbers in turn; the second entry says whether a part is a number."""
+    words = NUMBER.split(text)
+    numbers = NUMBER.findall(text)
+    pairs = itertools.zip_longest(
+        ((word, False) for word in words), ((number, True) for number in numbers)
+    )
+    return [part for pair in pairs for part in pair if part is not None]
+
+
+@pytest.mark.parametrize("path", FILES, ids=_name)
+def test_blocks(path, tmp_path, monkeypatch, request):
+    monkeypatch.chdir(tmp_path)
+    text = path.read_text()
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    pieces, end = [], 0
+    for block in BLOCK.finditer(text):
+        line = text.count("\n", 0, block.start("code"))
+        stream = io.StringIO()
+        code = compile("\n" * line + block["code"], str(path), "exec")
+        with contextlib.redirect_stdout(stream), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            exec(code, namespace)
+        got = stream.getvalue()
+        if block["output"] is None:
+            assert got == "", f"{_name(path)}, line {line}: output that the text does not show"
+            continue
+        if request.config.getoption("--update-golden"):
+            if not _agree(block["output"], got):
+                pieces += [text[end : block.start("output")], _versioned(got)]
+                end = block.end("output")
+        else:
+            assert _agree(block["output"], got), f"{_name(path)}, line {line}\n{got}"
+    if pieces:
+        path.write_text("".join([*pieces, text[end:]]))
+
+
+def _versioned(text: str) -> str:
+    return text.replace("(rankone 0+unknown)", "(rankone 0.1.0)")
+
+
+@pytest.mark.parametrize("path", FILES, ids=_name)
+def test_links(path):
+    for target in LINK.findall(CODE.sub("", path.read_text())):
+        assert (path.parent / target).exists(), target
+
+
+def test_the_reference_names_everything_public():
+    text = (ROOT / "docs" / "reference.md").read_text()
+    for name in rankone.__all__:
+        assert name.startswith("__") or f"`{name}" in text, name
+
+
+@pytest.mark.parametrize(
+    ("wanted", "got", "agrees"),
+    [
+        ("x = 1.0000", "x = 1.00001", True),
+        ("x = 1.0", "x = 1.1", False),
+        ("error 3.0e-07", "error 8e-8", True),
+        ("error 3.0e-07", "error 3e-4", False),
+        ("[1. 2.]", "[1.  2.]", True),
+        ("x0 = 1", "x1 = 1", False),
+        ("a ... c 2", "a b c 2", True),
+        ("  timings   march 0.1 s", "  timings   march 0.2 s", True),
+        ("  train     march 0.1 s", "  train     sweep 0.2 s", False),
+    ],
+)
+def test_comparison(wanted, got, agrees):
+    assert _agree(wanted, got) is agrees
