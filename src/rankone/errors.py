@@ -15,6 +15,7 @@ __all__ = [
     "BlowUpError",
     "ConvergenceError",
     "EvaluationError",
+    "ExportError",
     "OptionError",
     "ProblemError",
     "RankoneError",
@@ -83,6 +84,10 @@ class EvaluationError(RankoneError, ValueError):
 
 class StorageError(RankoneError, ValueError):
     """A file cannot be read or written as a rankone solution."""
+
+
+class ExportError(RankoneError, ValueError):
+    """A solver or a solution cannot be exported as asked; nothing was written."""
 
 
 class ConvergenceError(RankoneError, RuntimeError):

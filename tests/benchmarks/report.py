@@ -282,7 +282,7 @@ def _markdown(report: dict[str, Any]) -> str:
                 _seconds(row["solve_seconds"]),
                 f"{_seconds(row['trajectory_seconds'])} ({row['trajectory_method']})",
                 _seconds(row["compile_seconds"]),
-                f"{own:.0f} MiB above {row['baseline_mib']:.0f}",
+                f"{own:.0f} MiB above {row['baseline_mib']:.0f} MiB",
                 f"{row['batch_points_per_second']:.1e}/s".replace("e+0", "e"),
                 f"{row['one_point_milliseconds']:.3f} ms",
             ]
@@ -292,8 +292,8 @@ def _markdown(report: dict[str, Any]) -> str:
         [
             *_table(header[0], ratios),
             "",
-            "The same in absolute numbers; memory is the peak of a process that solves once, above the "
-            "process after importing rankone:",
+            "The same in absolute numbers; memory is the peak of a process that solves once, above "
+            "the same process after importing rankone:",
             "",
             *_table(header[1], absolute),
             "",

@@ -150,7 +150,8 @@ class LagrangeElements:
     @cached_property
     def _to_legendre(self) -> Array:
         """From values at the nodes of one element to its Legendre coefficients."""
-        return np.linalg.inv(legendre_values(lobatto_points(self.order), self.order + 1))
+        nodal = legendre_values(lobatto_points(self.order), self.order + 1)
+        return np.asarray(np.linalg.inv(nodal))
 
     def _local(self, xi: Array) -> Array:
         """Shape functions of one element at points of [-1, 1], (N, order + 1)."""

@@ -3,29 +3,31 @@
 Starting from a few roots, everything they reach is selected: functions, classes, constants and,
 within classes, the methods whose names occur in what was selected so far. The text is taken as it
 stands, with its comments. What changes is little: imports from the library go, module docstrings
-become the titles of sections, docstrings keep their summary and the attributes of classes, and
-a name that two modules use for different things gets the name of its module in front.
+become the titles of sections, docstrings keep their summary (those of classes their prose), and a
+name that two modules use for different things gets the name of its module in front.
 """
 
 from __future__ import annotations
 
 import ast
+import builtins
+import itertools
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import sys
+import textwrap
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rankone.errors import ExportError
 from rankone.export.modules import Import, SourceModule, Statement, imported, read_module, resolve
 
-__all__ = ["Section", "carry", "import_lines"]
+__all__ = ["Section", "banner", "carry", "import_lines"]
 
 Key = tuple[str, str]
 """(module, name) of a definition."""
 
-_KEPT_HEADINGS = ("Attributes",)
-"""Sections of numpydoc docstrings that are carried over."""
 _ROLE = re.compile(r":(?:class|func|meth|mod|attr|data):`~?(?:[\w.]*\.)?(\w+)`")
-_BANNER = "# " + "=" * 97
+_WIDTH = 100
 
 
 @dataclass(frozen=True)
@@ -35,19 +37,29 @@ class Section:
     Attributes
     ----------
     module : str
-    title : tuple of str
-        Lines of its docstring.
+    title : str
+        First line of its docstring, or the title asked for.
+    prose : tuple of str
+        The rest of its docstring, unless a title was asked for.
     text : str
         Its definitions, without imports.
     """
 
     module: str
-    title: tuple[str, ...]
+    title: str
+    prose: tuple[str, ...]
     text: str
 
     def __str__(self) -> str:
-        comment = (f"# {line}".rstrip() for line in self.title)
-        return "\n".join([_BANNER, *comment, _BANNER, "", "", self.text])
+        comment = [f"# {line}".rstrip() for line in ("", *self.prose)] if self.prose else []
+        attached = self.text.startswith(("def ", "class ", "@", "#"))
+        return "\n".join([banner(self.title), *comment, *([] if attached else [""]), self.text])
+
+
+def banner(title: str) -> str:
+    """A comment that opens a section."""
+    start = f"# == {title} "
+    return start + "=" * max(_WIDTH - 1 - len(start), 3)
 
 
 def carry(
@@ -56,6 +68,7 @@ def carry(
     reserved: Collection[str] = (),
     replaced: Mapping[str, str] | None = None,
     dropped: Collection[str] = (),
+    titles: Mapping[str, str] | None = None,
 ) -> tuple[list[Section], set[Import]]:
     """Select what the roots need and write it as sections, each after those it needs.
 
@@ -70,6 +83,8 @@ def carry(
         a name among those reserved.
     dropped : collection of str
         Methods, ``"module:Class.method"``, that are left behind.
+    titles : mapping of str to str
+        For modules of which only a part is carried over, the titles of their sections.
 
     Returns
     -------
@@ -91,15 +106,26 @@ def carry(
     for module in order:
         text = _ModuleText(module, selection, names).write(written)
         if text:
-            title = tuple(_plain(module.docstring).splitlines())
-            sections.append(Section(module.name, title, text))
+            sections.append(_section(module, text, (titles or {}).get(module.name)))
     return sections, selection.imports
+
+
+def _section(module: SourceModule, text: str, title: str | None) -> Section:
+    """A section with the title asked for, or else with the docstring of its module."""
+    if title is not None:
+        return Section(module.name, title, (), text)
+    first, *rest = _plain(module.docstring).splitlines()
+    first, _, after = first.partition(": ") if len(first) > _WIDTH - 12 else (first, "", "")
+    prose: list[str] = [f"{after[:1].upper()}{after[1:]}", ""] if after else []
+    for line in "\n".join(rest).strip("\n").splitlines():
+        prose += textwrap.wrap(line, _WIDTH - 2) if len(line) > _WIDTH - 2 else [line]
+    while prose and not prose[-1]:
+        prose.pop()
+    return Section(module.name, first.rstrip("."), tuple(prose), text)
 
 
 def import_lines(imports: Iterable[Import]) -> list[str]:
     """Import statements in the order of isort, standard library first."""
-    import sys
-
     plain: dict[bool, set[str]] = {True: set(), False: set()}
     members: dict[bool, dict[str, set[str]]] = {True: {}, False: {}}
     for found in imports:
@@ -257,14 +283,8 @@ class _Selection:
             elif isinstance(inner, ast.Name) and inner.id in lazily:
                 found = lazily[inner.id]
                 self._take_name(read_module(found.module), found.name or "")
-            elif isinstance(inner, ast.Name) and inner.id not in _builtins():
+            elif isinstance(inner, ast.Name) and not hasattr(builtins, inner.id):
                 self._take_name(module, inner.id)
-
-
-def _builtins() -> Collection[str]:
-    import builtins
-
-    return vars(builtins)
 
 
 def _key(text: str) -> Key:
@@ -285,7 +305,7 @@ def _new_names(
             for name in statement.names:
                 if name not in selection.names[module.name]:
                     continue
-                text = _source(module, statement)
+                text = "\n".join(module.lines[statement.first - 1 : statement.last])
                 if taken.get(name, text) != text:
                     new = _prefixed(name, module.stem)
                     if new in taken:
@@ -419,7 +439,10 @@ class _ModuleText:
         closing = lines.pop().strip()
         if closing != '"""':
             lines.append(closing.removesuffix('"""'))
-        kept = _without_sections(lines)
+        if isinstance(node, ast.FunctionDef):
+            kept = list(itertools.takewhile(str.strip, lines))
+        else:
+            kept = _without_sections(lines)
         if len(kept) == 1:
             kept[0] += '"""'
         else:
@@ -428,16 +451,10 @@ class _ModuleText:
 
 
 def _without_sections(lines: Sequence[str]) -> list[str]:
-    """Lines of a docstring without most of its numpydoc sections."""
-    kept: list[str] = []
-    keep = True
-    for number, line in enumerate(lines):
-        following = lines[number + 1].strip() if number + 1 < len(lines) else ""
-        if following and set(following) == {"-"} and len(following) >= 3:
-            keep = line.strip() in _KEPT_HEADINGS
-        if keep:
-            kept.append(line)
-    while kept and not kept[-1].strip():
+    """Lines of a docstring up to its numpydoc sections, which describe the parameters."""
+    end = next((k - 1 for k, line in enumerate(lines) if re.fullmatch(r" *-{3,}", line)), None)
+    kept = list(lines[:end])
+    while not kept[-1].strip():
         kept.pop()
     return kept
 
@@ -457,7 +474,3 @@ def _plain(text: str) -> str:
     """Text without the markup of cross references."""
     return _ROLE.sub(r"`\1`", text)
 
-
-def _iterate(sections: Iterable[Section]) -> Iterator[str]:
-    for section in sections:
-        yield str(section)

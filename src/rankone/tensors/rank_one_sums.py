@@ -38,7 +38,7 @@ class RankOneSum:
     @property
     def rank(self) -> int:
         """Number of products R."""
-        return self.factors[0].shape[1]
+        return int(self.factors[0].shape[1])
 
     def __add__(self, other: RankOneSum) -> RankOneSum:
         pairs = zip(self.factors, other.factors, strict=True)
@@ -91,7 +91,9 @@ class RankOneSum:
         carry = np.ones((1, self.rank))
         for factor in self.factors[:-1]:
             block = (carry[:, None, :] * factor).reshape(-1, self.rank)
-            carry = block if len(block) <= self.rank else np.linalg.qr(block, mode="r")
+            if len(block) > self.rank:
+                block = np.asarray(np.linalg.qr(block, mode="r"))
+            carry = block
         return float(np.linalg.norm(carry @ self.factors[-1].T))
 
     def merged(self) -> RankOneSum:

@@ -3,7 +3,8 @@
 The slides' discrete equation ``D(U) = G`` of one unknown. With the shape functions phi of time and
 psi of a parameter k, the equation ``u' + k u = 0`` has
 
-    D = P (x) M_k + M_t (x) N,   P = int phi phi'^T dt,   M = int phi phi^T,   N = int k psi psi^T dk.
+    D = P (x) M_k + M_t (x) N,
+    P = int phi phi'^T dt,   M_t = int phi phi^T dt,   N = int k psi psi^T dk.
 
 The unknown is the state minus its initial value, so that its time functions vanish at the start of
 the slab: the first shape function in time is left out, of the unknown and of the test function.
@@ -24,7 +25,7 @@ from rankone.solvers.greedy.terms import SourceTerm
 from rankone.system import System
 from rankone.tensors.rank_one_sums import RankOneSum
 
-__all__ = ["Equation", "ShapeSpace", "assemble", "identity", "named_matrices"]
+__all__ = ["Equation", "ShapeSpace", "assemble", "named_matrices"]
 
 Array = NDArray[np.float64]
 
@@ -142,8 +143,7 @@ class Equation:
         """The source G tested: from values at the quadrature points."""
         tested = []
         for k in range(len(self.tests[0])):
-            tables = [tests[min(k, len(tests) - 1)] for tests in self.tests]
-            tested.append(source.applied([table.T for table in tables]))
+            tested.append(source.applied([tests[k].T for tests in self.tests]))
         return RankOneSum.joined(tested, self.sizes)
 
     def image(self, nodal: RankOneSum) -> RankOneSum:
@@ -153,14 +153,6 @@ class Equation:
             products = matrices @ factor
             factors.append(np.concatenate([products[u] for u in index], axis=1))
         return RankOneSum(tuple(factors))
-
-
-def identity(space: ShapeSpace) -> Equation:
-    """The equation whose operator is the identity: mass matrices."""
-    tests = tuple((w[:, None] * v,) for v, w in zip(space.tables, space.weights, strict=True))
-    stacks = tuple(mass[None] for mass in space.masses)
-    widths = tuple(map(_bandwidth, stacks))
-    return Equation(stacks, ((0,),) * len(stacks), tests, space.masses, widths)
 
 
 def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOptions) -> Equation:
@@ -190,7 +182,9 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
     for j, (v, rows) in enumerate(zip(space.tables[1:], space.rows[1:], strict=True)):
         applied.append([rows[key[j]][:, None] * v for key in in_time])
     labels = [list(range(len(in_time))), *([key[j] for key in in_time] for j in range(len(one)))]
-    tests, matrices, index = [], [], []
+    tests: list[tuple[Array, ...]] = []
+    matrices: list[Array] = []
+    index: list[tuple[int, ...]] = []
     for j, (v, w) in enumerate(zip(space.tables, space.weights, strict=True)):
         if options.projection == "galerkin":
             tests.append((w[:, None] * v,))
@@ -200,7 +194,7 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
             tests.append(tuple(w[:, None] * a for a in applied[j]))
             pairs = [(k, i) for k in range(len(in_time)) for i in range(len(in_time))]
             names = [(labels[j][k], labels[j][i]) for k, i in pairs]
-        first = {name: pair for name, pair in zip(reversed(names), reversed(pairs), strict=True)}
+        first = dict(zip(reversed(names), reversed(pairs), strict=True))
         distinct = list(dict.fromkeys(names))
         stack = [tests[j][first[name][0]].T @ applied[j][first[name][1]] for name in distinct]
         matrices.append(np.stack(stack))

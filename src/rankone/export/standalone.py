@@ -1,0 +1,296 @@
+"""The standalone solver: one file that needs only NumPy and SciPy.
+
+A file is made of the generated module of the problem, the engine and what it needs, carried over
+from the library (:mod:`rankone.export.carry`), and a short end that ties them together.
+"""
+
+from __future__ import annotations
+
+import ast
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rankone.codegen.module import quoted
+from rankone.codegen.text import WIDTH, docstring
+from rankone.errors import OptionError
+from rankone.export.carry import banner, carry, import_lines
+from rankone.export.modules import Import
+
+if TYPE_CHECKING:
+    from rankone.compiled import CompiledProblem
+    from rankone.solution import SolutionMetadata
+
+__all__ = ["ENGINES", "Engine", "standalone_source"]
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where an engine is found.
+
+    Attributes
+    ----------
+    module : str
+        Package of the engine.
+    solve : str
+        Its function ``(system, rtol, options, check) -> Outcome``.
+    options : str
+        The class of its options.
+    """
+
+    module: str
+    solve: str
+    options: str
+
+
+ENGINES = {"train": Engine("rankone.solvers.train", "solve_train", "TrainOptions")}
+"""The engines that can be exported, by the name of the method."""
+
+_SYSTEM_TITLE = "The system: tables, factors and kernels, generated from the equations"
+_END_TITLE = "This solver: what was asked, solve, and the command line"
+_PROGRAM = "rankone.export.program"
+_TABLES = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
+_FIELDS = (
+    *("STATES", "N_DIFFERENTIAL", "PRODUCTS", "PARAMETERS", "TIME", "BOX", "SIGNATURES"),
+    *("INITIAL", "PAIRED", "time_factors", "parameter_factors"),
+    *("rhs", "jacobian", "lift", "lifted_jacobian"),
+)
+_TITLES = {
+    "rankone.errors": "Errors: what was given, what was expected, what to do",
+    "rankone.compiled": "Checks of what was asked, and delivery of what came out",
+    "rankone.solution": "What was asked, in plain data",
+    "rankone.storage": "Solutions as named arrays, in the open format of rankone",
+    _PROGRAM: "Solution, files and command line",
+}
+"""Titles of sections that hold only a part of their module."""
+_OWN_NAMES = ("System", "SYSTEM", "METADATA", "solve", "_contract", "_expand")
+
+
+def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
+    """Text of the standalone solver of a problem.
+
+    Parameters
+    ----------
+    compiled : CompiledProblem
+    method : {"train"}
+        The engine.
+
+    Returns
+    -------
+    str
+        A module, formatted; the same problem gives the same text, byte for byte.
+
+    Raises
+    ------
+    OptionError
+        If there is no such engine.
+    ExportError
+        If a part of the library cannot be carried over.
+    """
+    engine = ENGINES.get(method)
+    if engine is None:
+        raise OptionError(
+            f"method={method!r} cannot be exported", remedy=f"choose from {', '.join(ENGINES)}"
+        )
+    metadata = compiled._metadata(1e-6, method)
+    system = _SystemText(compiled.source)
+    sections, imports = carry(
+        [
+            f"{engine.module}:{engine.solve}",
+            f"{engine.module}:{engine.options}",
+            *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load")),
+            *(f"{_PROGRAM}:Solution.{name}" for name in ("grid", "error")),
+        ],
+        reserved={*system.names, *_FIELDS, *_OWN_NAMES, "np", "os", "sys"},
+        replaced={
+            "rankone.system:System": "",
+            "rankone.solution:Solution": f"{_PROGRAM}:Solution",
+        },
+        dropped=["rankone.errors:RankoneError.__reduce__"],
+        titles=_TITLES,
+    )
+    imports |= {Import("types", "SimpleNamespace", "SimpleNamespace")}
+    imports |= {Import("sys", None, "sys"), Import("os", None, "os")}
+    imports |= {Import("numpy", None, "np")}
+    parts = [
+        _head(compiled, method, imports) + f"\n\n{banner(_SYSTEM_TITLE)}\n\n{system.text}",
+        _system_object(system),
+        *(str(section) for section in sections),
+        f"{banner(_END_TITLE)}\n\n{_end(engine, metadata)}",
+    ]
+    return "\n\n\n".join(parts) + "\n"
+
+
+class _SystemText:
+    """The generated module without its docstring, its imports and the tables of kernels."""
+
+    def __init__(self, source: str) -> None:
+        tree = ast.parse(source)
+        lines = source.splitlines()
+        self.docstring = (ast.get_docstring(tree) or "").splitlines()
+        self.tables: dict[str, list[str]] = {}
+        self.names: set[str] = set()
+        first = 0
+        dropped: set[int] = set()
+        for node in tree.body:
+            span = range(node.lineno - 1, node.end_lineno or 0)
+            if isinstance(node, ast.FunctionDef):
+                self.names.add(node.name)
+            elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                name = node.targets[0].id
+                if name in _TABLES and isinstance(node.value, ast.Tuple):
+                    self.tables[name] = [ast.unparse(item) for item in node.value.elts]
+                    dropped.update(span)
+                else:
+                    self.names.add(name)
+            else:
+                first = max(first, node.end_lineno or 0)
+        kept = [line for k, line in enumerate(lines) if k >= first and k not in dropped]
+        self.text = "\n".join(kept).strip("\n")
+
+
+def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:
+    """The docstring and the imports."""
+    from rankone.version import __version__
+
+    generated = _SystemText(compiled.source).docstring
+    body = generated[3:]
+    while body and not body[0]:
+        body.pop(0)
+    name = compiled.problem.name or generated[0].rstrip(".")
+    separated = [line.rstrip() for line in str(compiled.separated).splitlines()]
+    example = ", ".join(
+        f"{c.name}={0.5 * (c.lower + c.upper):g}" for c in compiled.separated.coordinates
+    )
+    at = example.replace(", ", " ")
+    lines = [
+        f"{name}: a solver for every parameter value at once.",
+        "",
+        *textwrap.wrap(
+            f'Generated by rankone {__version__} (method="{method}"). Needs Python 3.11 or newer, '
+            "NumPy and SciPy, nothing else.",
+            WIDTH,
+        ),
+        "",
+        *body,
+        "",
+        *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in separated),
+        "",
+        "As a module, in a file solver.py:",
+        "",
+        "    import solver",
+        "    solution = solver.solve(rtol=1e-6)",
+        *textwrap.wrap(f"    solution({example})", WIDTH, subsequent_indent=" " * 13),
+        "",
+        "As a program (--help shows all options):",
+        "",
+        *textwrap.wrap(
+            f"    python solver.py --rtol 1e-6 --at {at} --json", WIDTH, subsequent_indent=" " * 8
+        ),
+        "    python solver.py --grid 20 --save values.npz",
+    ]
+    return "\n".join(
+        [*docstring(lines, indent=""), "", "from __future__ import annotations", "", *import_lines(imports)]
+    )
+
+
+def _system_object(system: _SystemText) -> str:
+    """The generated names as one object, and what the solutions carry along."""
+    lines = [
+        "class System(SimpleNamespace):",
+        '    """The names above as one object, so that its box and horizon can be replaced."""',
+        "",
+        "",
+        "SYSTEM = System(",
+        *(f"    {name}={name}," for name in _FIELDS),
+    ]
+    for name in _TABLES:
+        lines += _entry(name, system.tables[name])
+    return "\n".join([*lines, ")"])
+
+
+def _entry(name: str, items: Sequence[str]) -> list[str]:
+    """A tuple as a keyword argument, one line for each item if it is too long for one."""
+    line = f"    {name}=({', '.join(items)}{',' if len(items) == 1 else ''}),"
+    if len(line) <= WIDTH:
+        return [line]
+    return [f"    {name}=(", *(f"        {item}," for item in items), "    ),"]
+
+
+def _end(engine: Engine, metadata: SolutionMetadata) -> str:
+    """What ties the parts together: the metadata, ``solve`` and the command line."""
+    values = {name: getattr(metadata, name) for name in _METADATA}
+    table = [line for name, value in values.items() for line in _literal(name, value)]
+    return _END.format(
+        metadata="\n".join(table), solve=engine.solve, options=engine.options
+    ).strip("\n")
+
+
+_METADATA = (
+    *("unknowns", "states", "parameters", "box", "time", "horizon", "rtol", "method"),
+    *("equations", "version"),
+)
+
+_END = '''
+METADATA = SolutionMetadata(
+{metadata}
+)
+
+
+def solve(
+    rtol: float = 1e-6,
+    *,
+    parameters: Mapping[str, Sequence[float]] | None = None,
+    t_final: float | None = None,
+    check: int = 24,
+    **options: Any,
+) -> Solution:
+    """Solve for every parameter value at once.
+
+    Parameters
+    ----------
+    rtol : float
+        Largest error asked for, relative to the size of each unknown, from 1e-10 to 0.1. It is
+        measured against SciPy trajectories after the solve.
+    parameters : mapping of str to (float, float), optional
+        Other ranges of parameters.
+    t_final : float, optional
+        Another end of the horizon.
+    check : int
+        Number of random check points; without any the error is not known.
+    **options
+        See `{options}`.
+
+    Returns
+    -------
+    Solution
+        `success` says whether the measured error is within the tolerance, `message` why not.
+
+    Raises
+    ------
+    BlowUpError
+        A trajectory blows up inside the horizon.
+    OptionError
+        A value is out of its range.
+    """
+    engine_options = {options}(**options)
+    return solve_system(
+        SYSTEM, METADATA, {solve}, engine_options, rtol, parameters, t_final, check
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(run(solve, METADATA))
+'''
+
+
+def _literal(name: str, value: object) -> list[str]:
+    """A keyword argument with a text, a number or a tuple of them."""
+    if isinstance(value, tuple):
+        return _entry(name, [_text(item) for item in value])
+    return [f"    {name}={_text(value)},"]
+
+
+def _text(value: object) -> str:
+    return quoted(value) if isinstance(value, str) else repr(value)
