@@ -21,7 +21,7 @@ from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Reference", "check_points", "initial_values", "integrate_reference", "measure"]
 
-_PROBE_STEPS = 300
+_PROBE_STEPS = 100
 """DOP853 steps after which it is asked whether stability limits the step."""
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (the stability interval is about 6)."""

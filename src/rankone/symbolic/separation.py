@@ -127,12 +127,17 @@ class _Separation:
                 term=written,
                 remedy="change the box",
             )
+        way_out = (
+            "take it as a further unknown with an equation of its own, such as z' = -k*z, "
+            "z(0) = 1 for exp(-k*t)"
+            if self.coordinates[0].symbol in names
+            else "take the combination as a parameter of its own"
+        )
         return SeparationError(
             f"{message}couples {listing(names)} and does not factor",
             equation=equation,
             term=written,
-            remedy="write it as a sum of products of functions of one coordinate each, or take "
-            "the coupling combination as a parameter of its own",
+            remedy=f"write it as a sum of products of functions of one coordinate each, or {way_out}",
         )
 
     def _among(self, symbols: Iterable[sp.Symbol]) -> list[Coordinate]:

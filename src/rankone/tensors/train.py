@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["apply_to_modes", "right_orthonormal"]
+__all__ = ["apply_to_modes", "right_orthonormal", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -33,3 +33,32 @@ def apply_to_modes(cores: Sequence[Array], matrices: Sequence[Array]) -> list[Ar
     """Apply one matrix to the middle index of each core j >= 1; core 0 is kept."""
     changed = [np.matmul(matrix, core) for matrix, core in zip(matrices, cores[1:], strict=True)]
     return [cores[0], *changed]
+
+
+def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:
+    """The same train in a larger frame: the span of its cores and of those of another train.
+
+    Parameters
+    ----------
+    cores : sequence of ndarray
+        Core 0 (..., r_1), cores j >= 1 (r_j, n_j, r_{j+1}).
+    extra : sequence of ndarray
+        Cores 1, ..., d of the other train, (k, n_j, k), the last (k, n_d, 1).
+
+    Returns
+    -------
+    list of ndarray
+        Ranks r_j + k, cores j >= 1 with orthonormal rows.
+    """
+    first, count = cores[0], extra[0].shape[0]
+    result = [np.concatenate([first, np.zeros((*first.shape[:-1], count))], axis=-1)]
+    for j, (core, other) in enumerate(zip(cores[1:], extra, strict=True)):
+        left, size, right = core.shape
+        if j == len(extra) - 1:
+            result.append(np.concatenate([core, other], axis=0))
+            continue
+        block = np.zeros((left + count, size, right + count))
+        block[:left, :, :right] = core
+        block[left:, :, right:] = other
+        result.append(block)
+    return right_orthonormal(result)

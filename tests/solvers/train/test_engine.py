@@ -261,3 +261,9 @@ def test_progress_events_reach_the_end_of_the_horizon():
     fractions = [event.fraction for event in events if event.attempt == events[-1].attempt]
     assert fractions == sorted(fractions)
     assert fractions[-1] == pytest.approx(1.0)
+
+
+def test_a_dependence_the_initial_values_do_not_have_is_found():
+    """From constant initial values every pair of cores sees one parameter function only."""
+    solution = ro.solve(REFERENCE["robertson"](), rtol=1e-4, max_attempts=1)
+    assert solution.success, solution.message

@@ -1,11 +1,11 @@
-"""``method="greedy"``: slabs, check against SciPy, more nodes or a tighter tolerance."""
+"""``method="greedy"``: march, check against SciPy, more nodes or a tighter tolerance."""
 
 from __future__ import annotations
 
 import math
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +13,14 @@ from numpy.typing import NDArray
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.ir import SeparatedForm
 from rankone.solvers.greedy.history import GreedySlabRecord
-from rankone.solvers.greedy.lagging import LaggedSlab, SlabResult, compressed
-from rankone.solvers.greedy.operators import ShapeSpace
+from rankone.solvers.greedy.march import March, MarchResult
+from rankone.solvers.greedy.nodes import first_nodes
 from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.greedy.terms import evaluation_order, source_terms
+from rankone.solvers.greedy.terms import source_terms
 from rankone.solvers.outcome import Measured, Outcome, Status
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
 from rankone.solvers.sensitivity import amplification
-from rankone.solvers.train import TrainOptions
-from rankone.solvers.train.nodes import first_bases
 from rankone.system import System
-from rankone.tensors.conversion import element_trains
-from rankone.tensors.rank_one_sums import RankOneSum
-from rankone.tensors.slab import SlabTrain
 
 __all__ = ["solve_greedy"]
 
@@ -33,37 +28,17 @@ Array = NDArray[np.float64]
 
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
-_CONTRACTION = 1.0
-"""Length of the first slab times the largest norm of the Jacobian."""
-_SHORTEST = 1e-6
-"""Shortest slab, relative to the horizon."""
-_FEW_ITERATIONS, _MANY_ITERATIONS = 6, 12
-"""Lagged iterations after which the next slab is longer, or shorter."""
-_FINITE_ELEMENT_NODES = 41
-_SHARE = 0.1
+_SHARE = 0.03
 """Tolerance of a slab relative to the error asked for, before the growth of errors."""
+_TAIL = 0.1
+"""Part of the error asked for that the highest modes may make up."""
 
 
 @dataclass
-class _March:
-    """Slabs of one attempt."""
-
-    slabs: list[SlabTrain] = field(default_factory=list)
-    records: list[GreedySlabRecord] = field(default_factory=list)
-    limits: set[Status] = field(default_factory=set)
-    stopped: Status | None = None
-    time_tail: float = 0.0
-    parameter_tails: Array = field(default_factory=lambda: np.zeros(0))
-    measured: Measured | None = None
-    error: float = math.inf
-
-
-@dataclass(frozen=True)
-class _Nodes:
-    """Numbers of nodes in time and in each parameter."""
-
-    time: int
-    parameters: tuple[int, ...]
+class _Attempt:
+    result: MarchResult
+    measured: Measured | None
+    error: float
 
 
 def solve_greedy(
@@ -94,293 +69,97 @@ def solve_greedy(
     -------
     Outcome
         ``status`` is CONVERGED only if the measured error is within ``rtol``; ``history`` holds
-        :class:`~rankone.solvers.greedy.history.GreedySlabRecord`.
+        :class:`~rankone.solvers.greedy.history.GreedySlabRecord`. Finite elements in time give
+        one slab for each element.
     """
-    solver = _Solver(system, form, rtol, options or GreedyOptions(), check, report)
-    return solver.run()
+    options = options or GreedyOptions()
+    timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
+    began = clock.perf_counter()
+    box = np.array(system.BOX, dtype=float).reshape(-1, 2)
+    start, horizon = system.TIME
+    points = check_points(box, check)
+    corners = len(points) - 1 - check if check else 0
+    reference = integrate_reference(system, points, start, horizon, max(1e-3 * rtol, 3e-13))
+    end = reference.end
+    if reference.blown is not None:
+        end = start + _BLOW_UP_FRACTION * (end - start)
+    sizes, stiffness = _sizes(system, reference, end)
+    growth = amplification(system, reference, sizes, end)
+    terms = source_terms(form)
+    timings["reference"] = clock.perf_counter() - began
 
-
-class _Solver:
-    """One solve: what stays the same over its attempts."""
-
-    def __init__(
-        self,
-        system: System,
-        form: SeparatedForm,
-        rtol: float,
-        options: GreedyOptions,
-        check: int,
-        report: Callable[[float, float, int, int, int], None] | None,
-    ) -> None:
-        self.system, self.rtol, self.options = system, rtol, options
-        self.check, self.report = check, report
-        self.timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
+    nodes = first_nodes(system, box, rtol, options)
+    share = _SHARE
+    records: list[GreedySlabRecord] = []
+    best: _Attempt | None = None
+    for attempt in range(options.max_attempts):
         began = clock.perf_counter()
-        self.box = np.array(system.BOX, dtype=float).reshape(-1, 2)
-        self.start, horizon = system.TIME
-        points = check_points(self.box, check)
-        self.corners = len(points) - 1 - check if check else 0
-        self.reference = integrate_reference(
-            system, points, self.start, horizon, max(1e-3 * rtol, 3e-13)
-        )
-        self.end = self.reference.end
-        if self.reference.blown is not None:
-            self.end = self.start + _BLOW_UP_FRACTION * (self.end - self.start)
-        self.sizes, self.stiffness = _sizes(system, self.reference, self.end)
-        self.growth = amplification(system, self.reference, self.sizes, self.end)
-        self.terms = source_terms(form)
-        self.blocks = evaluation_order(self.terms, system.N_DIFFERENTIAL)
-        self.timings["reference"] = clock.perf_counter() - began
+        level = share * rtol
 
-    def run(self) -> Outcome:
-        """Attempts until the measured error fits, or nothing more can be done."""
-        share = _SHARE
-        nodes = self._first_nodes()
-        records: list[GreedySlabRecord] = []
-        best: _March | None = None
-        for attempt in range(self.options.max_attempts):
-            began = clock.perf_counter()
-            march = self._march(share * self.rtol, nodes, attempt)
-            records += march.records
-            self.timings["march"] += clock.perf_counter() - began
-            began = clock.perf_counter()
-            if march.slabs and self.check:
-                march.measured = measure(march.slabs, self.reference, self.sizes, self.corners)
-                march.error = max(march.measured.interior, default=0.0)
-            self.timings["check"] += clock.perf_counter() - began
-            stalled = best is not None and march.error > 0.7 * best.error
-            if best is None or _better(march, best):
-                best = march
-            finer = self._finer(nodes, march)
-            if not self.check or march.stopped or march.error <= self.rtol:
-                break
-            if (stalled or march.limits) and finer == nodes:
-                break
-            if finer == nodes and self.options.tolerance is not None:
-                break
-            nodes = finer
-            share *= min(max(0.5 * self.rtol / march.error, 0.05), 0.5)
-        assert best is not None
-        return self._outcome(best, records)
+        def tolerance(t: float, level: float = level) -> float:
+            return options.tolerance or max(level / growth(t), 1e-13)
 
-    # --- discretisation ------------------------------------------------------------------------
+        def in_time(lower: float, upper: float, count: int = nodes.time) -> LagrangeElements:
+            return options.shape_functions(lower, upper, count)
 
-    def _first_nodes(self) -> _Nodes:
-        options, d = self.options, len(self.box)
-        given = options.parameter_nodes
-        if isinstance(given, tuple):
-            parameters = given
-        elif given is not None:
-            parameters = (given,) * d
-        elif options.elements != "legendre":
-            parameters = (_FINITE_ELEMENT_NODES,) * d
-        else:
-            bases, _ = first_bases(self.system, self.box, self.rtol, TrainOptions(basis="legendre"))
-            parameters = tuple(basis.degree for basis in bases)
-        return _Nodes(options.time_nodes_for(self.rtol), parameters)
+        def notify(t: float, slabs: int, rank: int, attempt: int = attempt) -> None:
+            if report is not None:
+                report(t, (t - start) / (end - start), attempt, slabs, rank)
 
-    def _finer(self, nodes: _Nodes, march: _March) -> _Nodes:
-        """More nodes where they are not given and the highest modes are not small."""
-        options = self.options
-        limit = 0.1 * self.rtol
-        if options.elements != "legendre":
-            limit = 0.0
-        time, parameters = nodes.time, nodes.parameters
-        if options.time_nodes is None and march.time_tail > limit:
-            time = _more(time)
-        if options.parameter_nodes is None:
-            parameters = tuple(
-                _more(n) if tail > limit else n
-                for n, tail in zip(parameters, march.parameter_tails, strict=True)
-            )
-        return _Nodes(time, parameters)
-
-    def _elements(self, lower: float, upper: float, nodes: int) -> LagrangeElements:
-        if self.options.elements == "legendre":
-            return LagrangeElements(lower, upper, 1, nodes - 1)
-        order = self.options.order
-        return LagrangeElements(lower, upper, (nodes - 1) // order, order)
-
-    # --- march over the slabs ------------------------------------------------------------------
-
-    def _march(self, tolerance: float, nodes: _Nodes, attempt: int) -> _March:
-        options = self.options
-        march = _March(parameter_tails=np.zeros(len(self.box)))
-        spaces = [self._elements(a, b, n) for (a, b), n in zip(self.box, nodes.parameters)]
-        masses = [(s.values.T * s.weights) @ s.values for s in spaces]
-        values = self._initial(spaces)
-        horizon = self.end - self.start
-        adaptive = options.time_slabs is None
-        length = horizon if options.time_slabs is None else horizon / options.time_slabs
-        if adaptive and max(map(len, self.blocks)) > 0 and self._lagged():
-            length = min(length, _CONTRACTION / max(self.stiffness, 1e-300))
-        time = self.start
-        while self.end - time > 1e-9 * horizon:
-            if len(march.records) >= options.max_slabs:
-                march.stopped = Status.SLAB_LIMIT
-                break
-            remaining = self.end - time
-            if adaptive:
-                length = remaining / math.ceil(remaining / length - 1e-9)
-            step_end = self.end if remaining < 1.01 * length else time + length
-            level = options.tolerance or max(tolerance / self.growth(time), 1e-13)
-            space = ShapeSpace(self.system, self._elements(time, step_end, nodes.time), spaces)
-            slab = LaggedSlab(
-                space, self.terms, self.blocks, values, self.sizes, self.system.STATES, options
-            )
-            with np.errstate(over="ignore", invalid="ignore"):
-                result = slab.solve(level)
-            accepted = result.converged or not adaptive
-            march.records.append(
-                self._record(result, attempt, time, step_end, accepted, level, nodes)
-            )
-            if not result.converged:
-                if adaptive:
-                    length *= 0.5
-                    if length > _SHORTEST * horizon:
-                        continue
-                march.stopped = Status.NO_CONVERGENCE
-                break
-            if result.residual > level and any(
-                modes.rank >= options.max_modes for modes in result.modes
-            ):
-                march.limits.add(Status.RANK_LIMIT)
-            trains, tails = element_trains(
-                space.bases, values, result.modes, 0.05 * level * self.sizes
-            )
-            march.slabs += trains
-            march.time_tail = max(march.time_tail, float((tails[:, 0] / self.sizes).max()))
-            march.parameter_tails = np.maximum(
-                march.parameter_tails, (tails[:, 1:] / self.sizes[:, None]).max(axis=0)
-            )
-            values = [
-                self._at_end(value, modes, masses, 0.2 * level * size)
-                for value, modes, size in zip(values, result.modes, self.sizes, strict=True)
-            ]
-            time = step_end
-            if self.report is not None:
-                rank = max(train.ranks[0] if train.ranks else 1 for train in trains)
-                done = (time - self.start) / horizon
-                self.report(time, done, attempt, len(march.slabs), rank)
-            if adaptive:
-                count = len(result.changes)
-                length *= (
-                    1.5 if count <= _FEW_ITERATIONS else 0.7 if count > _MANY_ITERATIONS else 1
-                )
-        return march
-
-    def _lagged(self) -> bool:
-        """Whether any term is lagged within its block."""
-        return any(len(block) > 1 for block in self.blocks) or any(
-            term.equation in term.monomial and not term.own for term in self.terms
-        )
-
-    def _initial(self, spaces: Sequence[LagrangeElements]) -> list[RankOneSum]:
-        """Initial values at the parameter nodes, one row of amplitudes for time."""
-        rows = [self.system.parameter_factors(j, s.nodes) for j, s in enumerate(spaces)]
-        sizes = (1, *(space.size for space in spaces))
-        values: list[list[RankOneSum]] = [[] for _ in range(self.system.N_DIFFERENTIAL)]
-        for coefficient, state, factors in self.system.INITIAL:
-            columns = [row[index][:, None] for row, index in zip(rows, factors, strict=True)]
-            values[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
-        return [RankOneSum.joined(parts, sizes) for parts in values]
-
-    def _at_end(
-        self, value: RankOneSum, modes: RankOneSum, masses: Sequence[Array], tolerance: float
-    ) -> RankOneSum:
-        """A state at the end of a slab, in few products; the tolerance is a mean square."""
-        total = value + RankOneSum((modes.factors[0][-1:], *modes.factors[1:]))
-        if len(total.factors) == 1 or total.rank <= 1:
-            return total.merged()
-        parameters = RankOneSum(total.factors[1:]).scaled(total.factors[0][0])
-        if len(parameters.factors) == 1:
-            column = parameters.merged().factors[0]
-            return RankOneSum((np.ones((1, 1)), column))
-        volume = math.prod(float(mass.sum()) for mass in masses)
-        few = compressed(parameters, masses, tolerance * math.sqrt(volume), self.options).modes
-        return RankOneSum((np.ones((1, few.rank)), *few.factors))
-
-    def _record(
-        self,
-        result: SlabResult,
-        attempt: int,
-        start: float,
-        end: float,
-        accepted: bool,
-        tolerance: float,
-        nodes: _Nodes,
-    ) -> GreedySlabRecord:
-        return GreedySlabRecord(
-            attempt,
-            start,
+        spaces = [
+            options.shape_functions(float(lower), float(upper), count)
+            for (lower, upper), count in zip(box, nodes.parameters, strict=True)
+        ]
+        march = March(
+            system,
+            terms,
             end,
-            accepted and result.converged,
+            sizes,
+            stiffness,
             tolerance,
-            result.changes,
-            tuple(modes.rank for modes in result.modes),
-            (nodes.time, *nodes.parameters),
-            result.records,
+            in_time,
+            spaces,
+            options,
+            attempt,
+            notify,
         )
-
-    # --- the outcome ---------------------------------------------------------------------------
-
-    def _outcome(self, best: _March, records: Sequence[GreedySlabRecord]) -> Outcome:
-        blown = self.reference.blown
-        if blown is not None:
-            status = Status.BLOW_UP
-        elif best.stopped is not None:
-            status = best.stopped
-        elif not self.check:
-            status = Status.UNCHECKED
-        elif best.error <= self.rtol:
-            status = Status.CONVERGED
-        else:
-            status = Status.RANK_LIMIT if best.limits else Status.TOLERANCE
-        blow_up = None
-        if blown is not None:
-            blow_up = self.reference.end, tuple(self.reference.points[blown].tolist())
-        return Outcome(
-            tuple(best.slabs),
-            status,
-            self._message(status, best),
-            best.measured,
-            tuple(records),
-            self.timings,
-            blow_up,
-        )
-
-    def _message(self, status: Status, best: _March) -> str:
-        """How it ended, the figures, and what to do."""
-        text = status.value
-        if best.measured is not None:
-            text += f": measured error {best.error:.1e}, asked {self.rtol:.1e}"
-        if best.stopped is not None:
-            last = best.records[-1]
-            text += f"; stopped at t = {last.start:.6g}"
-            if last.residuals:
-                text += f" after {len(last.residuals)} lagged iterations, the last change "
-                text += f"{last.residuals[-1]:.1e}"
-        remedies = {
-            Status.RANK_LIMIT: "raise max_modes, loosen rtol or use method='train'",
-            Status.SLAB_LIMIT: "raise max_slabs, shorten the horizon or use method='train'",
-            Status.NO_CONVERGENCE: "use more time_slabs, or method='train'",
-            Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
-        }
-        return f"{text}; {remedies[status]}" if status in remedies else text
+        result = march.run()
+        records += result.records
+        timings["march"] += clock.perf_counter() - began
+        began = clock.perf_counter()
+        measured, error = None, math.inf
+        if result.slabs and check:
+            measured = measure(result.slabs, reference, sizes, corners)
+            error = max(measured.interior, default=0.0)
+        timings["check"] += clock.perf_counter() - began
+        current = _Attempt(result, measured, error)
+        stalled = best is not None and error > 0.7 * best.error
+        if best is None or _better(current, best):
+            best = current
+        if not check or result.stopped or error <= rtol:
+            break
+        finer = nodes.finer(result.tails > _TAIL * rtol, options)
+        stuck = stalled or result.limits or options.tolerance is not None
+        if finer == nodes and stuck:
+            break
+        if finer == nodes:
+            share *= min(max(0.5 * rtol / error, 0.05), 0.5)
+        nodes = finer
+    assert best is not None
+    return _outcome(best, reference, rtol, records, timings, check)
 
 
-def _better(new: _March, old: _March) -> bool:
-    if (new.stopped is None) != (old.stopped is None):
-        return new.stopped is None
+def _better(new: _Attempt, old: _Attempt) -> bool:
+    if (new.result.stopped is None) != (old.result.stopped is None):
+        return new.result.stopped is None
     return new.error < old.error
 
 
-def _more(nodes: int) -> int:
-    return min(nodes + max(3, nodes // 3), 64)
-
-
 def _sizes(system: System, reference: Reference, end: float) -> tuple[Array, float]:
-    """Largest absolute value of each state and largest norm of the scaled Jacobian."""
+    """Largest value of each state over the check points, and largest norm of the Jacobian.
+
+    A vanishing state has the size one; the norm is the row sum norm in units of the sizes.
+    """
     times = np.linspace(reference.start, end, 101)
     values = reference(times)
     sizes = np.abs(values).max(axis=(1, 2))
@@ -390,3 +169,67 @@ def _sizes(system: System, reference: Reference, end: float) -> tuple[Array, flo
     jacobian = np.broadcast_to(jacobian, (n, n, m, count))
     scaled = np.abs(jacobian) * (sizes[None, :] / sizes[:, None])[:, :, None, None]
     return sizes, float(scaled.sum(axis=1).max())
+
+
+def _outcome(
+    best: _Attempt,
+    reference: Reference,
+    rtol: float,
+    records: Sequence[GreedySlabRecord],
+    timings: dict[str, float],
+    check: int,
+) -> Outcome:
+    result = best.result
+    if reference.blown is not None:
+        status = Status.BLOW_UP
+    elif result.stopped is not None:
+        status = result.stopped
+    elif not check:
+        status = Status.UNCHECKED
+    elif best.error <= rtol:
+        status = Status.CONVERGED
+    elif Status.NO_CONVERGENCE in result.limits:
+        status = Status.NO_CONVERGENCE
+    else:
+        status = Status.RANK_LIMIT if result.limits else Status.TOLERANCE
+    blow_up = None
+    if reference.blown is not None:
+        blow_up = reference.end, tuple(reference.points[reference.blown].tolist())
+    return Outcome(
+        tuple(result.slabs),
+        status,
+        _message(status, best, rtol),
+        best.measured,
+        tuple(records),
+        timings,
+        blow_up,
+    )
+
+
+def _message(status: Status, best: _Attempt, rtol: float) -> str:
+    """The sentence a user reads: how it ended, the figures, and what to do."""
+    text = status.value
+    if status is Status.NO_CONVERGENCE:
+        worst = max(best.result.records, key=lambda record: record.residuals[-1])
+        text = (
+            f"the lagged terms did not settle: after {len(worst.residuals)} updates on "
+            f"[{worst.start:.4g}, {worst.end:.4g}] the unknowns still change by "
+            f"{worst.residuals[-1]:.1e} of their size"
+        )
+    if best.measured is not None:
+        text += f": measured error {best.error:.1e}, asked {rtol:.1e}"
+        corner = max(best.measured.corners, default=0.0)
+        if corner > max(rtol, best.error):
+            text += f" (up to {corner:.1e} at the corners of the box)"
+    if best.result.stopped is not None:
+        slabs = best.result.slabs
+        where = f"at t = {slabs[-1].end:.6g}" if slabs else "before the first slab was solved"
+        text += f"; stopped {where}"
+    remedies = {
+        Status.RANK_LIMIT: "raise max_modes, loosen rtol or use method='train'",
+        Status.SLAB_LIMIT: "raise max_slabs, shorten the horizon or use method='train'",
+        Status.NO_CONVERGENCE: "use more time_slabs, weak_form='volterra', update='all' or "
+        "method='train'",
+        Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
+    }
+    return f"{text}; {remedies[status]}" if status in remedies else text

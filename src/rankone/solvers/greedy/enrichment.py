@@ -31,8 +31,8 @@ __all__ = ["Enriched", "Enrichment"]
 
 Array = NDArray[np.float64]
 
-_STALLED = 4
-"""Modes in a row without a better residual after which enrichment ends."""
+_STALLED = {"all": 4, "time": 8, "amplitudes": 12}
+"""Modes in a row without a better residual after which enrichment ends, by what is updated."""
 _BETTER = 0.98
 """What counts as a better residual."""
 _PROXIMAL = 1e-12
@@ -130,8 +130,8 @@ class Enrichment:
             self._drop(0.02 * tolerance * self.amplitude_unit)
         residual = self.residual()
         best = residual, self.factors.copy(), self.amplitudes
-        stalled = 0
-        while residual > limit and self.rank < self.options.max_modes and stalled < _STALLED:
+        stalled, patience = 0, _STALLED[self.options.update]
+        while residual > limit and self.rank < self.options.max_modes and stalled < patience:
             mode, amplitude, differences = self._fixed_point()
             if mode is None:
                 break
@@ -160,7 +160,9 @@ class Enrichment:
         """A new mode: unit functions, amplitude, change in each pass; None if there is none."""
         equation = self.equation
         mode = [self._random.standard_normal(size) for size in equation.sizes]
-        mode = [r / math.sqrt(r @ m @ r) for r, m in zip(mode, equation.metrics, strict=True)]
+        mode = [
+            r / math.sqrt(float(r @ m @ r)) for r, m in zip(mode, equation.metrics, strict=True)
+        ]
         onto_loads = [self.loads.factors[k].T @ mode[k] for k in self._dimensions]
         onto_modes = [self._against_modes(k, mode[k]) for k in self._dimensions]
         own = [self._energies(k, mode[k]) for k in self._dimensions]
@@ -178,7 +180,7 @@ class Enrichment:
                     _collected(_product(own, j), equation.index[j]), equation.matrices[j], 1
                 )
                 solved = _solve(matrix, right, equation.bandwidth[j])
-                norm = math.sqrt(max(solved @ equation.metrics[j] @ solved, 0.0))
+                norm = math.sqrt(max(float(solved @ equation.metrics[j] @ solved), 0.0))
                 if not math.isfinite(norm) or norm == 0.0:
                     return None, 0.0, tuple(differences)
                 mode[j], amplitude = solved / norm, norm
@@ -341,7 +343,7 @@ def _solve(matrix: Array, right: Array, bandwidth: int | None = None) -> Array:
                 diagonal = np.diagonal(matrix, k)
                 bands[bandwidth - k, max(k, 0) : max(k, 0) + diagonal.size] = diagonal
             return np.asarray(scipy.linalg.solve_banded((bandwidth, bandwidth), bands, right))
-        return np.linalg.solve(matrix, right)
+        return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
         if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
             return np.full_like(right, np.inf)

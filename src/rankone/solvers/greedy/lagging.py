@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.greedy.enrichment import Enriched, Enrichment
+from rankone.solvers.greedy.enrichment import Enrichment
 from rankone.solvers.greedy.history import EquationRecord
 from rankone.solvers.greedy.operators import Equation, ShapeSpace, assemble
 from rankone.solvers.greedy.options import GreedyOptions
@@ -43,6 +43,8 @@ class SlabResult:
         For each state the values at the nodes of what is added to its initial value.
     converged : bool
         Whether the last change is within the tolerance.
+    usable : bool
+        Whether the iteration stayed bounded; what it came to may still be far off.
     changes : tuple of float
         Largest change of a state in each iteration, in units of its size.
     residual : float
@@ -52,9 +54,15 @@ class SlabResult:
 
     modes: tuple[RankOneSum, ...]
     converged: bool
+    usable: bool
     changes: tuple[float, ...]
     residual: float
     records: tuple[EquationRecord, ...]
+
+    @property
+    def rank(self) -> int:
+        """Largest number of modes of a state."""
+        return max((modes.rank for modes in self.modes), default=0)
 
 
 class LaggedSlab:
@@ -108,17 +116,20 @@ class LaggedSlab:
         """Iterate to a tolerance in units of each state's size."""
         changes: list[float] = []
         records: list[EquationRecord] = []
-        converged = True
+        converged = usable = True
         for block in self.blocks:
             lagged = len(block) > 1 or any(block[0] in t.monomial for t in self._others[block[0]])
             steps, done = self._iterate(block, lagged, tolerance, records)
             changes += steps
             converged = converged and done
-            if not done:
+            usable = usable and bool(steps) and steps[-1] < _DIVERGED
+            if not usable:
                 break
         last = {record.state: record.residual for record in records}
         residual = max(last.values(), default=0.0)
-        return SlabResult(tuple(self.modes), converged, tuple(changes), residual, tuple(records))
+        return SlabResult(
+            tuple(self.modes), converged, usable, tuple(changes), residual, tuple(records)
+        )
 
     def _iterate(
         self, block: tuple[int, ...], lagged: bool, tolerance: float, records: list[EquationRecord]
@@ -195,21 +206,21 @@ class LaggedSlab:
 
     def _distance(self, a: RankOneSum, b: RankOneSum) -> float:
         """Norm over slab and box of the difference of two functions given at the nodes."""
-        roots = [np.linalg.cholesky(mass).T for mass in self.space.masses]
+        roots = [np.asarray(np.linalg.cholesky(mass).T) for mass in self.space.masses]
         return (a - b).applied(roots).norm()
 
     def _compressed_loads(
         self, equation: Equation, loads: RankOneSum, tolerance: float
     ) -> RankOneSum:
         """Loads of lower rank, to a tolerance in the dual norm of the equation."""
-        inverse = [np.linalg.inv(metric) for metric in equation.metrics]
+        inverse = [np.asarray(np.linalg.inv(metric)) for metric in equation.metrics]
         nodal = compressed(loads.applied(inverse), equation.metrics, tolerance, self.options)
-        return nodal.modes.applied(equation.metrics)
+        return nodal.applied(equation.metrics)
 
 
 def compressed(
     tensor: RankOneSum, metrics: Sequence[Array], tolerance: float, options: GreedyOptions
-) -> Enriched:
+) -> RankOneSum:
     """Fewer products for a function given at nodes: the classic method with the identity.
 
     Parameters
@@ -234,4 +245,4 @@ def compressed(
     fast = replace(
         options, update="all", max_fixed_point=6, fixed_point_tolerance=1e-2, update_sweeps=2
     )
-    return Enrichment(equation, tensor.applied(metrics), fast).run(tolerance)
+    return Enrichment(equation, tensor.applied(metrics), fast).run(tolerance).modes

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from rankone.discretization.finite_elements import LagrangeElements
 from rankone.errors import OptionError
 
 __all__ = ["GreedyOptions"]
@@ -23,6 +23,7 @@ _SLIDES: dict[str, Any] = {
     "elements": "linear",
     "time_slabs": 1,
     "max_attempts": 1,
+    "max_modes": 80,
     "max_fixed_point": 50,
     "fixed_point_tolerance": 1e-6,
 }
@@ -87,7 +88,7 @@ class GreedyOptions:
     max_iterations: int = 30
     tolerance: float | None = None
     max_slabs: int = 400
-    max_attempts: int = 3
+    max_attempts: int = 4
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
@@ -151,10 +152,27 @@ class GreedyOptions:
         """Polynomial order that node numbers must fit: 2 for quadratic elements, else 1."""
         return 2 if self.elements == "quadratic" else 1
 
-    def time_nodes_for(self, rtol: float) -> int:
-        """Nodes in time on one slab: for Legendre 10 at 1e-3 and 17 at 1e-8."""
-        if self.time_nodes is not None:
-            return self.time_nodes
-        if self.elements != "legendre":
-            return 41
-        return int(min(max(round(5.6 + 1.4 * -math.log10(rtol)), 6), 24))
+    def given_parameter_nodes(self, parameters: int) -> tuple[int, ...] | None:
+        """Nodes for each of the parameters, None if they are not given.
+
+        Raises
+        ------
+        OptionError
+            If a tuple of another length was given.
+        """
+        given = self.parameter_nodes
+        if given is None:
+            return None
+        counts = given if isinstance(given, tuple) else (given,) * parameters
+        if len(counts) != parameters:
+            raise OptionError(
+                f"parameter_nodes={given!r} has {len(counts)} entries for {parameters} parameters",
+                remedy="give one number for all, or one for each",
+            )
+        return counts
+
+    def shape_functions(self, lower: float, upper: float, nodes: int) -> LagrangeElements:
+        """Shape functions with a number of nodes on an interval."""
+        if self.elements == "legendre":
+            return LagrangeElements(lower, upper, 1, nodes - 1)
+        return LagrangeElements(lower, upper, (nodes - 1) // self.order, self.order)

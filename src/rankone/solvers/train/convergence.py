@@ -60,7 +60,7 @@ class Convergence:
         self._since_restart += 1
 
     def restart(self) -> None:
-        """Parameter nodes were added: the next residual cannot be compared with the last."""
+        """Parameter nodes were added: count anew, from the last residual."""
         self._since_restart = min(self._since_restart, 1)
         self.contraction = 0.1
 

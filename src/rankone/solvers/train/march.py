@@ -22,7 +22,7 @@ from rankone.solvers.train.slab import SlabOperator
 from rankone.solvers.train.sweep import Sweeper
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import apply_to_modes, right_orthonormal
+from rankone.tensors.train import apply_to_modes, right_orthonormal, widened
 
 __all__ = ["Guess", "March", "MarchResult"]
 
@@ -36,6 +36,10 @@ _UNRESOLVED = 0.8
 """A slab that ought to be shorter than this part of its length is solved again."""
 _COARSEST = 30.0
 """Tolerance of the first sweep on a slab, at most so many times the final one."""
+_PROBES = 2
+"""Random functions of the parameters by which the frame is widened on each slab."""
+_PROBE_MODES = 3
+"""Number of their modes: higher ones would look like a need for more nodes."""
 _SHORTEST = 1e-10
 """Shortest slab, relative to the horizon."""
 
@@ -167,7 +171,7 @@ class March:
         tolerance = self.tolerance(time)
         sweeper = self._start(time, length, source, guess)
         coarse = min(0.1 * self._second_residual, _COARSEST * tolerance)
-        convergence = Convergence(tolerance, coarse)
+        convergence = Convergence(tolerance, coarse if sweeper.dimensions else tolerance)
         accepted = False
         spectra: list[Array] = []
         if sweeper.dimensions == 0:
@@ -223,9 +227,26 @@ class March:
         else:
             maps = [old.transfer(new) for old, new in zip(guess.bases, self.bases, strict=True)]
             cores = right_orthonormal(apply_to_modes(guess.cores, maps))
+        if self.bases:
+            cores = widened(cores, self._probe())
         return Sweeper(
             operator, self._groups, self._parameters, cores, source, self.options.max_rank
         )
+
+    def _probe(self) -> list[Array]:
+        """A few random low-degree functions of the parameters, as cores 1, ..., d.
+
+        A pair of cores only sees what its frame does not hide. With a frame widened by these
+        functions the sweeps find dependences that the initial values do not have.
+        """
+        generator = np.random.default_rng(len(self.result.records))
+        ranks = [_PROBES] * len(self.bases) + [1]
+        cores = []
+        for basis, left, right in zip(self.bases, ranks[:-1], ranks[1:], strict=True):
+            low = np.arange(basis.size) % basis.degree < _PROBE_MODES
+            modes = generator.standard_normal((left, basis.size, right)) * low[:, None]
+            cores.append(np.matmul(basis.to_modal.T, modes))
+        return cores
 
     def _operator(self, time: float, length: float) -> SlabOperator:
         times = time + length * self.collocation.nodes
