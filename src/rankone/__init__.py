@@ -27,6 +27,7 @@ from rankone.errors import (
 from rankone.ir import SeparatedForm
 from rankone.solution import Solution
 from rankone.solvers.outcome import Status
+from rankone.solvers.greedy import GreedyOptions
 from rankone.solvers.train import TrainOptions
 from rankone.storage import load
 from rankone.symbolic import Problem, WeakForm, separate, weak_form
@@ -37,6 +38,7 @@ __all__ = [
     "CompiledProblem",
     "ConvergenceError",
     "EvaluationError",
+    "GreedyOptions",
     "OptionError",
     "Problem",
     "ProblemError",

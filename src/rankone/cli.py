@@ -1,4 +1,4 @@
-"""The command line: ``rankone solve FILE`` and ``rankone show FILE``.
+"""The command line: ``rankone solve FILE``, ``rankone show FILE`` and ``rankone export FILE``.
 
 Exit status: 0 if the measured error is within the tolerance, 1 if it is not or is not known,
 2 for bad input, 130 after an interrupt.
@@ -121,6 +121,22 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("--separated", action="store_true", help="the table of separated terms")
     show.add_argument("--source", action="store_true", help="the generated module")
     show.set_defaults(run=_show)
+
+    export = commands.add_parser(
+        "export",
+        help="write a standalone solver that needs only NumPy and SciPy",
+        description="Write a problem and its engine to one Python file, which needs only NumPy "
+        "and SciPy and is both a module and a program.",
+        epilog=layout,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    export.add_argument("file", metavar="FILE", type=Path, help=_FILE_HELP)
+    export.add_argument(
+        "-o", "--output", metavar="PATH", type=Path, required=True, help="a .py file"
+    )
+    export.add_argument("--method", default="train", help="the engine (default: %(default)s)")
+    export.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    export.set_defaults(run=_export)
     return parser
 
 
@@ -232,6 +248,16 @@ def _show(arguments: argparse.Namespace) -> int:
             print(f"{'' if number == 0 else chr(10)}# {title}\n")
         print(str(getattr(compiled, sections[title][1])).rstrip("\n"))
     sys.stdout.flush()
+    return _SUCCESS
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    """Run ``rankone export``."""
+    import rankone
+    from rankone.problem_files import load_problem
+
+    compiled = rankone.compile(load_problem(arguments.file))
+    compiled.export(arguments.output, method=arguments.method, overwrite=arguments.overwrite)
     return _SUCCESS
 
 

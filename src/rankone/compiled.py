@@ -19,10 +19,12 @@ import logging
 import math
 import operator
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
+from os import PathLike
+from pathlib import Path
 from typing import Any, Literal
 
 from threadpoolctl import ThreadpoolController
@@ -44,6 +46,9 @@ logger = logging.getLogger("rankone")
 
 _TIGHTEST, _LOOSEST = 1e-10, 0.1
 _CHECK_POINTS = 24
+
+Report = Callable[[float, float, int, int, int], None]
+Engine = Callable[[float, int, Report], Outcome]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ class CompiledProblem:
         self,
         rtol: float = 1e-6,
         *,
-        method: Literal["train"] = "train",
+        method: Literal["train", "greedy"] = "train",
         progress: bool | Progress = False,
         check: bool | int = True,
         on_failure: Literal["return", "raise"] = "return",
@@ -109,8 +114,9 @@ class CompiledProblem:
         rtol : float
             Largest error asked for, relative to the largest value of each unknown, between 1e-10
             and 0.1. It is measured against SciPy trajectories after the solve.
-        method : {"train"}
-            The engine: tensor train on the preconditioned Volterra form.
+        method : {"train", "greedy"}
+            The engine: the tensor train on the preconditioned Volterra form, or the classic
+            proper generalized decomposition with rank-one enrichments.
         progress : bool or callable
             True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
         check : bool or int
@@ -120,7 +126,8 @@ class CompiledProblem:
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.
         **options
-            Limits and discretisation of the engine, see :class:`rankone.TrainOptions`.
+            Limits and discretisation of the engine: :class:`rankone.TrainOptions` or
+            :class:`rankone.GreedyOptions`; for the latter also ``preset="slides"``.
 
         Returns
         -------
@@ -137,13 +144,11 @@ class CompiledProblem:
         """
         rtol = _checked_rtol(rtol)
         points = _checked_points(check)
-        if method != "train":
-            raise OptionError(f"method={method!r} is unknown", remedy="use method='train'")
         if on_failure not in ("return", "raise"):
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
-        engine_options = _checked_options(options)
+        engine = _engine(self, method, options)
         began = time.perf_counter()
         with resolve_progress(progress) as notify, _one_blas_thread():
 
@@ -153,12 +158,20 @@ class CompiledProblem:
                 if notify is not None:
                     notify(ProgressEvent(reached, fraction, attempt, slabs, rank))
 
-            outcome = solve_train(self.system, rtol, engine_options, points, report)
+            outcome = engine(rtol, points, report)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
         solution = Solution(replace(outcome, timings=timings), self._metadata(rtol, method))
         return _delivered(solution, outcome, on_failure)
+
+    def export(
+        self, path: str | PathLike[str], *, method: str = "train", overwrite: bool = False
+    ) -> Path:
+        """Write a standalone solver; see :func:`rankone.export.export_solver`."""
+        from rankone.export import export_solver
+
+        return export_solver(self, path, method=method, overwrite=overwrite)
 
     def _metadata(self, rtol: float, method: str) -> SolutionMetadata:
         form = self.separated
@@ -274,12 +287,21 @@ def _checked_points(check: bool | int) -> int:
     return points
 
 
-def _checked_options(options: dict[str, Any]) -> TrainOptions:
-    known = sorted(TrainOptions.__dataclass_fields__)
-    for name in options:
-        if name not in known:
-            raise OptionError(f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}")
-    return TrainOptions(**options)
+def _engine(compiled: CompiledProblem, method: str, options: dict[str, Any]) -> Engine:
+    """The engine of a method with checked options, still to be given rtol, points and report."""
+    if method == "train":
+        chosen = TrainOptions.of(**options)
+        return lambda rtol, points, report: solve_train(
+            compiled.system, rtol, chosen, points, report
+        )
+    if method == "greedy":
+        from rankone.solvers.greedy import GreedyOptions, solve_greedy
+
+        classic = GreedyOptions.of(**options)
+        return lambda rtol, points, report: solve_greedy(
+            compiled.system, compiled.separated, rtol, classic, points, report
+        )
+    raise OptionError(f"method={method!r} is unknown", remedy="use 'train' or 'greedy'")
 
 
 def _delivered(

@@ -347,6 +347,14 @@ class Solution:
 
         return save(self, path, overwrite=overwrite)
 
+    def export(
+        self, path: str | PathLike[str], *, overwrite: bool = False, allow_failed: bool = False
+    ) -> Path:
+        """Write a solved model in Python or C99; see :func:`rankone.export.export_model`."""
+        from rankone.export import export_model
+
+        return export_model(self, path, overwrite=overwrite, allow_failed=allow_failed)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.outcome, self.metadata)
 

@@ -133,6 +133,8 @@ class PointwiseWriter:
             lines.append(f"    # Intermediate terms ({n_intermediate})")
             for name, text in (*factor_lines, *written.intermediate):
                 lines += assignment(name, [text])
+        if not entries:
+            return [*lines, "    # Output", f"    return {allocation}"]
         lines += ["    # Output", f"    out = {allocation}"]
         for index, sum_terms in zip(entries, written.sums, strict=True):
             target = f"out[{', '.join(map(str, index))}]"

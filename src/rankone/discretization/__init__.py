@@ -1,4 +1,4 @@
-"""One-dimensional discretisations: nodal bases for parameters, Radau collocation for time."""
+"""One-dimensional discretisations: nodal bases, finite elements, Radau collocation for time."""
 
 from rankone.discretization.basis import (
     BASES,
@@ -7,12 +7,14 @@ from rankone.discretization.basis import (
     LegendreBasis,
     legendre_values,
 )
+from rankone.discretization.finite_elements import LagrangeElements
 from rankone.discretization.radau import RadauCollocation
 
 __all__ = [
     "BASES",
     "Basis1D",
     "ChebyshevBasis",
+    "LagrangeElements",
     "LegendreBasis",
     "RadauCollocation",
     "legendre_values",

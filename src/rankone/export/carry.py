@@ -3,8 +3,8 @@
 Starting from a few roots, everything they reach is selected: functions, classes, constants and,
 within classes, the methods whose names occur in what was selected so far. The text is taken as it
 stands, with its comments. What changes is little: imports from the library go, module docstrings
-become the titles of sections, docstrings keep their summary (those of classes their prose), and a
-name that two modules use for different things gets the name of its module in front.
+become the titles of sections, docstrings keep their summary, and a name that two modules use for
+different things gets the name of its module in front.
 """
 
 from __future__ import annotations
@@ -183,6 +183,8 @@ class _Selection:
             top, _, method = name.partition(".")
             if method:
                 asked.add((module, top, method))
+            if resolve(read_module(module), top) is None:
+                raise ExportError(f"`{module}` does not define `{top}`")
             self._take_name(read_module(module), top)
         grown = True
         while grown:
@@ -236,9 +238,7 @@ class _Selection:
             self.imports.add(found)
             return
         owner, own_name = found
-        statement = owner.definitions.get(own_name)
-        if statement is None:
-            raise ExportError(f"`{owner.name}` does not define `{own_name}`")
+        statement = owner.definitions[own_name]
         if owner is not module and name not in module.typing_imports:
             self.needs.setdefault(module.name, set()).add(owner.name)
         known = self.names.setdefault(owner.name, set())
@@ -428,7 +428,7 @@ class _ModuleText:
             previous = member.end_lineno or 0
 
     def _shorten_docstring(self, node: ast.FunctionDef | ast.ClassDef) -> None:
-        """Keep the summary, the prose and the sections that are worth their lines."""
+        """Keep the summary: the annotations and the section's prose say the rest."""
         if ast.get_docstring(node) is None:
             return
         text = node.body[0]
@@ -439,24 +439,12 @@ class _ModuleText:
         closing = lines.pop().strip()
         if closing != '"""':
             lines.append(closing.removesuffix('"""'))
-        if isinstance(node, ast.FunctionDef):
-            kept = list(itertools.takewhile(str.strip, lines))
-        else:
-            kept = _without_sections(lines)
+        kept = list(itertools.takewhile(str.strip, lines))
         if len(kept) == 1:
             kept[0] += '"""'
         else:
             kept.append(" " * text.col_offset + '"""')
         self.lines[first - 1 : last] = [*kept, *[None] * (last - first + 1 - len(kept))]
-
-
-def _without_sections(lines: Sequence[str]) -> list[str]:
-    """Lines of a docstring up to its numpydoc sections, which describe the parameters."""
-    end = next((k - 1 for k, line in enumerate(lines) if re.fullmatch(r" *-{3,}", line)), None)
-    kept = list(lines[:end])
-    while not kept[-1].strip():
-        kept.pop()
-    return kept
 
 
 def _tidy_class(lines: Sequence[str]) -> list[str]:
@@ -473,4 +461,3 @@ def _tidy_class(lines: Sequence[str]) -> list[str]:
 def _plain(text: str) -> str:
     """Text without the markup of cross references."""
     return _ROLE.sub(r"`\1`", text)
-

@@ -113,15 +113,12 @@ class SourceModule:
             previous = node.end_lineno or 0
 
     def _leading(self, node: ast.stmt, previous: int) -> int:
-        """First line of the comments and decorators before a statement."""
-        decorators = getattr(node, "decorator_list", [])
+        """First line of the decorators of a statement and of the comments right before it."""
+        decorators: list[ast.expr] = getattr(node, "decorator_list", [])
         first = min([node.lineno, *(item.lineno for item in decorators)])
-        comments = [
-            number
-            for number in range(previous + 1, first)
-            if self.lines[number - 1].startswith("#")
-        ]
-        return min([first, *comments])
+        while first - 1 > previous and self.lines[first - 2].startswith("#"):
+            first -= 1
+        return first
 
 
 def bound_names(node: ast.stmt) -> Iterator[str]:

@@ -208,13 +208,10 @@ def one_blas_thread() -> AbstractContextManager[Any]:
     return limits
 
 
-def run(
-    solve: Callable[..., Solution], metadata: SolutionMetadata, argv: Sequence[str] | None = None
-) -> int:
+def run(solve: Callable[..., Solution], description: str, argv: Sequence[str] | None = None) -> int:
     """Run the command line: the exit status is 0, 1 (tolerance not reached) or 2 (bad input)."""
-    equations = "\n  ".join(metadata.equations)
     parser = argparse.ArgumentParser(
-        description=f"Solve for every parameter value at once:\n\n  {equations}",
+        description=description,
         epilog="status: 0 the measured error is within the tolerance, 1 it is not, 2 bad input",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

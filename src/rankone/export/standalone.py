@@ -20,6 +20,7 @@ from rankone.export.modules import Import
 
 if TYPE_CHECKING:
     from rankone.compiled import CompiledProblem
+    from rankone.ir import SeparatedForm
     from rankone.solution import SolutionMetadata
 
 __all__ = ["ENGINES", "Engine", "standalone_source"]
@@ -37,14 +38,20 @@ class Engine:
         Its function ``(system, rtol, options, check) -> Outcome``.
     options : str
         The class of its options.
+    form : bool
+        Whether ``solve`` takes the separated form after the system.
     """
 
     module: str
     solve: str
     options: str
+    form: bool = False
 
 
-ENGINES = {"train": Engine("rankone.solvers.train", "solve_train", "TrainOptions")}
+ENGINES = {
+    "train": Engine("rankone.solvers.train", "solve_train", "TrainOptions"),
+    "greedy": Engine("rankone.solvers.greedy", "solve_greedy", "GreedyOptions", form=True),
+}
 """The engines that can be exported, by the name of the method."""
 
 _SYSTEM_TITLE = "The system: tables, factors and kernels, generated from the equations"
@@ -64,7 +71,10 @@ _TITLES = {
     _PROGRAM: "Solution, files and command line",
 }
 """Titles of sections that hold only a part of their module."""
-_OWN_NAMES = ("System", "SYSTEM", "METADATA", "solve", "_contract", "_expand")
+_OWN_NAMES = (
+    *("System", "SYSTEM", "SeparatedForm", "FORM", "METADATA", "solve"),
+    *("_contract", "_expand"),
+)
 
 
 def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
@@ -73,7 +83,7 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
     Parameters
     ----------
     compiled : CompiledProblem
-    method : {"train"}
+    method : {"train", "greedy"}
         The engine.
 
     Returns
@@ -99,12 +109,14 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
         [
             f"{engine.module}:{engine.solve}",
             f"{engine.module}:{engine.options}",
+            *(["rankone.ir:Term"] if engine.form else []),
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load")),
             *(f"{_PROGRAM}:Solution.{name}" for name in ("grid", "error")),
         ],
         reserved={*system.names, *_FIELDS, *_OWN_NAMES, "np", "os", "sys"},
         replaced={
             "rankone.system:System": "",
+            "rankone.ir:SeparatedForm": "",
             "rankone.solution:Solution": f"{_PROGRAM}:Solution",
         },
         dropped=["rankone.errors:RankoneError.__reduce__"],
@@ -117,7 +129,7 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
         _head(compiled, method, imports) + f"\n\n{banner(_SYSTEM_TITLE)}\n\n{system.text}",
         _system_object(system),
         *(str(section) for section in sections),
-        f"{banner(_END_TITLE)}\n\n{_end(engine, metadata)}",
+        f"{banner(_END_TITLE)}\n{_end(engine, metadata, compiled.separated)}",
     ]
     return "\n\n\n".join(parts) + "\n"
 
@@ -191,7 +203,13 @@ def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:
         "    python solver.py --grid 20 --save values.npz",
     ]
     return "\n".join(
-        [*docstring(lines, indent=""), "", "from __future__ import annotations", "", *import_lines(imports)]
+        [
+            *docstring(lines, indent=""),
+            "",
+            "from __future__ import annotations",
+            "",
+            *import_lines(imports),
+        ]
     )
 
 
@@ -218,19 +236,54 @@ def _entry(name: str, items: Sequence[str]) -> list[str]:
     return [f"    {name}=(", *(f"        {item}," for item in items), "    ),"]
 
 
-def _end(engine: Engine, metadata: SolutionMetadata) -> str:
+def _end(engine: Engine, metadata: SolutionMetadata, form: SeparatedForm) -> str:
     """What ties the parts together: the metadata, ``solve`` and the command line."""
     values = {name: getattr(metadata, name) for name in _METADATA}
     table = [line for name, value in values.items() for line in _literal(name, value)]
-    return _END.format(
-        metadata="\n".join(table), solve=engine.solve, options=engine.options
-    ).strip("\n")
+    text = _END.format(
+        metadata="\n".join(table),
+        call=f"{engine.solve}_form" if engine.form else engine.solve,
+        options=engine.options,
+    )
+    if not engine.form:
+        return f"\n{text.strip()}"
+    return f"{_form(engine, form)}\n\n\n{text.strip()}"
+
+
+def _form(engine: Engine, form: SeparatedForm) -> str:
+    """The separated terms as data, for an engine that takes them one by one."""
+    terms = (
+        (term.equation, float(term.coefficient), term.factors, term.monomial, term.derivative)
+        for term in form.terms
+    )
+    return _FORM.format(
+        terms="\n".join(f"        Term({', '.join(map(repr, term))})," for term in terms),
+        solve=engine.solve,
+        options=engine.options,
+    ).strip()
 
 
 _METADATA = (
     *("unknowns", "states", "parameters", "box", "time", "horizon", "rtol", "method"),
     *("equations", "version"),
 )
+
+_FORM = '''
+class SeparatedForm(SimpleNamespace):
+    """The terms of the residual u\' - f: equation, coefficient, factors, states, derivative."""
+
+
+FORM = SeparatedForm(
+    terms=(
+{terms}
+    )
+)
+
+
+def {solve}_form(system: System, rtol: float, options: {options}, check: int) -> Outcome:
+    """Solve the system, whose terms are those of FORM."""
+    return {solve}(system, FORM, rtol, options, check)
+'''
 
 _END = '''
 METADATA = SolutionMetadata(
@@ -251,8 +304,8 @@ def solve(
     Parameters
     ----------
     rtol : float
-        Largest error asked for, relative to the size of each unknown, from 1e-10 to 0.1. It is
-        measured against SciPy trajectories after the solve.
+        Largest error asked for, relative to the size of each unknown. It is measured against
+        SciPy trajectories after the solve; `success` of the solution says whether it is kept.
     parameters : mapping of str to (float, float), optional
         Other ranges of parameters.
     t_final : float, optional
@@ -261,27 +314,15 @@ def solve(
         Number of random check points; without any the error is not known.
     **options
         See `{options}`.
-
-    Returns
-    -------
-    Solution
-        `success` says whether the measured error is within the tolerance, `message` why not.
-
-    Raises
-    ------
-    BlowUpError
-        A trajectory blows up inside the horizon.
-    OptionError
-        A value is out of its range.
     """
     engine_options = {options}(**options)
     return solve_system(
-        SYSTEM, METADATA, {solve}, engine_options, rtol, parameters, t_final, check
+        SYSTEM, METADATA, {call}, engine_options, rtol, parameters, t_final, check
     )
 
 
 if __name__ == "__main__":
-    sys.exit(run(solve, METADATA))
+    sys.exit(run(solve, __doc__))
 '''
 
 

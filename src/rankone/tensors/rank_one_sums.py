@@ -19,8 +19,10 @@ __all__ = ["RankOneSum"]
 
 Array = NDArray[np.float64]
 
-_STABLE = 160
-"""Largest rank whose norm is found by orthogonalisation; above, by Gram matrices."""
+_STABLE = 120
+"""Largest rank whose norm is found by orthogonalisation if there are more than two dimensions."""
+_ROUNDING = 1e-15
+"""Relative size of what cancels in squared norms."""
 
 
 @dataclass(frozen=True)
@@ -77,17 +79,37 @@ class RankOneSum:
 
     def inner(self, other: RankOneSum) -> float:
         """Euclidean inner product."""
+        return float(self._gram(other).sum())
+
+    def distance(self, other: RankOneSum, square: float | None = None) -> float:
+        """Euclidean norm of the difference, as careful as :meth:`norm`.
+
+        ``square`` is the squared norm of this tensor, if it is known.
+        """
+        if self.rank + other.rank <= _STABLE or len(self.factors) <= 2:
+            return (self - other).norm()
+        square = self.inner(self) if square is None else square
+        rest = square - 2.0 * self.inner(other) + other.inner(other)
+        return math.sqrt(max(rest, _ROUNDING * square))
+
+    def _gram(self, other: RankOneSum) -> Array:
+        """Inner products of the products, (R, R of the other)."""
         gram = np.ones((self.rank, other.rank))
         for a, b in zip(self.factors, other.factors, strict=True):
             gram *= a.T @ b
-        return float(gram.sum())
+        return gram
 
     def norm(self) -> float:
-        """Euclidean norm; small differences keep their digits up to rank 160."""
+        """Euclidean norm.
+
+        Of a difference all digits are kept up to rank 120, and in one and two dimensions at any
+        rank; otherwise the result is at least what rounding may have cancelled.
+        """
         if self.rank == 0:
             return 0.0
-        if self.rank > _STABLE:
-            return math.sqrt(max(self.inner(self), 0.0))
+        if self.rank > _STABLE and len(self.factors) > 2:
+            gram = self._gram(self)
+            return math.sqrt(max(float(gram.sum()), _ROUNDING * float(np.abs(gram).sum())))
         carry = np.ones((1, self.rank))
         for factor in self.factors[:-1]:
             block = (carry[:, None, :] * factor).reshape(-1, self.rank)

@@ -140,7 +140,7 @@ def solve_greedy(
             break
         finer = nodes.finer(result.tails > _TAIL * rtol, options)
         stuck = stalled or result.limits or options.tolerance is not None
-        if finer == nodes and stuck:
+        if (stalled and result.limits) or (finer == nodes and stuck):
             break
         if finer == nodes:
             share *= min(max(0.5 * rtol / error, 0.05), 0.5)
@@ -214,7 +214,7 @@ def _message(status: Status, best: _Attempt, rtol: float) -> str:
         text = (
             f"the lagged terms did not settle: after {len(worst.residuals)} updates on "
             f"[{worst.start:.4g}, {worst.end:.4g}] the unknowns still change by "
-            f"{worst.residuals[-1]:.1e} of their size"
+            f"{worst.residuals[-1]:.1e} times their size"
         )
     if best.measured is not None:
         text += f": measured error {best.error:.1e}, asked {rtol:.1e}"

@@ -78,8 +78,9 @@ class Enrichment:
     functional : float, optional
         Squared norm of the source over the box; with it the residuals recorded are those of the
         minimal residual, ``||D(U) - G||`` over the box.
-    unit : float
-        What residuals and amplitudes are divided by in the records, and tolerances multiplied.
+    unit, amplitude_unit : float
+        What residuals and amplitudes are divided by in the records; the tolerance of a run is in
+        the unit of residuals.
     """
 
     def __init__(
@@ -298,12 +299,9 @@ class Enrichment:
     def residual(self) -> float:
         """Norm of ``D(U) - G`` tested with the shape functions, in the dual of the metric."""
         image = self.equation.image(self.modes).applied(self.equation.whitening)
-        if image.rank + self._whitened.rank <= 120:
-            return (self._whitened - image).norm()
         if self._load_square is None:
             self._load_square = self._whitened.inner(self._whitened)
-        square = self._load_square - 2.0 * self._whitened.inner(image) + image.inner(image)
-        return math.sqrt(max(square, 0.0))
+        return self._whitened.distance(image, self._load_square)
 
     def minimal_residual(self) -> float:
         """``||D(U) - G||`` over the box, for the minimal residual projection."""
@@ -311,7 +309,7 @@ class Enrichment:
         matrix, right = self._projected()
         square = self.functional - 2.0 * self.amplitudes @ right
         square += self.amplitudes @ matrix @ self.amplitudes
-        return math.sqrt(max(float(square), 0.0))
+        return math.sqrt(max(float(square), 1e-15 * self.functional))
 
 
 def _product(arrays: list[Array], j: int) -> Array:

@@ -45,7 +45,8 @@ class EquationRecord:
     amplitudes : tuple of float
         Amplitudes of all modes afterwards, descending, in units of the state's size.
     residual : float
-        Residual at the end.
+        Residual at the end, tested with the shape functions or, with
+        ``projection="minimal-residual"``, with the operator applied to them: what stops a loop.
     change : float
         Distance to the unknown of the iteration before, in units of the state's size.
     """

@@ -143,9 +143,11 @@ class LaggedSlab:
                 record = self._solve_equation(state, iteration, inner)
                 records.append(record)
                 largest = max(largest, record.change)
+                if not math.isfinite(record.change):
+                    return [*changes, math.inf], False
             changes.append(largest)
             if not lagged:
-                return changes, math.isfinite(largest)
+                return changes, True
             if not largest < _DIVERGED:
                 return changes, False
             # an equation that was only solved coarsely has changes of that order

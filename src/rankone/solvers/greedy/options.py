@@ -33,9 +33,9 @@ _SLIDES: dict[str, Any] = {
 class GreedyOptions:
     """What is solved, how it is projected, and the limits of ``method="greedy"``.
 
-    The defaults are the best choice found over the reference problems (docs/classic-method.md):
-    the Volterra form, whose operator is the identity but for the own linear terms of an equation,
-    and all modes updated. :meth:`slides` is the choice of the slides.
+    The defaults are the best choice found over the reference problems, the same for all: the
+    Volterra form, whose operator is the identity but for the own linear terms of an equation, and
+    all modes updated. :meth:`slides` is the choice of the slides.
 
     Attributes
     ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from rankone.discretization import BASES
 from rankone.errors import OptionError
@@ -62,6 +63,23 @@ class TrainOptions:
             raise OptionError(
                 f"time_nodes={self.time_nodes!r} is out of range", remedy="choose 2 to 32"
             )
+
+    @classmethod
+    def of(cls, **changes: Any) -> TrainOptions:
+        """Options with changes.
+
+        Raises
+        ------
+        OptionError
+            If an option is unknown or out of its range.
+        """
+        known = sorted(cls.__dataclass_fields__)
+        for name in changes:
+            if name not in known:
+                raise OptionError(
+                    f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}"
+                )
+        return cls(**changes)
 
     def nodes_in_time(self, rtol: float) -> int:
         """Radau nodes per slab: more for tighter tolerances, 9 at 1e-3 and 16 at 1e-8."""

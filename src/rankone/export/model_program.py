@@ -1,0 +1,135 @@
+"""Evaluation of the solved model: a tensor train of Chebyshev polynomials on each time slab.
+
+At one point every core is a matrix, and the unknowns are their product. It is formed from the
+last parameter to time; derivatives are carried along, one column for each coordinate passed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Model"]
+
+Array = NDArray[np.float64]
+
+_CHUNK = 1024
+"""Points evaluated at once."""
+
+
+class Model:
+    """The unknowns and their derivatives as functions of time and of all parameters.
+
+    Attributes
+    ----------
+    unknowns, coordinates : tuple of str
+        Names; the coordinates are time and the parameters.
+    intervals : tuple of (float, float)
+        The interval of each coordinate. Values outside of it are errors.
+    """
+
+    def __init__(
+        self,
+        unknowns: tuple[str, ...],
+        coordinates: tuple[str, ...],
+        keywords: tuple[str, ...],
+        intervals: tuple[tuple[float, float], ...],
+        starts: tuple[float, ...],
+        slabs: Sequence[Sequence[tuple[float, float, tuple[int, int, int, int]]]],
+        coefficients: Array,
+    ) -> None:
+        self.unknowns, self.coordinates, self.intervals = unknowns, coordinates, intervals
+        self._names = dict(zip(keywords, coordinates, strict=True))
+        self._breaks = np.array(starts[1:])
+        self._slabs: list[list[tuple[float, float, Array]]] = []
+        offset = 0
+        for slab in slabs:
+            cores = []
+            for lower, scale, shape in slab:
+                size = int(np.prod(shape))
+                cores.append((lower, scale, coefficients[offset : offset + size].reshape(shape)))
+                offset += size
+            self._slabs.append(cores)
+
+    def value(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
+        """Values of the unknowns: shape (unknowns, *broadcast shape of the coordinates)."""
+        points, shape = self._points({**(values or {}), **named})
+        return self._evaluate(points, derivatives=False)[:, 0].reshape(-1, *shape)
+
+    def gradient(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
+        """Derivatives with respect to each coordinate, in their order.
+
+        The shape is (unknowns, coordinates, *broadcast shape of the coordinates). Where two time
+        slabs meet, the derivative is that of the later one.
+        """
+        points, shape = self._points({**(values or {}), **named})
+        result = self._evaluate(points, derivatives=True)[:, 1:]
+        return result.reshape(*result.shape[:2], *shape)
+
+    def _points(self, given: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
+        """Points (coordinates, N) inside of the intervals, and the shape they stand for."""
+        named = {self._names.get(name, name): value for name, value in given.items()}
+        if named.keys() != set(self.coordinates) or len(named) != len(given):
+            expected = ", ".join(self.coordinates)
+            raise ValueError(
+                f"values of {', '.join(given) or 'nothing'} were given, not {expected}"
+            )
+        arrays = []
+        for name, (lower, upper) in zip(self.coordinates, self.intervals, strict=True):
+            array = np.asarray(named[name], dtype=float)
+            slack = max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper))))
+            if not np.all((array >= lower - slack) & (array <= upper + slack)):
+                raise ValueError(f"{name} is not everywhere in [{lower!r}, {upper!r}]")
+            arrays.append(np.clip(array, lower, upper))
+        points = np.array(np.broadcast_arrays(*arrays))
+        return points.reshape(len(points), -1), points.shape[1:]
+
+    def _evaluate(self, points: Array, derivatives: bool) -> Array:
+        """Values, and derivatives if asked for, at points (coordinates, N) of all slabs.
+
+        The shape is (unknowns, 1 or 1 + coordinates, N).
+        """
+        columns = 1 + len(points) if derivatives else 1
+        result = np.empty((len(self.unknowns), columns, points.shape[1]))
+        owner = np.searchsorted(self._breaks, points[0], side="right")
+        for index in np.unique(owner):
+            here = np.flatnonzero(owner == index)
+            for begin in range(0, here.size, _CHUNK):
+                part = here[begin : begin + _CHUNK]
+                result[:, :, part] = _train(self._slabs[index], points[:, part], derivatives)
+        return result
+
+
+def _train(cores: Sequence[tuple[float, float, Array]], points: Array, derivatives: bool) -> Array:
+    """Values and derivatives of one slab at points (coordinates, N)."""
+    columns = [np.ones((1, points.shape[1]))]
+    for (lower, scale, tensor), coordinate in zip(cores[::-1], points[::-1], strict=True):
+        elements, left, degree, _ = tensor.shape
+        position = (coordinate - lower) * scale
+        element = np.clip(position.astype(int), 0, elements - 1)
+        t, slope = chebyshev(2.0 * (position - element) - 1.0, degree)
+        pairs = [(t, column) for column in columns]
+        if derivatives:
+            pairs.insert(1, (2.0 * scale * slope, columns[0]))
+        columns = [np.empty((left, coordinate.size)) for _ in pairs]
+        for e in np.unique(element):
+            here = np.flatnonzero(element == e)
+            matrix = tensor[e].reshape(left, -1)
+            for out, (basis, carry) in zip(columns, pairs, strict=True):
+                products = basis[:, None, here] * carry[:, here]
+                out[:, here] = matrix @ products.reshape(-1, here.size)
+    return np.stack(columns, axis=1)
+
+
+def chebyshev(x: Array, count: int) -> tuple[Array, Array]:
+    """Chebyshev polynomials T_0 ... T_{count - 1} and their derivatives, each (count, N)."""
+    t, slope = np.ones((count, x.size)), np.zeros((count, x.size))
+    if count > 1:
+        t[1], slope[1] = x, 1.0
+    for k in range(2, count):
+        t[k] = 2.0 * x * t[k - 1] - t[k - 2]
+        slope[k] = 2.0 * (t[k - 1] + x * slope[k - 1]) - slope[k - 2]
+    return t, slope

@@ -1,0 +1,116 @@
+"""A solution as plain tables: what the solved models evaluate.
+
+Every core of every slab is kept as Chebyshev coefficients on equal elements, whatever the basis
+of the solve was, so that a model needs one recurrence and one contraction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.errors import ExportError
+from rankone.solution import Solution
+from rankone.tensors.evaluator import TrainEvaluator
+
+__all__ = ["PackedCore", "PackedModel", "pack"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PackedCore:
+    """One core of one slab.
+
+    Attributes
+    ----------
+    lower : float
+        Where the first element begins.
+    scale : float
+        Elements per unit of the coordinate.
+    tensor : ndarray (elements, left rank, degree, right rank)
+        Chebyshev coefficients on every element.
+    """
+
+    lower: float
+    scale: float
+    tensor: Array
+
+
+@dataclass(frozen=True)
+class PackedModel:
+    """Everything a model needs, in plain data.
+
+    Attributes
+    ----------
+    unknowns : tuple of str
+    coordinates : tuple of str
+        Time, then the parameters.
+    intervals : tuple of (float, float)
+        The interval of each coordinate.
+    starts : tuple of float
+        Where each slab begins.
+    slabs : tuple of tuple of PackedCore
+        For each slab the cores of time and of each parameter.
+    summary : tuple of str
+        The equations, the box and the measured error, as lines of text.
+    """
+
+    unknowns: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    intervals: tuple[tuple[float, float], ...]
+    starts: tuple[float, ...]
+    slabs: tuple[tuple[PackedCore, ...], ...]
+    summary: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return sum(core.tensor.size for slab in self.slabs for core in slab)
+
+
+def pack(solution: Solution, *, allow_failed: bool = False) -> PackedModel:
+    """Turn a solution into plain tables.
+
+    Raises
+    ------
+    ExportError
+        If nothing was solved, or the solution is not a success and ``allow_failed`` is False.
+    """
+    if not solution.outcome.slabs:
+        raise ExportError(f"there is nothing to export: {solution.message}")
+    if not solution.success and not allow_failed:
+        raise ExportError(
+            f"the solution is not a success: {solution.message}",
+            remedy="solve again, or pass allow_failed=True to export it as it is",
+        )
+    count = len(solution.unknowns)
+    slabs = []
+    for slab in TrainEvaluator(solution.outcome.slabs)._slabs:
+        cores = [PackedCore(float(d.lower), float(d.scale), d.tensor) for d in slab.dimensions]
+        cores[0] = PackedCore(cores[0].lower, cores[0].scale, cores[0].tensor[:, :count])
+        slabs.append(tuple(cores))
+    metadata = solution.metadata
+    return PackedModel(
+        unknowns=solution.unknowns,
+        coordinates=(metadata.time, *metadata.parameters),
+        intervals=tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box)),
+        starts=tuple(float(slab.start) for slab in solution.outcome.slabs),
+        slabs=tuple(slabs),
+        summary=_summary(solution),
+    )
+
+
+def _summary(solution: Solution) -> tuple[str, ...]:
+    """Lines that say what the model is and how good it is."""
+    metadata = solution.metadata
+    coordinates = {metadata.time: solution.time, **solution.parameters}
+    return (
+        *(f"    {equation}" for equation in metadata.equations),
+        "",
+        *(f"{name} in [{lower!r}, {upper!r}]" for name, (lower, upper) in coordinates.items()),
+        "",
+        f"Relative tolerance asked for: {solution.rtol:g}; {solution.message}.",
+    )

@@ -1,0 +1,69 @@
+"""Solutions of the reference problems, each solved once, and one solution of every kind."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+import rankone as ro
+from rankone.discretization import ChebyshevBasis, LegendreBasis
+from rankone.solution import SolutionMetadata
+from rankone.solvers.outcome import Outcome, Status
+from rankone.tensors.slab import SlabTrain
+from tests.problems import EXAMPLES
+
+__all__ = ["compiled", "points", "solved", "synthetic"]
+
+
+@cache
+def compiled(name: str) -> ro.CompiledProblem:
+    return ro.compile(EXAMPLES[name].problem)
+
+
+@cache
+def solved(name: str) -> ro.Solution:
+    return compiled(name).solve(rtol=EXAMPLES[name].RTOL)
+
+
+def points(solution: ro.Solution, count: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """Random points by name, among them the ends of all intervals and of all slabs."""
+    rng = np.random.default_rng(seed)
+    intervals = {solution.metadata.time: solution.time, **solution.parameters}
+    found = {}
+    for name, (lower, upper) in intervals.items():
+        found[name] = np.clip(lower + (upper - lower) * rng.random(count), lower, upper)
+        found[name][:2] = lower, upper
+    ends = [slab.end for slab in solution.outcome.slabs][: count // 4]
+    found[solution.metadata.time][2 : 2 + len(ends)] = np.clip(ends, *solution.time)
+    return found
+
+
+@cache
+def synthetic(status: Status = Status.CONVERGED) -> ro.Solution:
+    """Random trains: two slabs, both bases, several elements, awkward names, a state not asked."""
+    rng = np.random.default_rng(7)
+    slabs = []
+    for start, end in ((-1.0, 0.25), (0.25, 2.0)):
+        bases = (
+            ChebyshevBasis(-2.0, 3.0, 4, 3),
+            LegendreBasis(0.1, 0.7, 5, 2),
+            LegendreBasis(1.0, 2.0, 1, 1),
+        )
+        ranks = (3, 5, 9, 2, 1)
+        sizes = (6, *(basis.size for basis in bases))
+        cores = tuple(
+            rng.standard_normal((ranks[j], sizes[j], ranks[j + 1])) for j in range(len(sizes))
+        )
+        slabs.append(SlabTrain(start, end, cores, bases))
+    metadata = SolutionMetadata(
+        unknowns=("x", "int"),
+        states=("x", "int", "x_t"),
+        parameters=("lambda", "x_{0}", "α"),
+        box=((-2.0, 3.0), (0.1, 0.7), (1.0, 2.0)),
+        time="t",
+        horizon=(-1.0, 2.0),
+        rtol=1e-3,
+        equations=("x' = */ nothing /* at all",),
+    )
+    return ro.Solution(Outcome(tuple(slabs), status, status.value, None, ()), metadata)

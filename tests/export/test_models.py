@@ -1,0 +1,352 @@
+"""Solved models in Python and in C agree with the solution they were made from."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rankone.errors import ExportError
+from rankone.export.model_c import c_identifier
+from rankone.solvers.outcome import Status
+from tests.export.solutions import points, solved, synthetic
+from tests.problems import EXAMPLES
+
+ROOT = Path(__file__).parents[2]
+DRIVER = Path(__file__).parent / "model_driver.c"
+COUNT = 10_000
+
+COMPILER = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (gcc, clang or cc)")
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+SOLUTIONS = {
+    **{name: lambda name=name: solved(name) for name in EXAMPLES},
+    "synthetic": synthetic,
+}
+
+
+def imported(path):
+    """The model as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def sizes(values):
+    """The largest value of each unknown, for broadcasting over the points."""
+    return np.abs(values).max(axis=1, keepdims=True)
+
+
+def widths(solution):
+    intervals = [solution.time, *solution.parameters.values()]
+    return np.array([upper - lower for lower, upper in intervals])
+
+
+def slab_gradient(solution, where):
+    """Derivatives of the slabs themselves.
+
+    Along each coordinate a slab is a polynomial on every element; it is interpolated, and the
+    interpolant differentiated.
+    """
+    names = list(where)
+    centre = np.stack([where[name] for name in names])
+    gradient = np.empty((len(solution.unknowns), *centre.shape))
+    nodes = np.cos(np.pi * (np.arange(80) + 0.5) / 80)
+    starts = [slab.start for slab in solution.outcome.slabs[1:]]
+    owner = np.searchsorted(starts, centre[0], side="right")
+    for k in range(centre.shape[1]):
+        slab = solution.outcome.slabs[owner[k]]
+        for j in range(len(names)):
+            basis = None if j == 0 else slab.bases[j - 1]
+            lower, upper = (slab.start, slab.end) if j == 0 else (basis.lower, basis.upper)
+            elements = 1 if j == 0 else basis.elements
+            width = (upper - lower) / elements
+            e = min(int((centre[j, k] - lower) / width), elements - 1)
+            a = lower + e * width
+            sample = np.repeat(centre[:, k : k + 1], nodes.size, axis=1)
+            sample[j] = a + 0.5 * width * (nodes + 1.0)
+            values = slab(sample[0], sample[1:])[: len(solution.unknowns)]
+            for i, row in enumerate(values):
+                fit = np.polynomial.chebyshev.Chebyshev.fit(nodes, row, 64, domain=[-1, 1])
+                xi = 2.0 * (centre[j, k] - a) / width - 1.0
+                gradient[i, j, k] = fit.deriv()(xi) * 2.0 / width
+    return gradient
+
+
+# --- Python ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SOLUTIONS)
+def test_python_values(name, tmp_path):
+    solution = SOLUTIONS[name]()
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = points(solution, COUNT)
+    wanted = solution(where)
+    assert np.all(np.abs(model.value(where) - wanted) <= 1e-12 * sizes(wanted))
+    assert solution.unknowns == model.UNKNOWNS
+    one = {key: float(values[5]) for key, values in where.items()}
+    np.testing.assert_allclose(model.value(one), wanted[:, 5], rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SOLUTIONS)
+def test_python_gradient(name, tmp_path):
+    solution = SOLUTIONS[name]()
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = points(solution, 12, seed=3)
+    wanted = slab_gradient(solution, where)
+    size = sizes(solution(points(solution, COUNT)))[:, :, None] / widths(solution)[:, None]
+    size = np.maximum(size, np.abs(wanted).max(axis=2, keepdims=True))
+    assert np.all(
+        np.abs(model.gradient(where) - wanted) <= 1e-6 * size
+    )  # the interpolation of short slabs
+
+
+def test_python_needs_numpy_alone(tmp_path):
+    path = solved("decay").export(tmp_path / "model.py")
+    script = (
+        "import sys; sys.modules |= dict.fromkeys(['rankone', 'sympy', 'scipy'])\n"
+        "import model; print(repr(model.value(t=1.0, k=2.0)[0]))"
+    )
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    run = subprocess.run(
+        [sys.executable, "-c", script], cwd=path.parent, env=clean, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    value = float(re.search(r"[\d.]+(?=\)?$)", run.stdout.strip()).group())
+    assert value == pytest.approx(np.exp(-2.0), rel=1e-5)
+
+
+def test_python_beside(tmp_path):
+    """Few coefficients are in the file, many beside it; the same bytes every time."""
+    solved("decay").export(tmp_path / "small.py")
+    assert {path.name for path in tmp_path.iterdir()} == {"small.py"}
+    large = [solved("lotka_volterra").export(tmp_path / f"{name}.py") for name in ("a", "b")]
+    archives = [path.with_suffix(".npz").read_bytes() for path in large]
+    assert archives[0] == archives[1]
+    assert "a.npz" in large[0].read_text()
+
+
+@pytest.mark.parametrize("name", ["decay", "linear", "kirchhoff", "synthetic"])
+def test_python_formatted(name, tmp_path):
+    pytest.importorskip("ruff")
+    file = SOLUTIONS[name]().export(tmp_path / "model.py")
+    config = ["--no-cache", "--config", str(ROOT / "pyproject.toml"), str(file)]
+    for command in (["check"], ["format", "--check", "--diff"]):
+        ruff = [sys.executable, "-m", "ruff", *command, *config]
+        run = subprocess.run(ruff, capture_output=True, text=True)
+        assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_python_bounds_and_names(tmp_path):
+    model = imported(synthetic().export(tmp_path / "model.py"))
+    assert model.KEYWORDS == ("t", "lambda_", "x_0", "α")
+    at = {"t": 0.0, "lambda": 1.0, "x_{0}": 0.5, "α": 1.5}
+    wanted = model.value(at)
+    np.testing.assert_array_equal(model.value(t=0.0, lambda_=1.0, x_0=0.5, α=1.5), wanted)
+    assert model.value({**at, "t": [0.0, 1.0]}).shape == (2, 2)
+    assert model.gradient({**at, "t": [[0.0], [1.0]]}).shape == (2, 4, 2, 1)
+    for wrong in ({"t": 2.1}, {"lambda": -2.1}, {"α": float("nan")}):
+        with pytest.raises(ValueError, match="not everywhere in"):
+            model.value({**at, **wrong})
+    for given in ({"t": 0.0}, {**at, "y": 1.0}, {**at, "lambda_": 1.0}):
+        with pytest.raises(ValueError, match="were given"):
+            model.value(given)
+
+
+# --- C -----------------------------------------------------------------------------------------
+
+
+def compiled_driver(folder, *flags):
+    """Compile model.c with the driver; skip if the compiler lacks what the flags ask for."""
+    program = folder / f"driver{abs(hash(flags))}"
+    files = [str(folder / "model.c"), str(DRIVER)]
+    command = [COMPILER, *STRICT, *flags, f"-I{folder}", "-o", str(program), *files]
+    run = subprocess.run(command, capture_output=True, text=True)
+    if run.returncode and "sanitize" in " ".join(flags) and "cannot find" in run.stderr:
+        pytest.skip("the compiler has no sanitizers")
+    assert run.returncode == 0, run.stderr
+    return program
+
+
+def run_driver(program, solution, where):
+    """Values (unknowns, N), gradients (unknowns, coordinates, N) and the values of a batch."""
+    table = np.stack(list(where.values()), axis=1)
+    count, width = table.shape
+    data = np.concatenate([[float(count)], table.ravel()]).tobytes()
+    run = subprocess.run([str(program)], input=data, capture_output=True)
+    assert run.returncode == 0, run.stderr.decode()
+    n = len(solution.unknowns)
+    out = np.frombuffer(run.stdout)
+    single, batch = out[: count * n * (width + 1)], out[count * n * (width + 1) :]
+    rows = single.reshape(count, n * (width + 1))
+    values, gradients = rows[:, :n].T, rows[:, n:].reshape(count, n, width)
+    return values, np.moveaxis(gradients, 0, 2), batch.reshape(count, n).T
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", SOLUTIONS)
+def test_c_agrees(name, tmp_path):
+    solution = SOLUTIONS[name]()
+    solution.export(tmp_path / "model.c")
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = points(solution, COUNT)
+    wanted, slopes = solution(where), model.gradient(where)
+    size = sizes(wanted)
+    slope_size = np.abs(slopes).max(axis=2, keepdims=True)
+    slope_size = np.maximum(slope_size, size[:, :, None] / widths(solution)[:, None])
+    for flags in (["-O2"], SANITIZED):
+        values, gradients, batch = run_driver(compiled_driver(tmp_path, *flags), solution, where)
+        assert np.all(np.abs(values - wanted) <= 1e-12 * size)
+        assert np.all(np.abs(gradients - slopes) <= 1e-12 * slope_size)
+        np.testing.assert_array_equal(batch, values)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["decay", "kirchhoff", "synthetic"])
+def test_c_single_precision(name, tmp_path):
+    solution = SOLUTIONS[name]()
+    solution.export(tmp_path / "model.c")
+    where = points(solution, 500)
+    values, _, _ = run_driver(compiled_driver(tmp_path, "-O2", "-DMODEL_FLOAT"), solution, where)
+    rows = np.r_[0, 10:500]  # at the end of a slab the rounded time is on either side
+    wanted = solution(where)
+    assert np.all(np.abs(values - wanted)[:, rows] <= 2e-4 * sizes(wanted))
+
+
+STATUS = r"""
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include "model.h"
+
+int main(void)
+{
+    double p[3] = {1.0, 0.5, 1.5}, many[6] = {1.0, 0.5, 1.5, 1.0, 0.5, 9.0}, t[2] = {0.0, 0.0};
+    double u[8] = {7, 7, 7, 7, 7, 7, 7, 7};
+    int k, kept = 1;
+    printf("%d ", model_eval(p, 2.5, u));
+    printf("%d ", model_gradient(p, -1.1, u));
+    printf("%d ", model_eval(p, NAN, u));
+    p[MODEL_P_x_0] = 0.8;
+    printf("%d ", model_eval(p, 0.0, u));
+    p[MODEL_P_x_0] = NAN;
+    printf("%d ", model_gradient(p, 0.0, u));
+    printf("%d ", model_eval_batch(2, many, t, u));
+    for (k = 0; k < 8; k++)
+        kept = kept && u[k] == 7;
+    p[MODEL_P_x_0] = 0.7 + 1e-14;
+    printf("%d %d ", kept, model_eval(p, 2.0 + 1e-14, u));
+    printf("%d %d %d ", MODEL_PARAMETERS, MODEL_UNKNOWNS, MODEL_U_int);
+    printf("%s %s ", model_parameter_names[MODEL_P_lambda], model_unknown_names[1]);
+    printf("%s %g %g ", model_parameter_names[2], model_lower[2], model_upper[2]);
+    printf("%g", model_time_upper);
+    return 0;
+}
+"""
+
+
+@needs_compiler
+def test_c_status_and_constants(tmp_path):
+    synthetic().export(tmp_path / "model.c")
+    (tmp_path / "main.c").write_text(STATUS)
+    files = [str(tmp_path / name) for name in ("main.c", "model.c")]
+    program = tmp_path / "main"
+    subprocess.run([COMPILER, *STRICT, "-o", str(program), *files, "-lm"], check=True)
+    out = subprocess.run([str(program)], capture_output=True, text=True, check=True).stdout
+    assert out == "2 2 1 2 1 2 1 0 3 2 1 lambda int α 1 2 2"
+
+
+@needs_compiler
+def test_c_needs_nothing(tmp_path):
+    """No symbol is left open but what the compiler itself may call."""
+    solved("decay").export(tmp_path / "model.c")
+    nm = shutil.which("nm")
+    if nm is None:
+        pytest.skip("no nm")
+    subprocess.run([COMPILER, *STRICT, "-O2", "-c", "model.c"], cwd=tmp_path, check=True)
+    run = subprocess.run([nm, "-u", "model.o"], cwd=tmp_path, capture_output=True, text=True)
+    assert not re.findall(r"U (?!_?mem(?:set|cpy))(\w+)", run.stdout)
+
+
+def test_c_prefix_and_bytes(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        solved("decay").export(tmp_path / name / "my-model.c")
+    source, header = ((tmp_path / "a" / f"my-model.{s}").read_text() for s in "ch")
+    assert source == (tmp_path / "b" / "my-model.c").read_text()
+    assert "int my_model_eval(const my_model_real *p" in header
+    assert '#include "my-model.h"' in source
+    assert "@" not in source + header
+
+
+@pytest.mark.parametrize(
+    ("name", "identifier"),
+    [
+        ("x0", "x0"),
+        ("x_{0}", "x_0"),
+        ("lambda", "lambda"),
+        ("α", "alpha"),
+        ("λ_1", "lamda_1"),
+        ("2a", "_2a"),
+        ("k'", "k_prime"),
+        ("???", "model"),
+    ],
+)
+def test_c_identifiers(name, identifier):
+    assert c_identifier(name) == identifier
+
+
+# --- bad input ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["py", "c"])
+def test_failed_solutions(suffix, tmp_path):
+    failed = synthetic(Status.TOLERANCE)
+    with pytest.raises(ExportError, match="allow_failed=True"):
+        failed.export(tmp_path / f"model.{suffix}")
+    assert not list(tmp_path.iterdir())
+    failed.export(tmp_path / f"model.{suffix}", allow_failed=True)
+
+
+def test_paths(tmp_path):
+    solution = solved("decay")
+    with pytest.raises(ExportError, match="names no target"):
+        solution.export(tmp_path / "model.cpp")
+    with pytest.raises(ExportError, match="cannot be written"):
+        solution.export(tmp_path / "nowhere" / "model.c")
+    (tmp_path / "model.h").write_text("mine")
+    with pytest.raises(ExportError, match=r"model\.h` exists"):
+        solution.export(tmp_path / "model.c")
+    assert [path.name for path in tmp_path.iterdir()] == ["model.h"]
+    solution.export(tmp_path / "model.c", overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"model.c", "model.h"}
+
+
+def test_both_or_none(tmp_path, monkeypatch):
+    """When the second file cannot be put in its place, the first is taken back."""
+    solution = solved("decay")
+    replace = Path.replace
+
+    def fail(self, target):
+        if Path(target).suffix == ".h":
+            raise OSError("disk full")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(ExportError, match="disk full"):
+        solution.export(tmp_path / "model.c")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "model.c").write_text("old")
+    with pytest.raises(ExportError, match="disk full"):
+        solution.export(tmp_path / "model.c", overwrite=True)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"model.c": "old"}

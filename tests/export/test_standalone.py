@@ -1,0 +1,295 @@
+"""The exported solver stands alone and gives the library's result."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+import rankone as ro
+from rankone.cli import main
+from rankone.errors import ExportError, OptionError
+from rankone.export.carry import carry, import_lines
+from rankone.export.modules import Import
+from rankone.export.standalone import standalone_source
+from rankone.solvers.greedy import GreedyOptions, solve_greedy
+from tests.export.solutions import compiled, points, solved
+from tests.problems import EXAMPLES
+
+ROOT = Path(__file__).parents[2]
+
+ALONE = """
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("rankone", "sympy", "threadpoolctl", "tqdm"):
+            raise ModuleNotFoundError(f"{name} is blocked", name=name)
+
+sys.meta_path.insert(0, Blocked())
+import numpy as np
+import solver
+"""
+
+
+def alone(folder: Path, *arguments: str, script: str | None = None) -> subprocess.CompletedProcess:
+    """Run the solver in the folder, or a script that imports it, without the library."""
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    command = [sys.executable, "solver.py"] if script is None else [sys.executable, "-c", script]
+    return subprocess.run(
+        [*command, *arguments],
+        cwd=folder,
+        env={**clean, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("solver")
+    compiled("lotka_volterra").export(place / "solver.py")
+    return place
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_library_and_the_solver_agree(name, tmp_path):
+    compiled(name).export(tmp_path / "solver.py")
+    wanted = solved(name)
+    where = points(wanted, 200)
+    np.savez(tmp_path / "points.npz", **where)
+    script = ALONE + (
+        f"s = solver.solve(rtol={wanted.rtol!r})\n"
+        "where = dict(np.load('points.npz'))\n"
+        "np.save('values.npy', s(where))\n"
+        "s.save('solution.npz')\n"
+        "assert np.array_equal(solver.load('solution.npz')(where), s(where))\n"
+        "assert s.success and s.error <= s.metadata.rtol, s.message\n"
+    )
+    run = alone(tmp_path, script=script)
+    assert run.returncode == 0, run.stderr
+    values = wanted(where)
+    size = np.abs(values).max(axis=1, keepdims=True)
+    np.testing.assert_array_less(np.abs(np.load(tmp_path / "values.npy") - values) / size, 1e-12)
+    loaded = ro.load(tmp_path / "solution.npz")
+    assert np.all(np.abs(loaded(where) - values) <= 1e-12 * size)
+    assert loaded.error == pytest.approx(wanted.error, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["decay", "coupled"])
+def test_the_classic_method_is_exported_as_well(name, tmp_path):
+    problem = compiled(name)
+    problem.export(tmp_path / "solver.py", method="greedy")
+    with threadpool_limits(1, "blas"):
+        wanted = solve_greedy(problem.system, problem.separated, 1e-3, GreedyOptions(), 24)
+    script = ALONE + (
+        "s = solver.solve(rtol=1e-3)\n"
+        "points = np.load('points.npy')\n"
+        "np.save('values.npy', s(dict(zip(('t', *s.parameters), points))))\n"
+        "assert s.metadata.method == 'greedy'\n"
+    )
+    box = np.array([problem.system.TIME, *problem.system.BOX])
+    points = box[:, :1] + np.diff(box) * np.random.default_rng(0).random((len(box), 50))
+    np.save(tmp_path / "points.npy", points)
+    run = alone(tmp_path, script=script)
+    assert run.returncode == 0, run.stderr
+    values = np.load(tmp_path / "values.npy")
+    for k, point in enumerate(points.T):
+        slab = next(slab for slab in wanted.slabs if point[0] <= slab.end)
+        exact = slab(point[:1], point[1:, None])[:, 0]
+        np.testing.assert_allclose(values[:, k], exact, rtol=0, atol=1e-12 * np.abs(values).max())
+
+
+def test_other_box_and_horizon(folder):
+    script = ALONE + (
+        "s = solver.solve(rtol=1e-5, parameters={'x0': (7, 13)}, t_final=4.0)\n"
+        "print(s(t=4.0, x0=[7.0, 12.5], y0=5.5).tolist())\n"
+        "assert s.parameters == {'x0': (7.0, 13.0), 'y0': (4.0, 6.0)} and s.time == (0.0, 4.0)\n"
+    )
+    run = alone(folder, script=script)
+    assert run.returncode == 0, run.stderr
+    example = EXAMPLES["lotka_volterra"]
+    problem = ro.Problem(
+        example.problem.equations,
+        (example.t, 0, 4),
+        {example.x0: (7, 13), example.y0: (4, 6)},
+        {example.x: example.x0, example.y: example.y0},
+    )
+    wanted = ro.solve(problem, rtol=1e-5)(t=4.0, x0=[7.0, 12.5], y0=5.5)
+    np.testing.assert_allclose(json.loads(run.stdout), wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        ("solver.solve(parameters={'z': (1, 2)})", "OptionError", "no parameter `z`"),
+        ("solver.solve(parameters={'x0': (2, 1)})", "OptionError", "ascending"),
+        ("solver.solve(t_final=-1)", "OptionError", "horizon"),
+        ("solver.solve(rtol=2)", "OptionError", "rtol"),
+        ("solver.solve(rtol=1e-3)(t=7, x0=9, y0=5)", "EvaluationError", "[0, 6]"),
+        ("solver.solve(rtol=1e-3)(t=float('nan'), x0=9, y0=5)", "EvaluationError", "`t`"),
+        ("solver.solve(rtol=1e-3)(t=1, x0=9)", "EvaluationError", "t, x0, y0"),
+        ("solver.load('nothing.npz')", "StorageError", "nothing.npz"),
+        ("solver.load('solver.py')", "StorageError", "solver.py"),
+    ],
+)
+def test_bad_input(folder, call, error, message):
+    run = alone(folder, script=ALONE + call)
+    last = run.stderr.strip().splitlines()[-1]
+    assert error in last
+    assert message in last
+
+
+def test_program(folder):
+    run = alone(folder, "--rtol", "1e-6", "--at", "t=1", "x0=9", "y0=5", "--json")
+    assert run.returncode == 0, run.stderr
+    values = json.loads(run.stdout)["values"]
+    wanted = solved("lotka_volterra")(t=1, x0=9, y0=5)
+    np.testing.assert_allclose([values["x"], values["y"]], wanted, rtol=1e-12)
+
+    save = ("--grid", "5", "--rtol", "1e-3", "--save", "values.npz")
+    run = alone(folder, *save)
+    assert run.returncode == 0, run.stderr
+    with np.load(folder / "values.npz") as file:
+        assert set(file) == {"t", "x0", "y0", "x", "y"}
+        assert file["x"].shape == (5, 5, 5)
+        np.testing.assert_allclose(file["x"][0, :, 0], file["x0"], rtol=1e-3)
+    assert alone(folder, *save).returncode == 2
+    assert alone(folder, *save, "--overwrite").returncode == 0
+
+    shown = alone(folder, "--help").stdout
+    assert "x' = 1.5*x - x*y" in shown
+    assert alone(folder, "--at", "t").returncode == 2
+    assert alone(folder, "--rtol", "1e-3", "--grid", "100000").returncode == 2
+
+
+def test_saved_by_the_program(folder):
+    file = folder / "saved.npz"
+    assert alone(folder, "--rtol", "1e-3", "--save", str(file)).returncode == 0
+    again = alone(folder, "--load", str(file), "--at", "t=1", "x0=9", "y0=5", "--json")
+    values = json.loads(again.stdout)["values"]
+    np.testing.assert_allclose(list(values.values()), ro.load(file)(t=1, x0=9, y0=5), rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["train", "greedy"])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_formatted(name, method, tmp_path):
+    pytest.importorskip("ruff")
+    file = compiled(name).export(tmp_path / "solver.py", method=method)
+    ruff = [sys.executable, "-m", "ruff"]
+    config = ["--config", str(ROOT / "pyproject.toml"), str(file)]
+    for command in (["check", "--no-cache"], ["format", "--check", "--diff", "--no-cache"]):
+        run = subprocess.run([*ruff, *command, *config], capture_output=True, text=True)
+        assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_identical_bytes(tmp_path):
+    problem = EXAMPLES["kirchhoff"].problem
+    first = ro.compile(problem).export(tmp_path / "a.py").read_bytes()
+    script = (
+        "import sys, rankone as ro; from tests.problems import EXAMPLES;"
+        "ro.compile(EXAMPLES['kirchhoff'].problem).export(sys.argv[1])"
+    )
+    path = os.pathsep.join([str(ROOT), str(ROOT / "src")])
+    for seed in ("1", "4711"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": path}
+        target = tmp_path / f"{seed}.py"
+        subprocess.run([sys.executable, "-c", script, str(target)], env=environment, check=True)
+        assert target.read_bytes() == first
+
+
+def test_length():
+    assert standalone_source(compiled("lotka_volterra")).count("\n") <= 2500
+
+
+def test_header():
+    source = standalone_source(compiled("lotka_volterra"))
+    head = source[: source.index("import argparse")]
+    for text in ("x' = 1.5*x - x*y", "x0 in [8, 12]", "Operations: rhs 5", "coefficient  monomial"):
+        assert text in head
+    assert "rankone." not in "".join(line for line in source.splitlines() if "import" in line)
+
+
+def test_awkward_names(tmp_path):
+    problem = ro.Problem.from_strings(
+        rhs={"x": "-lambda_*x"}, initial={"x": "1"}, parameters={"lambda_": (1, 2)}, time=(0, 1)
+    )
+    ro.compile(problem).export(tmp_path / "solver.py")
+    script = ALONE + "print(solver.solve()({'t': 1, 'lambda_': 1.5})[0])"
+    run = alone(tmp_path, script=script)
+    assert float(run.stdout) == pytest.approx(np.exp(-1.5), rel=1e-6)
+
+
+def test_no_parameters(tmp_path):
+    problem = ro.Problem.from_strings(
+        rhs={"x": "-x"}, initial={"x": "1"}, parameters={}, time=(0, 1)
+    )
+    ro.compile(problem).export(tmp_path / "solver.py")
+    run = alone(tmp_path, script=ALONE + "print(solver.solve()(t=1)[0])")
+    assert float(run.stdout) == pytest.approx(np.exp(-1), rel=1e-6)
+
+
+def test_paths(tmp_path):
+    problem = compiled("decay")
+    file = problem.export(tmp_path / "solver.py")
+    before = file.read_bytes()
+    with pytest.raises(ExportError, match="exists"):
+        problem.export(file)
+    assert problem.export(file, overwrite=True).read_bytes() == before
+    with pytest.raises(ExportError, match=r"'\.txt' names no target"):
+        problem.export(tmp_path / "solver.txt")
+    with pytest.raises(ExportError, match="names no target"):
+        problem.export(tmp_path / "solver")
+    with pytest.raises(ExportError, match="cannot be written"):
+        problem.export(tmp_path / "nowhere" / "solver.py")
+    with pytest.raises(OptionError, match="method='magic'"):
+        problem.export(tmp_path / "other.py", method="magic")
+    (tmp_path / "folder.py").mkdir()
+    with pytest.raises(ExportError, match="exists"):
+        problem.export(tmp_path / "folder.py", overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"solver.py", "folder.py"}
+
+
+def test_command_line(tmp_path, capsys):
+    source = ROOT / "examples" / "decay.py"
+    target = tmp_path / "solver.py"
+    assert main(["export", str(source), "-o", str(target)]) == 0
+    assert target.read_text() == standalone_source(compiled("decay"))
+    assert main(["export", str(source), "-o", str(target)]) == 2
+    assert "exists" in capsys.readouterr().err
+    assert main(["export", str(source), "-o", str(target), "--overwrite"]) == 0
+
+
+def test_taken_names_are_renamed():
+    sections, _ = carry(["rankone.tensors.slab:SlabTrain"], reserved={"_contract"})
+    text = sections[-1].text
+    assert "def _slab_contract(" in text
+    assert "return _slab_contract(first" in text
+    assert "_contract(" not in text.replace("_slab_contract(", "")
+
+
+def test_unknown_roots_are_refused():
+    with pytest.raises(ExportError, match="does not define"):
+        carry(["rankone.tensors.slab:Nothing"])
+    with pytest.raises(ExportError, match="no such methods"):
+        carry(["rankone.tensors.slab:SlabTrain.nothing"])
+
+
+def test_imports_are_sorted():
+    found = {
+        Import("numpy", None, "np"),
+        Import("numpy.typing", "NDArray", "NDArray"),
+        Import("os", None, "os"),
+        Import("typing", "Any", "Any"),
+        Import("typing", "ClassVar", "ClassVar"),
+    }
+    assert import_lines(found) == [
+        *("import os", "from typing import Any, ClassVar", ""),
+        *("import numpy as np", "from numpy.typing import NDArray"),
+    ]
