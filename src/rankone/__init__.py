@@ -26,8 +26,8 @@ from rankone.errors import (
 )
 from rankone.ir import SeparatedForm
 from rankone.solution import Solution
-from rankone.solvers.outcome import Status
 from rankone.solvers.greedy import GreedyOptions
+from rankone.solvers.outcome import Status
 from rankone.solvers.train import TrainOptions
 from rankone.storage import load
 from rankone.symbolic import Problem, WeakForm, separate, weak_form

@@ -116,12 +116,18 @@ def _section(module: SourceModule, text: str, title: str | None) -> Section:
         return Section(module.name, title, (), text)
     first, *rest = _plain(module.docstring).splitlines()
     first, _, after = first.partition(": ") if len(first) > _WIDTH - 12 else (first, "", "")
-    prose: list[str] = [f"{after[:1].upper()}{after[1:]}", ""] if after else []
-    for line in "\n".join(rest).strip("\n").splitlines():
-        prose += textwrap.wrap(line, _WIDTH - 2) if len(line) > _WIDTH - 2 else [line]
-    while prose and not prose[-1]:
-        prose.pop()
-    return Section(module.name, first.rstrip("."), tuple(prose), text)
+    paragraphs = "\n".join(rest).strip("\n").split("\n\n")
+    if after:
+        paragraphs.insert(0, f"{after[:1].upper()}{after[1:]}")
+    prose = "\n\n".join(_narrow(paragraph) for paragraph in paragraphs if paragraph)
+    return Section(module.name, first.rstrip("."), tuple(prose.splitlines()), text)
+
+
+def _narrow(paragraph: str) -> str:
+    """A paragraph that leaves room for the comment sign."""
+    if all(len(line) <= _WIDTH - 2 for line in paragraph.splitlines()):
+        return paragraph
+    return textwrap.fill(paragraph, _WIDTH - 2, break_on_hyphens=False)
 
 
 def import_lines(imports: Iterable[Import]) -> list[str]:

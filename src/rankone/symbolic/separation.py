@@ -137,7 +137,8 @@ class _Separation:
             f"{message}couples {listing(names)} and does not factor",
             equation=equation,
             term=written,
-            remedy=f"write it as a sum of products of functions of one coordinate each, or {way_out}",
+            remedy="write it as a sum of products of functions of one coordinate each, or "
+            + way_out,
         )
 
     def _among(self, symbols: Iterable[sp.Symbol]) -> list[Coordinate]:

@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import math
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-
-import numpy as np
 
 from rankone.discretization import RadauCollocation
-from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
-from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
+from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.solvers.sensitivity import amplification
-from rankone.solvers.train.march import Guess, March, MarchResult
+from rankone.solvers.train.march import Guess, March
 from rankone.solvers.train.nodes import first_bases
 from rankone.solvers.train.options import TrainOptions
-from rankone.system import Array, System
-from rankone.tensors.slab import SlabTrain
+from rankone.solvers.verification import Attempt, Yardstick
+from rankone.system import System
 
 __all__ = ["solve_train"]
 
-_LARGEST_DENSE_PARAMETERS = 3
-"""Up to so many parameters the corners of the box count for success like interior points."""
-_BLOW_UP_FRACTION = 0.9
-"""Part of the way to a blow-up that is still solved."""
-
-
-@dataclass
-class _Attempt:
-    result: MarchResult
-    measured: Measured | None
-    error: float
+_SHARE_FEW, _SHARE_MANY = 0.06, 0.4
+"""Inner tolerance relative to the error asked for, before the growth of errors: up to three
+parameters, where the corners of the box count, and beyond."""
+_STALLED = 0.7
+"""An attempt that leaves more than this part of the error before it is the last."""
+_REMEDIES = {
+    Status.RANK_LIMIT: "raise max_rank, narrow the box or loosen rtol",
+    Status.NODE_LIMIT: "raise max_nodes, narrow the box or loosen rtol",
+    Status.SLAB_LIMIT: "raise max_slabs or shorten the horizon",
+    Status.MEMORY_LIMIT: "raise max_memory, narrow the box or loosen rtol",
+    Status.NO_CONVERGENCE: "narrow the box or shorten the horizon",
+    Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
+}
 
 
 def solve_train(
@@ -63,34 +60,29 @@ def solve_train(
     options = options or TrainOptions()
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
     began = clock.perf_counter()
-    box = np.array(system.BOX, dtype=float).reshape(-1, 2)
-    start, horizon = system.TIME
-    points = check_points(box, check)
-    reference = integrate_reference(system, points, start, horizon, max(1e-3 * rtol, 3e-13))
-    end = reference.end
-    if reference.blown is not None:
-        end = start + _BLOW_UP_FRACTION * (end - start)
-    sizes = _sizes(system, reference, end)
-    growth = amplification(system, reference, sizes[: system.N_DIFFERENTIAL], end)
+    yardstick = Yardstick.of(system, rtol, check)
+    reference, start, end = yardstick.reference, yardstick.reference.start, yardstick.end
+    sizes = yardstick.sizes(system)
+    states = sizes[: system.N_DIFFERENTIAL]
+    growth = amplification(system, reference, states, end)
     timings["reference"] = clock.perf_counter() - began
 
-    corners = _corner_count(len(box), check)
     collocation = RadauCollocation.of(options.nodes_in_time(rtol))
-    bases, floors = first_bases(system, box, rtol, options)
-    inner = rtol * (0.06 if len(box) <= _LARGEST_DENSE_PARAMETERS else 0.4)
+    bases, floors = first_bases(system, yardstick.box, rtol, options)
+    inner = rtol * (_SHARE_FEW if len(yardstick.box) <= 3 else _SHARE_MANY)
     records: list[SlabRecord] = []
     guesses: Sequence[Guess] = ()
-    best: _Attempt | None = None
-    for attempt in range(options.max_attempts):
+    best: Attempt | None = None
+    for number in range(options.max_attempts):
         began = clock.perf_counter()
         level = inner
 
         def tolerance(t: float, level: float = level) -> float:
             return max(level / growth(t), 1e-14)
 
-        def notify(t: float, slabs: int, rank: int, attempt: int = attempt) -> None:
+        def notify(t: float, slabs: int, rank: int, number: int = number) -> None:
             if report is not None:
-                report(t, (t - start) / (end - start), attempt, slabs, rank)
+                report(t, (t - start) / (end - start), number, slabs, rank)
 
         march = March(
             system,
@@ -102,7 +94,7 @@ def solve_train(
             0.1 * inner,
             options,
             collocation,
-            attempt,
+            number,
             guesses,
             notify,
         )
@@ -110,102 +102,24 @@ def solve_train(
         records += result.records
         timings["march"] += clock.perf_counter() - began
         began = clock.perf_counter()
-        measured, error = None, math.inf
-        if result.slabs and check:
-            states = sizes[: system.N_DIFFERENTIAL]
-            measured = measure(result.slabs, reference, states, corners)
-            error = max(measured.interior, default=0.0)
+        measured = yardstick.measured(result.slabs, states)
+        attempt = Attempt(result.slabs, result.stopped, result.limits, measured)
         timings["check"] += clock.perf_counter() - began
-        current = _Attempt(result, measured, error)
-        stalled = best is not None and error > 0.7 * best.error
-        if best is None or _better(current, best):
-            best = current
-        if not check or result.stopped or error <= rtol or result.limits or stalled:
+        stalled = best is not None and attempt.error > _STALLED * best.error
+        if attempt.better_than(best):
+            best = attempt
+        if not check or attempt.stopped or attempt.error <= rtol or attempt.limits or stalled:
             break
-        inner *= min(max(0.4 * rtol / error, 1e-3), 0.4)
+        inner *= min(max(0.4 * rtol / attempt.error, 1e-3), 0.4)
         guesses, bases = result.guesses, result.guesses[0].bases
     assert best is not None
-    return _outcome(best, reference, rtol, records, timings, check)
-
-
-def _better(new: _Attempt, old: _Attempt) -> bool:
-    if (new.result.stopped is None) != (old.result.stopped is None):
-        return new.result.stopped is None
-    return new.error < old.error
-
-
-def _corner_count(dimensions: int, check: int) -> int:
-    """How many of the check points after the centre are corners."""
-    if not check or not dimensions:
-        return 0
-    return 2**dimensions if dimensions <= _LARGEST_DENSE_PARAMETERS else 8
-
-
-def _sizes(system: System, reference: Reference, end: float) -> Array:
-    """Largest absolute value of each state over the check points; one for a vanishing state."""
-    values = system.lift(reference(np.linspace(reference.start, end, 201)))
-    sizes = np.abs(values).max(axis=(1, 2))
-    return np.where(sizes > 0.0, sizes, 1.0)
-
-
-def _outcome(
-    best: _Attempt,
-    reference: Reference,
-    rtol: float,
-    records: list[SlabRecord],
-    timings: dict[str, float],
-    check: int,
-) -> Outcome:
-    result, measured = best.result, best.measured
-    limits = [status for status in Status if status in result.limits]
-    if reference.blown is not None:
-        status = Status.BLOW_UP
-    elif result.stopped is not None:
-        gave_up = result.stopped is Status.NO_CONVERGENCE
-        status = limits[0] if gave_up and limits else result.stopped
-    elif not check:
-        status = Status.UNCHECKED
-    elif best.error <= rtol:
-        status = Status.CONVERGED
-    else:
-        status = limits[0] if limits else Status.TOLERANCE
-    blow_up = None
-    if reference.blown is not None:
-        blow_up = reference.end, tuple(reference.points[reference.blown].tolist())
+    status = best.status(yardstick, rtol)
     return Outcome(
-        tuple(result.slabs),
+        tuple(best.slabs),
         status,
-        _message(status, best, rtol, result.slabs),
-        measured,
+        best.message(status, rtol, _REMEDIES),
+        best.measured,
         tuple(records),
         timings,
-        blow_up,
+        yardstick.blow_up,
     )
-
-
-def _message(status: Status, best: _Attempt, rtol: float, slabs: Sequence[SlabTrain]) -> str:
-    """The sentence a user reads: how it ended, the figures, and what to do."""
-    text = status.value
-    if best.measured is not None and status is Status.CONVERGED:
-        text += f": {best.error:.1e} of {rtol:.1e}"
-    elif best.measured is not None:
-        text += f": measured error {best.error:.1e}, asked {rtol:.1e}"
-    if best.measured is not None:
-        corner = max(best.measured.corners, default=0.0)
-        if corner > max(rtol, best.error):
-            text += f" (up to {corner:.1e} at the corners of the box)"
-    reached = slabs[-1].end if slabs else None
-    remedies = {
-        Status.RANK_LIMIT: "raise max_rank, narrow the box or loosen rtol",
-        Status.NODE_LIMIT: "raise max_nodes, narrow the box or loosen rtol",
-        Status.SLAB_LIMIT: "raise max_slabs or shorten the horizon",
-        Status.MEMORY_LIMIT: "raise max_memory, narrow the box or loosen rtol",
-        Status.NO_CONVERGENCE: "narrow the box or shorten the horizon",
-        Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
-    }
-    if best.result.stopped is not None:
-        where = "before the first slab was solved" if reached is None else f"at t = {reached:.6g}"
-        text += f"; stopped {where}"
-    if status in remedies:
-        text += f"; {remedies[status]}"
-    return text

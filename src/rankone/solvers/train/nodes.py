@@ -16,6 +16,8 @@ __all__ = ["first_bases"]
 _FEW_PARAMETERS = 2
 """Up to so many parameters the known functions are resolved to rounding level."""
 _ROUNDING = 1e-14
+_UNRESOLVED = 1e-12
+"""Relative size of the last modes above which a function is not resolved at all."""
 
 
 def first_bases(
@@ -55,6 +57,8 @@ def _resolving_degree(
     rows = system.parameter_factors(dimension, fine.nodes) * np.sqrt(fine.weights)
     spectra = np.abs(rows @ fine.to_modal.T)
     relative = (spectra / spectra.max(axis=1, keepdims=True, initial=1e-300)).max(axis=0)
-    significant = np.flatnonzero(relative > tolerance)
-    needed = int(significant[-1]) + 2 if significant.size else 1
-    return max(needed, 3) if needed < most - 2 else 3
+    noise = float(relative[-3:].max())
+    if noise > _UNRESOLVED:
+        return 3
+    significant = np.flatnonzero(relative > max(tolerance, 8.0 * noise))
+    return max(int(significant[-1]) + 2 if significant.size else 1, 3)
