@@ -16,8 +16,6 @@ Each stage is timed in ``.timings`` (seconds) and in the log ``rankone``.
 from __future__ import annotations
 
 import logging
-import math
-import operator
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,11 +28,12 @@ from typing import Any, Literal
 from threadpoolctl import ThreadpoolController
 
 from rankone.codegen import generate_source, load_module
-from rankone.errors import BlowUpError, ConvergenceError, OptionError
+from rankone.errors import OptionError
 from rankone.ir import SeparatedForm
 from rankone.progress import Progress, ProgressEvent, resolve_progress
 from rankone.solution import Solution, SolutionMetadata
-from rankone.solvers.outcome import Outcome, Status
+from rankone.solvers.outcome import Outcome
+from rankone.solvers.request import checked_points, checked_rtol, delivered
 from rankone.solvers.train import TrainOptions, solve_train
 from rankone.symbolic import Problem, WeakForm, separate, weak_form
 from rankone.system import System
@@ -43,9 +42,6 @@ from rankone.version import __version__
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
-
-_TIGHTEST, _LOOSEST = 1e-10, 0.1
-_CHECK_POINTS = 24
 
 Report = Callable[[float, float, int, int, int], None]
 Engine = Callable[[float, int, Report], Outcome]
@@ -142,8 +138,8 @@ class CompiledProblem:
         OptionError
             An option is out of its range.
         """
-        rtol = _checked_rtol(rtol)
-        points = _checked_points(check)
+        rtol = checked_rtol(rtol)
+        points = checked_points(check)
         if on_failure not in ("return", "raise"):
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
@@ -163,7 +159,7 @@ class CompiledProblem:
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
         solution = Solution(replace(outcome, timings=timings), self._metadata(rtol, method))
-        return _delivered(solution, outcome, on_failure)
+        return delivered(solution, outcome, on_failure)
 
     def export(
         self, path: str | PathLike[str], *, method: str = "train", overwrite: bool = False
@@ -260,33 +256,6 @@ def _one_blas_thread() -> Iterator[None]:
         yield
 
 
-def _checked_rtol(rtol: float) -> float:
-    try:
-        value = float(rtol)
-    except (TypeError, ValueError):
-        value = math.nan
-    if isinstance(rtol, bool) or not _TIGHTEST <= value <= _LOOSEST:
-        raise OptionError(
-            f"rtol={rtol!r} is out of range",
-            remedy=f"choose a number between {_TIGHTEST:g} and {_LOOSEST:g}",
-        )
-    return value
-
-
-def _checked_points(check: bool | int) -> int:
-    if isinstance(check, bool):
-        return _CHECK_POINTS if check else 0
-    try:
-        points = operator.index(check)
-    except TypeError:
-        points = -1
-    if points < 0:
-        raise OptionError(
-            f"check={check!r} is no number of points", remedy="True, False or an integer >= 0"
-        )
-    return points
-
-
 def _engine(compiled: CompiledProblem, method: str, options: dict[str, Any]) -> Engine:
     """The engine of a method with checked options, still to be given rtol, points and report."""
     if method == "train":
@@ -302,25 +271,3 @@ def _engine(compiled: CompiledProblem, method: str, options: dict[str, Any]) -> 
             compiled.system, compiled.separated, rtol, classic, points, report
         )
     raise OptionError(f"method={method!r} is unknown", remedy="use 'train' or 'greedy'")
-
-
-def _delivered(
-    solution: Solution, outcome: Outcome, on_failure: Literal["return", "raise"]
-) -> Solution:
-    """Return the solution or raise what its status asks for."""
-    if outcome.status is Status.BLOW_UP and outcome.blow_up is not None:
-        when, values = outcome.blow_up
-        where = dict(zip(solution.parameters, values, strict=True))
-        at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
-        raise BlowUpError(
-            f"the solution blows up inside the horizon: near t = {when:.4g}"
-            + (f" at {at}" if at else ""),
-            time=when,
-            parameters=where,
-            solution=solution,
-            remedy=f"end the horizon before t = {when:.4g}, or narrow the box; the error carries "
-            f"the part up to t = {solution.time[1]:.4g} as .solution",
-        )
-    if on_failure == "raise" and not solution.success:
-        raise ConvergenceError(outcome.message, solution=solution)
-    return solution

@@ -94,14 +94,15 @@ def save(solution: Solution, path: str | PathLike[str], *, overwrite: bool = Fal
     try:
         try:
             with partial.open("xb") as file:
-                np.savez(file, allow_pickle=False, **_arrays(solution))
+                np.savez(file, allow_pickle=False, **slab_arrays(solution))
                 file.flush()
                 os.fsync(file.fileno())
             partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
     except OSError as error:
-        raise StorageError(f"`{given}` cannot be written: {error}", term=given) from error
+        reason = error.strerror or error
+        raise StorageError(f"`{given}` cannot be written: {reason}", term=given) from error
     return given
 
 
@@ -160,7 +161,7 @@ def _not_a_solution(path: Path) -> StorageError:
 # --- writing -----------------------------------------------------------------------------------
 
 
-def _arrays(solution: Solution) -> dict[str, Any]:
+def slab_arrays(solution: Solution) -> dict[str, Any]:
     """The arrays of a file by name."""
     outcome = solution.outcome
     bases: dict[Basis1D, int] = {}

@@ -53,7 +53,15 @@ def test_transfer_to_a_finer_basis_and_back_is_the_identity(kind):
 def test_refinement_splits_the_interval_once_the_degree_is_spent():
     basis = ChebyshevBasis(0.0, 1.0, 20)
     finer = basis.refined(largest_degree=20)
-    assert (finer.degree, finer.elements) == (10, 2)
+    assert (finer.degree, finer.elements) == (20, 2)
+
+
+@pytest.mark.parametrize("degree", [5, 20])
+def test_a_finer_basis_holds_every_function_of_the_coarser(degree):
+    basis = ChebyshevBasis(0.0, 1.0, degree)
+    finer = basis.refined(largest_degree=20)
+    there_and_back = finer.transfer(basis) @ basis.transfer(finer)
+    np.testing.assert_allclose(there_and_back, np.eye(degree), atol=1e-12)
 
 
 def test_elements_resolve_a_kink_that_one_polynomial_does_not():

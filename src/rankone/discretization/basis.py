@@ -159,11 +159,14 @@ class Basis1D(ABC):
         return replace(self, degree=min(max(needed, least), self.degree))
 
     def refined(self, largest_degree: int) -> Self:
-        """The next finer basis: more nodes, or twice the elements once the degree is spent."""
+        """The next finer basis: more nodes, or twice the elements once the degree is spent.
+
+        It holds every function of this basis.
+        """
         degree = self.degree + max(2, self.degree // 4)
         if degree <= largest_degree:
             return replace(self, degree=degree)
-        return replace(self, degree=max(largest_degree // 2, 3), elements=2 * self.elements)
+        return replace(self, elements=2 * self.elements)
 
 
 class LegendreBasis(Basis1D):

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from rankone.compiled import _checked_rtol, _delivered
 from rankone.discretization import BASES
 from rankone.errors import (
     ConvergenceError,
@@ -31,7 +30,8 @@ from rankone.errors import (
 )
 from rankone.solution import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
-from rankone.storage import _arrays
+from rankone.solvers.request import checked_rtol, delivered
+from rankone.storage import slab_arrays
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
 
@@ -80,7 +80,7 @@ class Solution:
 
     def save(self, path: str, *, overwrite: bool = False) -> None:
         """Write the solution to a file, which `load` and `rankone.load` read."""
-        write_arrays(path, _arrays(self), overwrite)  # type: ignore[arg-type]
+        write_arrays(path, slab_arrays(self), overwrite)  # type: ignore[arg-type]
 
     def _checked(self, given: Mapping[str, Any]) -> list[Array]:
         """The values of all coordinates, time first; none may be outside of its interval."""
@@ -167,7 +167,7 @@ def solve_system(
     check: int,
 ) -> Solution:
     """Solve the system on its own box and horizon, or on others."""
-    rtol = _checked_rtol(rtol)
+    rtol = checked_rtol(rtol)
     start, end = metadata.horizon
     horizon = _interval("the horizon", (start, end if t_final is None else t_final))
     box = dict(zip(metadata.parameters, metadata.box, strict=True))
@@ -185,7 +185,7 @@ def solve_system(
     with one_blas_thread():
         outcome = engine(moved, rtol, engine_options, check)
     asked = replace(metadata, box=moved.BOX, horizon=horizon, rtol=rtol)
-    return _delivered(Solution(outcome, asked), outcome, "return")  # type: ignore
+    return delivered(Solution(outcome, asked), outcome, "return")  # type: ignore
 
 
 def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:

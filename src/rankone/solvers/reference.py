@@ -6,8 +6,9 @@ right-hand side: DOP853, or Radau where the centre trajectory is stiff.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,11 @@ from rankone.solvers.outcome import Measured
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Reference", "check_points", "initial_values", "integrate_reference", "measure"]
+__all__ = ["INSET", "Reference", "check_points", "initial_values", "integrate_reference", "measure"]
 
+INSET = 1e-9
+"""Factors of time are taken inside a slab or segment by this part of its length: at its ends they
+may jump."""
 _PROBE_STEPS = 100
 """DOP853 steps after which it is asked whether stability limits the step."""
 _STIFF_PRODUCT = 3.0
@@ -31,7 +35,9 @@ _DENSE_STATES = 240
 """Largest stacked system whose Jacobian is factored densely."""
 
 
-def check_points(box: Array, count: int, seed: int = 20140) -> Array:
+def check_points(
+    box: Array, count: int, seed: int = 20140, special: Sequence[Sequence[float]] = ()
+) -> Array:
     """The centre of the box, corners, and random interior points, shape (m, d).
 
     Parameters
@@ -39,6 +45,8 @@ def check_points(box: Array, count: int, seed: int = 20140) -> Array:
     box : ndarray (d, 2)
     count : int
         Number of random points; with it come all corners for d <= 3, else eight of them.
+    special : sequence of sequences of float
+        For each parameter values that must be among those checked.
     """
     rng = np.random.default_rng(seed)
     d = len(box)
@@ -51,7 +59,12 @@ def check_points(box: Array, count: int, seed: int = 20140) -> Array:
         corners = rng.integers(0, 2, size=(8, d)).astype(float)
         corners[0], corners[1] = 0.0, 1.0
     unit = np.concatenate([np.full((1, d), 0.5), corners, rng.random((count, d))])
-    return np.asarray(lower + width * unit)
+    points = [lower + width * unit]
+    for j, values in enumerate(special):
+        more = lower + width * rng.random((len(values), d))
+        more[:, j] = values
+        points.append(more)
+    return np.concatenate(points)
 
 
 @dataclass(frozen=True)
@@ -85,80 +98,106 @@ class Reference:
 
 
 def integrate_reference(
-    system: System, points: Array, start: float, end: float, rtol: float
+    system: System,
+    points: Array,
+    start: float,
+    end: float,
+    rtol: float,
+    cuts: Sequence[float] = (),
 ) -> Reference:
     """Integrate the system from ``start`` to ``end`` at all points (m, d).
 
-    ``rtol`` is the relative tolerance of the integrator.
+    Parameters
+    ----------
+    system : System
+    points : ndarray (m, d)
+    start, end : float
+    rtol : float
+        Relative tolerance of the integrator.
+    cuts : sequence of float
+        Times, ascending, at which the integration is begun anew: where the time factors jump,
+        kink or are narrow.
+
+    Raises
+    ------
+    ConvergenceError
+        If not a single step can be made.
     """
     n, m = system.N_DIFFERENTIAL, len(points)
-    parameters = np.ascontiguousarray(points.T)
-    initial = initial_values(system, parameters)
-
-    def right_hand_side(t: float, y: Array) -> Array:
-        return system.rhs(t, y.reshape(n, m), parameters).ravel()
-
-    size = np.abs(initial).max(initial=0.0)
-    tolerances = {"rtol": rtol, "atol": rtol * 1e-7 * (size if size > 0 else 1.0)}
+    initial = initial_values(system, np.ascontiguousarray(points.T))
+    size = np.abs(initial).max(axis=1, keepdims=True)
+    size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
+    tolerances = {"rtol": rtol, "atol": (rtol * 1e-7 * np.broadcast_to(size, (n, m))).ravel()}
+    integration = _Integration(system, points, initial, [start, *cuts, end], tolerances)
     with np.errstate(all="ignore"):
-        trajectory = _explicit(right_hand_side, initial, start, end, tolerances, system, parameters)
-        stiff = trajectory is None
-        if trajectory is None:
-            result = scipy.integrate.solve_ivp(
-                right_hand_side,
-                (start, end),
-                initial.ravel(),
-                method="Radau",
-                jac=_stacked_jacobian(system, parameters, n, m),
-                dense_output=True,
-                **tolerances,
-            )
-            trajectory = result.sol, result.y[:, -1], result.status == 0
-    dense, last, finished = trajectory
-    blown = None
-    if not finished:
-        growth = np.abs(last.reshape(n, m)) / np.maximum(np.abs(initial), size + 1e-300)
-        blown = int(np.argmax(np.nan_to_num(growth, nan=np.inf).max(axis=0)))
-    return Reference(points, start, float(dense.t_max), stiff, blown, dense, n)
-
-
-def _explicit(
-    right_hand_side: Callable[[float, Array], Array],
-    initial: Array,
-    start: float,
-    end: float,
-    tolerances: dict[str, float],
-    system: System,
-    parameters: Array,
-) -> tuple[Any, Array, bool] | None:
-    """Integrate with DOP853: dense output, last state, whether the end was reached.
-
-    None when the system turns out to be stiff: when stability limits the step.
-    """
-    n, m = initial.shape
-    solver = scipy.integrate.DOP853(right_hand_side, start, initial.ravel(), end, **tolerances)
-    times, pieces = [start], []
-    while solver.status == "running":
-        solver.step()
-        if solver.status == "failed":
-            break
-        times.append(solver.t)
-        pieces.append(solver.dense_output())
-        if len(pieces) % _PROBE_STEPS == 0:
-            jacobian = system.jacobian(solver.t, solver.y.reshape(n, m), parameters)
-            blocks = np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
-            if np.isfinite(blocks).all():
-                decay = -np.linalg.eigvals(blocks).real.min()
-                if decay * solver.step_size > _STIFF_PRODUCT:
-                    return None
-    finished = solver.status == "finished"
-    if not pieces:
+        stiff = not integration.run(scipy.integrate.DOP853)
+        if stiff:
+            integration.run(scipy.integrate.Radau, jac=_stacked_jacobian(system, points.T, n, m))
+    if not integration.pieces:
         raise ConvergenceError(
             f"no trajectory can be integrated from t = {start:g}: the right-hand side is not "
             "finite there or varies without bound",
             remedy="check the initial values and the coefficients",
         )
-    return scipy.integrate.OdeSolution(times, pieces), solver.y, finished
+    blown = None
+    reached = integration.times[-1]
+    if reached < end:
+        growth = np.abs(integration.state.reshape(n, m)) / np.maximum(np.abs(initial), size)
+        blown = int(np.argmax(np.nan_to_num(growth, nan=np.inf).max(axis=0)))
+    dense = scipy.integrate.OdeSolution(integration.times, integration.pieces)
+    return Reference(points, start, float(reached), stiff, blown, dense, n)
+
+
+@dataclass
+class _Integration:
+    """Stepwise integration of the stacked system over consecutive segments."""
+
+    system: System
+    points: Array
+    initial: Array
+    edges: list[float]
+    tolerances: dict[str, Any]
+    times: list[float] = field(default_factory=list)
+    pieces: list[Any] = field(default_factory=list)
+    state: Array = field(default_factory=lambda: np.zeros(0))
+
+    def run(self, method: Any, **options: Any) -> bool:
+        """Integrate until the end or a failure; False if an explicit method meets stiffness."""
+        self.times, self.pieces, self.state = [self.edges[0]], [], self.initial.ravel()
+        for a, b in itertools.pairwise(self.edges):
+            solver = method(
+                self._right_hand_side(a, b), a, self.state, b, **self.tolerances, **options
+            )
+            while solver.status == "running":
+                solver.step()
+                if solver.status == "failed":
+                    return True
+                self.times.append(solver.t)
+                self.pieces.append(solver.dense_output())
+                self.state = solver.y
+                if method is scipy.integrate.DOP853 and len(self.pieces) % _PROBE_STEPS == 0:
+                    decay = self._decay(solver.t)
+                    if decay * solver.step_size > _STIFF_PRODUCT:
+                        return False
+        return True
+
+    def _right_hand_side(self, a: float, b: float) -> Callable[[float, Array], Array]:
+        """The stacked right-hand side on a segment; factors are never taken at its very ends."""
+        rhs, shape = self.system.rhs, self.initial.shape
+        parameters = np.ascontiguousarray(self.points.T)
+        if len(self.edges) == 2:
+            return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
+        least, most = a + INSET * (b - a), b - INSET * (b - a)
+        return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
+
+    def _decay(self, t: float) -> float:
+        """Fastest rate of decay over the points at the present state."""
+        n, m = self.initial.shape
+        jacobian = self.system.jacobian(t, self.state.reshape(n, m), self.points.T)
+        blocks = np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
+        if not np.isfinite(blocks).all():
+            return 0.0
+        return float(-np.linalg.eigvals(blocks).real.min())
 
 
 def initial_values(system: System, parameters: Array) -> Array:
@@ -184,21 +223,25 @@ def measure(
     slabs : sequence of SlabTrain
     reference : Reference
     scale : ndarray (n,)
-        Size of each state.
+        Size of each state over the interior points. Errors at corners are relative to the largest
+        value over the corners, where that is larger.
     corners : int
         Number of check points, after the centre, that are corners of the box.
     """
     m, d = reference.points.shape
     errors = np.zeros((reference.states, m))
+    largest = scale.copy()
     for slab in slabs:
         times = slab.start + (slab.end - slab.start) * _CHECK_TIMES
         exact = reference(times)
         pairs = np.tile(times, m), np.repeat(reference.points, times.size, axis=0).T
         values = slab(*pairs).reshape(exact.shape)
         errors = np.maximum(errors, np.abs(values - exact).max(axis=2))
-    errors = np.where(np.isfinite(errors), errors, np.inf) / scale[:, None]
-    at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0)
-    interior = np.maximum(errors[:, 0], errors[:, 1 + corners :].max(axis=1, initial=0.0))
+        at_corners = np.abs(exact[:, 1 : 1 + corners]).max(axis=(1, 2), initial=0.0)
+        largest = np.maximum(largest, at_corners)
+    errors = np.where(np.isfinite(errors), errors, np.inf)
+    at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0) / largest
+    interior = np.maximum(errors[:, 0], errors[:, 1 + corners :].max(axis=1, initial=0.0)) / scale
     if d <= 3:
         interior = np.maximum(interior, at_corners)
     return Measured(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rankone.solvers.features import features
 from rankone.solvers.outcome import Measured, Status
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
 from rankone.system import Array, System
@@ -17,6 +18,8 @@ __all__ = ["Attempt", "Yardstick"]
 
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
+_MOST_FEATURES = 16
+"""Most special values of one parameter among the check points."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 """Limits in the order in which they explain a failure."""
 
@@ -36,6 +39,8 @@ class Yardstick:
         Number of check points, after the centre, that are corners.
     checked : bool
         Whether there are random points, so that an error can be stated.
+    cuts : tuple of float
+        Times at which the time factors jump, kink or are narrow.
     """
 
     box: Array
@@ -43,23 +48,32 @@ class Yardstick:
     end: float
     corners: int
     checked: bool
+    cuts: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, system: System, rtol: float, check: int) -> Yardstick:
         """Integrate the reference for a solve to ``rtol`` with ``check`` random points."""
         box = np.array(system.BOX, dtype=float).reshape(-1, 2)
         start, horizon = system.TIME
-        points = check_points(box, check)
-        reference = integrate_reference(system, points, start, horizon, max(1e-3 * rtol, 3e-13))
+        special = [_parameter_features(system, j, *interval) for j, interval in enumerate(box)]
+        points = check_points(box, check, special=special if check else ())
+        cuts = _time_features(system, start, horizon)
+        accuracy = max(1e-3 * rtol, 3e-13)
+        reference = integrate_reference(system, points, start, horizon, accuracy, cuts)
         end = reference.end
         if reference.blown is not None:
             end = start + _BLOW_UP_FRACTION * (end - start)
-        corners = len(points) - 1 - check if check and len(box) else 0
-        return cls(box, reference, end, corners, bool(check))
+        corners = len(points) - 1 - check - sum(map(len, special)) if check and len(box) else 0
+        return cls(box, reference, end, corners, bool(check), cuts)
 
     def sizes(self, system: System) -> Array:
-        """Largest absolute value of each state, products included; one for a vanishing state."""
+        """Largest absolute value of each state, products included; one for a vanishing state.
+
+        Over the centre and the random interior points: values at corners of a box of many
+        parameters may be larger by orders of magnitude and are seen by nobody.
+        """
         values = system.lift(self.reference(np.linspace(self.reference.start, self.end, 201)))
+        values = np.delete(values, np.s_[1 : 1 + self.corners], axis=1)
         sizes = np.abs(values).max(axis=(1, 2))
         return np.where(sizes > 0.0, sizes, 1.0)
 
@@ -75,6 +89,21 @@ class Yardstick:
         if self.reference.blown is None:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
+
+
+def _time_features(system: System, start: float, end: float) -> tuple[float, ...]:
+    """Where the time factors are best cut; the constant one alone needs no look."""
+    if len(system.time_factors(np.array([start]))) == 1:
+        return ()
+    return tuple(features(system.time_factors, start, end))
+
+
+def _parameter_features(system: System, j: int, lower: float, upper: float) -> tuple[float, ...]:
+    """Values of one parameter at which its factors are hardest to resolve."""
+    if len(system.parameter_factors(j, np.array([lower]))) == 1:
+        return ()
+    found = features(lambda p: system.parameter_factors(j, p), float(lower), float(upper))
+    return tuple(found[:: max(1, -(-len(found) // _MOST_FEATURES))])
 
 
 @dataclass(frozen=True)

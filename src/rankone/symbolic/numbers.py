@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import sympy as sp
+
+from rankone.errors import ProblemError
 
 __all__ = ["exact"]
 
@@ -12,6 +16,11 @@ def exact(expression: sp.Expr) -> sp.Expr:
     if expression.is_Rational or expression.is_Symbol:
         return expression
     if expression.is_Float:
-        return sp.Rational(repr(float(expression)))
+        value = float(expression)
+        if not math.isfinite(value):
+            raise ProblemError(
+                f"the number {expression} is too large", term=expression, remedy="change the units"
+            )
+        return sp.Rational(repr(value))
     floats = sorted(expression.atoms(sp.Float))
     return expression.xreplace({f: exact(f) for f in floats}) if floats else expression

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -262,7 +263,7 @@ def _formula(
     """Parse a text; let numbers pass."""
     if isinstance(text, str):
         return parse_expression(text, names, where=where, equation=equation)
-    if isinstance(text, int | float | sp.Number) and not isinstance(text, bool):
+    if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
         number: sp.Expr = sp.sympify(text)
         return number
     raise ProblemError(

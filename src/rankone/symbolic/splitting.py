@@ -204,6 +204,7 @@ class Splitter:
 
     def _split_power(self, expression: sp.Expr) -> Sum:
         base, exponent = expression.as_base_exp()
+        exponent = exact(exponent)
         if exponent.free_symbols:
             if base.free_symbols:
                 raise self._indivisible(expression)

@@ -20,7 +20,8 @@ _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
 """Inner tolerance relative to the error asked for, before the growth of errors: up to three
 parameters, where the corners of the box count, and beyond."""
 _STALLED = 0.7
-"""An attempt that leaves more than this part of the error before it is the last."""
+"""An attempt that leaves more than this part of the error has stalled; the second in a row is
+the last."""
 _REMEDIES = {
     Status.RANK_LIMIT: "raise max_rank, narrow the box or loosen rtol",
     Status.NODE_LIMIT: "raise max_nodes, narrow the box or loosen rtol",
@@ -73,6 +74,7 @@ def solve_train(
     records: list[SlabRecord] = []
     guesses: Sequence[Guess] = ()
     best: Attempt | None = None
+    stalls = 0
     for number in range(options.max_attempts):
         began = clock.perf_counter()
         level = inner
@@ -94,6 +96,7 @@ def solve_train(
             0.1 * inner,
             options,
             collocation,
+            yardstick.cuts,
             number,
             guesses,
             notify,
@@ -105,12 +108,12 @@ def solve_train(
         measured = yardstick.measured(result.slabs, states)
         attempt = Attempt(result.slabs, result.stopped, result.limits, measured)
         timings["check"] += clock.perf_counter() - began
-        stalled = best is not None and attempt.error > _STALLED * best.error
+        stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         if attempt.better_than(best):
             best = attempt
-        if not check or attempt.stopped or attempt.error <= rtol or attempt.limits or stalled:
+        if not check or attempt.stopped or attempt.error <= rtol or attempt.limits or stalls == 2:
             break
-        inner *= min(max(0.4 * rtol / attempt.error, 1e-3), 0.4)
+        inner *= min(max(0.4 * rtol / attempt.error, 1e-3), 0.03 if stalls else 0.4)
         guesses, bases = result.guesses, result.guesses[0].bases
     assert best is not None
     status = best.status(yardstick, rtol)

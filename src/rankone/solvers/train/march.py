@@ -14,7 +14,7 @@ import numpy as np
 
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.solvers.outcome import SlabRecord, Status
-from rankone.solvers.reference import Reference
+from rankone.solvers.reference import INSET, Reference
 from rankone.solvers.train.convergence import Convergence
 from rankone.solvers.train.groups import ParameterOperators, term_groups
 from rankone.solvers.train.options import TrainOptions
@@ -36,10 +36,12 @@ _UNRESOLVED = 0.8
 """A slab that ought to be shorter than this part of its length is solved again."""
 _COARSEST = 30.0
 """Tolerance of the first sweep on a slab, at most so many times the final one."""
-_PROBES = 2
-"""Random functions of the parameters by which the frame is widened on each slab."""
+_MOST_PROBES = 8
+"""The frame is widened on each slab by one random sum for each state, at most so many."""
 _PROBE_MODES = 3
-"""Number of their modes: higher ones would look like a need for more nodes."""
+"""Number of modes of its terms: higher ones would look like a need for more nodes."""
+_LEAST_FOR_MEMORY = 1e-3
+"""Below this part of the horizon a slab that needs too much memory is not halved again."""
 _SHORTEST = 1e-10
 """Shortest slab, relative to the horizon."""
 
@@ -88,6 +90,8 @@ class March:
         superconvergent.
     options : TrainOptions
     collocation : RadauCollocation
+    cuts : sequence of float
+        Times, ascending, that no slab crosses.
     attempt : int
         Number of the attempt, for the records.
     guesses : sequence of Guess
@@ -105,6 +109,7 @@ class March:
     resolution: float
     options: TrainOptions
     collocation: RadauCollocation
+    cuts: Sequence[float] = ()
     attempt: int = 0
     guesses: Sequence[Guess] = ()
     report: Callable[[float, int, int], None] = lambda time, slabs, rank: None
@@ -128,12 +133,15 @@ class March:
             if len(result.records) >= self.options.max_slabs:
                 result.stopped = Status.SLAB_LIMIT
                 break
+            proposed = length
+            border = min(cut for cut in (*self.cuts, end) if cut > time + 1e-12 * horizon)
+            border = min(border, end)
+            remaining = border - time
             guess = self._guess(time, length)
-            length = guess.length if guess else self._resolved(time, min(length, end - time))
-            remaining = end - time
+            length = guess.length if guess else self._resolved(time, min(length, remaining))
             if length < remaining < 1.6 * length:
                 length = 0.5 * remaining if guess is None else length
-            if abs(remaining - length) < 1e-9 * horizon:
+            if abs(remaining - length) < 1e-9 * remaining:
                 length = remaining
             sweeper, record, source = self._solve(time, length, source, guess)
             result.records.append(record)
@@ -142,7 +150,7 @@ class March:
                 if sweeper is not None:
                     result.records[-1] = replace(record, accepted=False)
                 ceiling = length = length * max(stretch, 0.2)
-                if Status.MEMORY_LIMIT in result.limits:
+                if Status.MEMORY_LIMIT in result.limits and length < _LEAST_FOR_MEMORY * horizon:
                     result.stopped = Status.MEMORY_LIMIT
                     break
                 if length < _SHORTEST * horizon:
@@ -151,11 +159,13 @@ class March:
                 continue
             self._accept(sweeper, time, length)
             source = self._end_of(sweeper)
-            time += length
+            time = border if length == remaining else time + length
             self.report(time, len(result.slabs), max(sweeper.ranks, default=1))
             sweeps = len(record.residuals)
             length *= min(_GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0, stretch)
             ceiling *= _PATIENCE
+            if time == border:
+                length = max(length, proposed)
             length = min(length, ceiling)
         return result
 
@@ -234,22 +244,30 @@ class March:
         )
 
     def _probe(self) -> list[Array]:
-        """A few random low-degree functions of the parameters, as cores 1, ..., d.
+        """Random sums of low-degree functions of one parameter each, as cores 1, ..., d.
 
-        A pair of cores only sees what its frame does not hide. With a frame widened by these
-        functions the sweeps find dependences that the initial values do not have.
+        A pair of cores only sees what its frame does not hide. With a frame widened by the
+        constant and by these functions the sweeps find dependences that the initial values do
+        not have.
         """
         generator = np.random.default_rng(len(self.result.records))
-        ranks = [_PROBES] * len(self.bases) + [1]
+        count = min(self.scale.size, _MOST_PROBES)
+        sums = np.arange(1, count + 1)
         cores = []
-        for basis, left, right in zip(self.bases, ranks[:-1], ranks[1:], strict=True):
+        for basis in self.bases:
+            constant = np.sqrt(basis.weights)
             low = np.arange(basis.size) % basis.degree < _PROBE_MODES
-            modes = generator.standard_normal((left, basis.size, right)) * low[:, None]
-            cores.append(np.matmul(basis.to_modal.T, modes))
+            modes = generator.standard_normal((count, basis.size)) * low
+            core = np.zeros((count + 1, basis.size, count + 1))
+            core[0, :, 0] = constant
+            core[sums, :, sums] = constant
+            core[sums, :, 0] = modes @ basis.to_modal
+            cores.append(core)
+        cores[-1] = cores[-1][:, :, :1]
         return cores
 
     def _operator(self, time: float, length: float) -> SlabOperator:
-        times = time + length * self.collocation.nodes
+        times = time + length * (INSET + (1.0 - 2.0 * INSET) * self.collocation.nodes)
         centre = self.reference.points[0]
         states = self.system.lift(self.reference(times)[:, 0])
         jacobian = self.system.lifted_jacobian(times, states, centre[:, None])

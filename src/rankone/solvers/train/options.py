@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,9 +58,14 @@ class TrainOptions:
         lowest |= {"max_sweeps": 3, "max_attempts": 1, "max_memory": 1}
         for name, least in lowest.items():
             value = getattr(self, name)
+            kind = numbers.Real if name == "max_memory" else numbers.Integral
+            if not isinstance(value, kind) or isinstance(value, bool):
+                what = "a number" if kind is numbers.Real else "an integer"
+                raise OptionError(f"{name}={value!r} is not {what}", remedy=f"at least {least}")
             if not value >= least:
                 raise OptionError(f"{name}={value!r} is too small", remedy=f"at least {least}")
-        if self.time_nodes is not None and not 2 <= self.time_nodes <= 32:
+        count = self.time_nodes
+        if count is not None and not (isinstance(count, numbers.Integral) and 2 <= int(count) <= 32):
             raise OptionError(
                 f"time_nodes={self.time_nodes!r} is out of range", remedy="choose 2 to 32"
             )

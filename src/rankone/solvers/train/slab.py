@@ -15,6 +15,7 @@ import numpy as np
 import scipy.linalg
 
 from rankone.discretization import RadauCollocation
+from rankone.solvers.reference import INSET
 from rankone.solvers.train.groups import CONSTANT, LINEAR, Group
 from rankone.system import Array, System
 
@@ -53,7 +54,7 @@ class SlabOperator:
         self.start, self.length = start, length
         n, count = scale.size, collocation.count
         self.shape = (n, count)
-        self.times = start + length * collocation.nodes
+        self.times = start + length * (INSET + (1.0 - 2.0 * INSET) * collocation.nodes)
         self.phi = system.time_factors(self.times)
         self._units = scale * np.sqrt(count)
         self.jacobian = jacobian * (scale[None, :, None] / scale[:, None, None])

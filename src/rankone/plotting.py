@@ -1,0 +1,247 @@
+"""Plots of a solution's history and of its base functions; needs ``pip install rankone[plot]``.
+
+Every function returns a Matplotlib figure and shows nothing: ``figure.savefig(...)`` writes it,
+``matplotlib.pyplot.show()`` shows it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rankone.errors import EvaluationError, OptionError, RankoneError
+from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
+from rankone.solvers.outcome import SlabRecord
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rankone.solution import Solution
+
+__all__ = ["plot_history", "plot_modes"]
+
+_POINTS = 301
+"""Points at which a base function is drawn."""
+_MOST_NAMED = 8
+"""Lines up to which each one is named."""
+
+
+def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
+    """Plot what happened in the loops of a solve.
+
+    For ``method="greedy"``, on one slab: change of each new mode in the passes of its fixed point,
+    residual after every enrichment, amplitudes of the modes in the end; for all slabs: change of
+    the unknowns in every update of the lagged terms. For ``method="train"``: change in every sweep
+    of each slab, and the ranks of the slabs.
+
+    Parameters
+    ----------
+    solution : Solution
+    slab : int
+        Slab of the first three plots of ``method="greedy"``: an index into the accepted slabs of
+        the last attempt.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    EvaluationError
+        If there is no history.
+    OptionError
+        If there is no such slab.
+    """
+    records = _last_attempt(solution)
+    chosen = _chosen(records, slab)
+    if isinstance(chosen, GreedySlabRecord) and chosen.equations:
+        figure, axes = _panels(4)
+        over = f"slab [{chosen.start:.3g}, {chosen.end:.3g}]"
+        figure.suptitle(f"{solution.metadata.method}, {over}; updates of all slabs")
+        _plot_fixed_points(axes[0], chosen.equations)
+        _plot_residuals(axes[1], chosen.equations, chosen.tolerance)
+        _plot_amplitudes(axes[2], chosen.equations)
+        _plot_changes(axes[3], records, "update of the lagged terms")
+        return figure
+    figure, axes = _panels(2)
+    figure.suptitle(f"{solution.metadata.method}, {len(records)} slabs")
+    _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
+    _plot_ranks(axes[1], records)
+    return figure
+
+
+def plot_modes(
+    solution: Solution, unknown: Any = None, *, modes: int = 5, rtol: float = 1e-3
+) -> Figure:
+    """Plot the base functions of one unknown, T_i(t), P_i(p), ..., and their amplitudes.
+
+    They are those of :meth:`rankone.Solution.to_canonical`: of unit mean square, and in one
+    parameter orthonormal.
+
+    Parameters
+    ----------
+    solution : Solution
+    unknown : symbol or str, optional
+        May be left out if there is only one.
+    modes : int
+        Most modes drawn; the amplitudes are always shown for all.
+    rtol : float
+        Tolerance of the canonical form.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    EvaluationError
+        If there are several unknowns and none was chosen, or there is no such unknown.
+    OptionError
+        If an option is out of its range.
+    """
+    if modes < 1:
+        raise OptionError(f"modes={modes!r} is too small", remedy="at least 1")
+    if unknown is None:
+        if len(solution.unknowns) > 1:
+            raise EvaluationError(
+                f"there are {len(solution.unknowns)} unknowns: {', '.join(solution.unknowns)}",
+                remedy="choose one: plot_modes(solution, unknown)",
+            )
+        unknown = solution.unknowns[0]
+    name = solution[unknown].name
+    if name not in solution.unknowns:
+        raise EvaluationError(
+            f"`{name}` is a derivative; base functions are known for the unknowns",
+            remedy=f"choose from {', '.join(solution.unknowns)}",
+        )
+    form = solution.to_canonical(rtol)[name]
+    figure, axes = _panels(len(form.axes) + 1)
+    figure.suptitle(f"{name}: {form.rank} modes, mean square error {form.error:.1e}")
+    shown = min(modes, form.rank)
+    for panel, axis in zip(axes, form.axes, strict=False):
+        points = np.linspace(axis.breaks[0], axis.breaks[-1], _POINTS)
+        values = axis.interpolate(form.factors[axis.name][:, :shown], points)
+        for i in range(shown):
+            panel.plot(points, values[:, i], label=f"{i + 1}")
+        panel.set(xlabel=axis.name, title=f"functions of {axis.name}")
+    if shown:
+        axes[0].legend(title="mode", fontsize="small")
+        axes[-1].semilogy(range(1, form.rank + 1), form.amplitudes, "o-")
+    axes[-1].set(xlabel="mode", title="amplitudes")
+    return figure
+
+
+# --- parts of the history ----------------------------------------------------------------------
+
+
+def _plot_fixed_points(axes: Axes, equations: Sequence[EquationRecord]) -> None:
+    """One line for each new mode; with lagged terms there are many, the later the darker."""
+    runs = [mode.differences for record in equations for mode in record.modes]
+    for number, differences in enumerate(runs):
+        shade = 0.25 + 0.75 * (number + 1) / len(runs)
+        axes.semilogy(
+            range(1, len(differences) + 1), _positive(differences), "o-", color="C0", alpha=shade
+        )
+    axes.set(xlabel="pass over the dimensions", title="fixed point: change of a new mode")
+
+
+def _plot_residuals(axes: Axes, equations: Sequence[EquationRecord], tolerance: float) -> None:
+    """Residuals after every enrichment, over all updates, a line for each solve."""
+    for color, state in enumerate(_states(equations)):
+        count = 0
+        solves = [record for record in equations if record.state == state]
+        for record in solves:
+            values = [mode.residual for mode in record.modes]
+            steps = range(count + 1, count + 1 + len(values))
+            label = state if not count and values else None
+            axes.semilogy(steps, _positive(values), ".-", color=f"C{color}", label=label)
+            count += len(values)
+    axes.axhline(tolerance, color="grey", linestyle=":", label="tolerance")
+    axes.set(xlabel="enrichment, over all updates", title="residual")
+    axes.legend(fontsize="small")
+
+
+def _plot_amplitudes(axes: Axes, equations: Sequence[EquationRecord]) -> None:
+    """Amplitudes of the last solve of every state."""
+    last = {record.state: record.amplitudes for record in equations}
+    for state, amplitudes in last.items():
+        axes.semilogy(range(1, len(amplitudes) + 1), _positive(amplitudes), "o-", label=state)
+    axes.set(xlabel="mode", title="amplitudes in the end")
+    axes.legend(fontsize="small")
+
+
+def _plot_changes(axes: Axes, records: Sequence[SlabRecord], step: str) -> None:
+    """Changes in every sweep or update, a line for each slab; rejected ones are dashed."""
+    for number, record in enumerate(records):
+        axes.semilogy(
+            range(1, len(record.residuals) + 1),
+            _positive(record.residuals),
+            "o-" if record.accepted else "x--",
+            label=f"[{record.start:.3g}, {record.end:.3g}]",
+            color=f"C{number}" if len(records) <= _MOST_NAMED else "C0",
+            alpha=1.0 if len(records) <= _MOST_NAMED else 0.35,
+        )
+    axes.set(xlabel=step, title="largest change of a state, in units of its size")
+    if len(records) <= _MOST_NAMED:
+        axes.legend(title="slab", fontsize="small")
+
+
+def _plot_ranks(axes: Axes, records: Sequence[SlabRecord]) -> None:
+    """Ranks of the accepted slabs over time, a line for each bond of the train."""
+    accepted = [record for record in records if record.accepted and record.ranks]
+    for bond in range(max((len(record.ranks) for record in accepted), default=0)):
+        edges = [*(record.start for record in accepted), accepted[-1].end]
+        axes.stairs([record.ranks[bond] for record in accepted], edges, label=f"{bond + 1}")
+    axes.set(xlabel="time", title="ranks")
+    if accepted:
+        axes.legend(title="bond", fontsize="small")
+
+
+def _states(equations: Sequence[EquationRecord]) -> list[str]:
+    return list(dict.fromkeys(record.state for record in equations))
+
+
+def _positive(values: Sequence[float]) -> list[float]:
+    """Values for a logarithmic axis: zeros and infinities leave gaps."""
+    return [value if 0.0 < value < float("inf") else float("nan") for value in values]
+
+
+def _last_attempt(solution: Solution) -> list[SlabRecord]:
+    if not solution.history:
+        raise EvaluationError("there is no history to plot")
+    last = max(record.attempt for record in solution.history)
+    return [record for record in solution.history if record.attempt == last]
+
+
+def _chosen(records: Sequence[SlabRecord], slab: int) -> SlabRecord:
+    accepted = [record for record in records if record.accepted] or list(records)
+    if not -len(accepted) <= slab < len(accepted):
+        raise OptionError(f"slab={slab!r} is out of range", remedy=f"there are {len(accepted)}")
+    return accepted[slab]
+
+
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    """A figure with a number of axes, at most three in a row (four as two by two)."""
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise RankoneError(
+            "plots need Matplotlib, which is not installed", remedy="pip install rankone[plot]"
+        ) from error
+    columns = 2 if count in (2, 4) else min(count, 3)
+    rows = -(-count // columns)
+    figure, grid = plt.subplots(
+        rows, columns, figsize=(3.7 * columns, 2.9 * rows), layout="constrained", squeeze=False
+    )
+    axes: list[Axes] = list(itertools.chain.from_iterable(grid))
+    for unused in axes[count:]:
+        unused.remove()
+    return figure, axes[:count]

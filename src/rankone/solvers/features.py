@@ -1,0 +1,124 @@
+"""Where known functions of one coordinate jump, kink or are narrow.
+
+The factors of a separated form are functions of one coordinate, so they can be sampled finely
+before anything is solved. An integrator or a basis with few nodes may step over a short pulse
+without a trace; what is found here is given to both.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+
+from rankone.discretization import ChebyshevBasis
+from rankone.system import Array
+
+__all__ = ["features"]
+
+_SAMPLES = 2**14
+"""Fine samples over the interval: narrower features may be missed."""
+_NODES = 14
+_TOLERANCE = 1e-7
+"""Interpolation error that counts as resolved, relative to the largest value."""
+_NARROW = 1.0 / 64.0
+_RARE = 0.25
+"""Narrow pieces are features if they make up less than this part of the interval."""
+_DEEPEST = 13
+
+
+def features(function: Callable[[Array], Array], lower: float, upper: float) -> list[float]:
+    """Points at which an interval is best cut for a vector of functions.
+
+    Parameters
+    ----------
+    function : callable
+        Maps points (N,) to values (rows, N).
+    lower, upper : float
+        The interval.
+
+    Returns
+    -------
+    list of float
+        Ascending, inside the interval: jumps and kinks, located by bisection, and the ends of
+        narrow pieces. Empty for functions that are smooth on the scale of the interval.
+    """
+    finder = _Finder(function, lower, upper)
+    cuts: list[float] = []
+    for _ in range(4):
+        edges = [lower, *cuts, upper]
+        pieces = [piece for a, b in itertools.pairwise(edges) for piece in finder.pieces(a, b)]
+        found = [finder.locate(a, b) for a, b, resolved in pieces if not resolved]
+        found += finder.hidden(pieces)
+        fresh = [x for x in found if min(abs(x - edge) for edge in edges) > finder.closest]
+        if not fresh:
+            break
+        cuts = finder.distinct([*cuts, *fresh])
+    width = upper - lower
+    narrow = [(a, b) for a, b, _ in pieces if b - a < _NARROW * width]
+    if sum(b - a for a, b in narrow) < _RARE * width:
+        cuts += [x for piece in narrow for x in piece]
+    return [x for x in finder.distinct(cuts) if min(x - lower, upper - x) > finder.closest]
+
+
+class _Finder:
+    """Recursive bisection of one interval until the functions are resolved on every piece."""
+
+    def __init__(self, function: Callable[[Array], Array], lower: float, upper: float) -> None:
+        self.function = function
+        self.lower, self.width = lower, upper - lower
+        self.closest = 1e-9 * self.width
+        points = lower + self.width * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        self.points, self.values = points, function(points)
+        self.size = np.abs(self.values).max(axis=1, keepdims=True)
+        self.size[self.size == 0.0] = 1.0
+
+    def error(self, a: float, b: float) -> float:
+        """Largest interpolation error on [a, b], at the fine samples and a few more points."""
+        basis = ChebyshevBasis(a, b, _NODES)
+        inside = slice(*np.searchsorted(self.points, [a, b]))
+        extra = a + (b - a) * np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
+        points = np.concatenate([self.points[inside], extra])
+        values = np.concatenate([self.values[:, inside], self.function(extra)], axis=1)
+        scaled = self.function(basis.nodes) * np.sqrt(basis.weights)
+        fitted = scaled @ basis.to_modal.T @ basis.modal_values(points).T
+        return float(np.max(np.abs(values - fitted) / self.size))
+
+    def pieces(self, a: float, b: float, depth: int = 0) -> list[tuple[float, float, bool]]:
+        """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
+        if self.error(a, b) <= _TOLERANCE:
+            return [(a, b, True)]
+        if depth == _DEEPEST or b - a < 4.0 * self.closest:
+            return [(a, b, False)]
+        middle = 0.5 * (a + b)
+        return self.pieces(a, middle, depth + 1) + self.pieces(middle, b, depth + 1)
+
+    def hidden(self, pieces: list[tuple[float, float, bool]]) -> list[float]:
+        """Ends of pieces at which the functions are not smooth, though they are on both sides."""
+        found = []
+        for (a, b, left), (_, c, right) in itertools.pairwise(pieces):
+            near = 0.25 * min(b - a, c - b)
+            if left and right and self.error(b - near, b + near) > _TOLERANCE:
+                found.append(b)
+        return found
+
+    def locate(self, a: float, b: float) -> float:
+        """The point of a piece at which the functions are least smooth."""
+        while b - a > 1e-15 * max(abs(a), abs(b), self.width):
+            middle = 0.5 * (a + b)
+            if not a < middle < b:
+                break
+            left, right = self.error(a, middle), self.error(middle, b)
+            if max(left, right) <= 1e-3 * _TOLERANCE:
+                return middle
+            a, b = (a, middle) if left > right else (middle, b)
+        return 0.5 * (a + b)
+
+    def distinct(self, points: list[float]) -> list[float]:
+        """Ascending, without points that nearly coincide."""
+        kept: list[float] = []
+        for x in sorted(points):
+            if not kept or x - kept[-1] > self.closest:
+                kept.append(x)
+        return kept

@@ -1,0 +1,127 @@
+"""Plots hold the data of the history; they show nothing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from examples import coupled, decay, free_fall
+
+pytest.importorskip("matplotlib").use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+
+from rankone import plotting  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def _nothing_is_shown(monkeypatch):
+    def shown(*args, **kwargs):
+        raise AssertionError("a plot was shown")
+
+    monkeypatch.setattr(plt, "show", shown)
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def greedy():
+    return ro.solve(free_fall.problem, rtol=1e-3, method="greedy", max_attempts=1)
+
+
+def _lines(axes):
+    return [np.asarray(line.get_ydata(), float) for line in axes.get_lines()]
+
+
+def test_greedy_history(greedy):
+    fixed_point, residual, amplitudes, changes = plotting.plot_history(greedy).axes
+    record = greedy.history[-1]
+    modes = [mode for equation in record.equations for mode in equation.modes]
+    assert [line.tolist() for line in _lines(fixed_point)] == [list(m.differences) for m in modes]
+    drawn = np.concatenate([line for line in _lines(residual)[:-1] if line.size])
+    assert drawn.tolist() == [mode.residual for mode in modes]
+    assert _lines(residual)[-1].tolist() == [record.tolerance] * 2
+    assert _lines(amplitudes)[0].tolist() == list(record.equations[-1].amplitudes)
+    assert [line.size for line in _lines(changes)] == [len(r.residuals) for r in greedy.history]
+
+
+def test_slabs_can_be_chosen(greedy):
+    count = len(greedy.history)
+    assert count > 1
+    first = plotting.plot_history(greedy, slab=0)
+    assert f"{greedy.history[0].end:.3g}]" in first.get_suptitle()
+    with pytest.raises(ro.OptionError, match=f"there are {count}"):
+        plotting.plot_history(greedy, slab=count)
+
+
+def test_train_history():
+    solution = ro.solve(coupled.problem, rtol=1e-4)
+    changes, ranks = plotting.plot_history(solution).axes
+    last = solution.history[-1]
+    assert _lines(changes)[-1].tolist() == list(last.residuals)
+    assert [patch.get_data().values.tolist()[-1] for patch in ranks.patches] == list(last.ranks)
+
+
+def test_modes_of_one_parameter():
+    solution = ro.solve(decay.problem, rtol=1e-5)
+    form = solution.to_canonical(1e-3)["u"]
+    for unknown in (None, "u", decay.u):
+        figure = plotting.plot_modes(solution, unknown, modes=2)
+        in_time, in_k, amplitudes = figure.axes
+        assert [axes.get_xlabel() for axes in figure.axes] == ["t", "k", "mode"]
+        assert len(in_time.get_lines()) == len(in_k.get_lines()) == 2
+        np.testing.assert_allclose(_lines(amplitudes)[0], form.amplitudes)
+    # the modes drawn add up to the solution
+    figure = plotting.plot_modes(solution, modes=form.rank)
+    times, rates = (axes.get_lines()[0].get_xdata() for axes in figure.axes[:2])
+    t_modes, k_modes = (np.stack(_lines(axes)) for axes in figure.axes[:2])
+    total = np.einsum("i,it,ik->tk", form.amplitudes, t_modes, k_modes)
+    exact = np.exp(-np.outer(times, rates))
+    assert np.sqrt(np.mean((total - exact) ** 2) / np.mean(exact**2)) < 2e-3
+
+
+def test_modes_ask_for_the_unknown():
+    solution = ro.solve(coupled.problem, rtol=1e-3)
+    with pytest.raises(ro.EvaluationError, match="u1, u2, u3"):
+        plotting.plot_modes(solution)
+    with pytest.raises(ro.EvaluationError, match="no unknown `v`"):
+        plotting.plot_modes(solution, "v")
+    with pytest.raises(ro.OptionError, match="at least 1"):
+        plotting.plot_modes(solution, "u1", modes=0)
+    assert len(plotting.plot_modes(solution, coupled.u2).axes) == 5
+
+
+def test_without_matplotlib():
+    """Importing works; plotting says what to install."""
+    script = (
+        "import sys; sys.modules['matplotlib'] = sys.modules['matplotlib.pyplot'] = None\n"
+        "import rankone as ro, rankone.plotting as plotting\n"
+        "from examples import decay\n"
+        "solution = ro.solve(decay.problem, rtol=1e-3)\n"
+        "try: plotting.plot_history(solution)\n"
+        "except ro.RankoneError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": ":".join(path for path in sys.path if path)},
+    )
+    assert "pip install rankone[plot]" in done.stdout
+
+
+def test_importing_rankone_does_not_import_matplotlib():
+    script = "import sys, rankone, rankone.plotting; print('matplotlib' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": ":".join(path for path in sys.path if path)},
+    )
+    assert done.stdout.strip() == "False"
