@@ -153,13 +153,23 @@ def draw(study: Study) -> dict[str, Figure]:
                 x = [getattr(point, title) for point in points]
                 y = [point.error for point in points]
                 style = "k*--" if variant == "train" else f"C{i}o-"
-                axes.loglog(x, y, style, label=variant)
+                (axes.semilogy if title == "modes" else axes.loglog)(x, y, style, label=variant)
                 lost = [point for point in points if not np.isfinite(point.error)]
                 if lost:  # at the upper edge
                     x = [getattr(point, title) for point in lost]
                     edge = axes.get_xaxis_transform()
                     axes.plot(x, [0.97] * len(x), f"C{i}x", transform=edge)
             axes.set(title=name, xlabel=label)
+            low, high = axes.get_ylim()
+            if high < 1e-10:  # exact to rounding
+                axes.set_ylim(1e-16, 1e-8)
+            low, high = axes.get_xlim()
+            if title == "seconds":
+                axes.xaxis.set_minor_formatter("")
+                if high < 20 * low:  # at least two labels
+                    axes.set_xlim(0.3 * low, 3 * high)
+            if title == "modes":
+                axes.xaxis.get_major_locator().set_params(integer=True)
         for axes in list(grid.flat)[len(study) :]:
             axes.remove()
         grid[0, 0].set_ylabel("error")

@@ -101,6 +101,11 @@ VARIANTS: dict[
         lambda: _replaced(sweep, "truncated_svd", _full_svd),
         ["Kirchhoff, T = 1", "Kirchhoff, T = 3"],
     ),
+    "frame not widened": (
+        {},
+        lambda: _replaced(march, "widened", lambda cores, extra: list(cores)),
+        list(PROBLEMS)[1:],
+    ),
     "tolerance not divided by growth": (
         {},
         lambda: _replaced(engine, "amplification", _no_growth),

@@ -125,3 +125,21 @@ def test_importing_rankone_does_not_import_matplotlib():
         env={"PYTHONPATH": ":".join(path for path in sys.path if path)},
     )
     assert done.stdout.strip() == "False"
+
+
+def test_a_loaded_solution_shows_updates_and_ranks(greedy, tmp_path):
+    """A file holds no records of single equations."""
+    loaded = ro.load(greedy.save(tmp_path / "fall.npz"))
+    changes, _ = plotting.plot_history(loaded).axes
+    assert len(_lines(changes)) == sum(record.attempt == 0 for record in greedy.history)
+
+
+@pytest.mark.parametrize("method", ["train", "greedy"])
+@pytest.mark.filterwarnings("error")
+def test_without_parameters(method):
+    problem = ro.Problem.from_strings(
+        rhs={"x": "-x*x"}, initial={"x": "1"}, parameters={}, time=(0, 1)
+    )
+    solution = ro.solve(problem, rtol=1e-4, method=method)
+    assert len(plotting.plot_history(solution).axes) == (4 if method == "greedy" else 2)
+    assert len(plotting.plot_modes(solution).axes) == 2

@@ -33,7 +33,8 @@ class Names:
     def __call__(self, name: str) -> str:
         """A new identifier that resembles ``name``."""
         text = unicodedata.normalize("NFKC", name).replace("'", "_prime")
-        text = re.sub(r"_*\W+_*", "_", text).strip("_") or "symbol"
+        text = "".join(letter if f"_{letter}".isidentifier() else " " for letter in text)
+        text = re.sub(r"_* +_*", "_", text).strip("_") or "symbol"
         if not text.isidentifier():
             text = f"_{text}"
         while text in self.taken:

@@ -56,6 +56,7 @@ ENGINES = {
 
 _SYSTEM_TITLE = "The system: tables, factors and kernels, generated from the equations"
 _END_TITLE = "This solver: what was asked, solve, and the command line"
+_FEATURES = "rankone.solvers.features:features"
 _PROGRAM = "rankone.export.program"
 _TABLES = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
 _FIELDS = (
@@ -118,6 +119,7 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
             "rankone.system:System": "",
             "rankone.ir:SeparatedForm": "",
             "rankone.solution:Solution": f"{_PROGRAM}:Solution",
+            **({_FEATURES: f"{_PROGRAM}:features"} if _only_polynomials(compiled) else {}),
         },
         dropped=["rankone.errors:RankoneError.__reduce__"],
         titles=_TITLES,
@@ -160,6 +162,16 @@ class _SystemText:
                 first = max(first, node.end_lineno or 0)
         kept = [line for k, line in enumerate(lines) if k >= first and k not in dropped]
         self.text = "\n".join(kept).strip("\n")
+
+
+def _only_polynomials(compiled: CompiledProblem) -> bool:
+    """Whether every factor is a polynomial of its coordinate: there is nothing to step over."""
+    form = compiled.separated
+    return all(
+        factor.expression.is_polynomial(coordinate.symbol)
+        for coordinate, factors in zip(form.coordinates, form.factors, strict=True)
+        for factor in factors
+    )
 
 
 def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:

@@ -72,9 +72,9 @@ def test_without_options_the_tolerance_is_met(name: str) -> None:
 def test_agreement_with_train_and_scipy_within_the_stated_errors(name: str) -> None:
     """At other points than those the errors are stated from, without any factor.
 
-    A stated error is the largest over a sample, so the sample has to be as large as the one it is
-    held against: with the 24 points of the default the six-dimensional box of Kirchhoff's problem
-    has errors up to 1.3 times the stated one.
+    A solution states two errors: the largest over a sample of interior points, and at corners of
+    the box. In the six dimensions of Kirchhoff's problem another sample of 256 points may exceed the
+    first by a few per cent, never both.
     """
     problem, rtol = PROBLEMS[name]
     greedy = solve(problem, rtol, check=256)
@@ -82,10 +82,12 @@ def test_agreement_with_train_and_scipy_within_the_stated_errors(name: str) -> N
     assert greedy.measured is not None
     assert train.measured is not None
     exact, times, points = trajectories(problem)
-    stated = max(greedy.measured.interior)
+    stated, stated_by_train = (
+        max(*measured.interior, *measured.corners) for measured in (greedy.measured, train.measured)
+    )
     by_greedy, by_train = (values(outcome, times, points) for outcome in (greedy, train))
     assert relative(by_greedy - exact, exact) <= stated
-    assert relative(by_greedy - by_train, exact) <= stated + max(train.measured.interior)
+    assert relative(by_greedy - by_train, exact) <= stated + stated_by_train
 
 
 @pytest.mark.parametrize("elements", ["linear", "quadratic"])

@@ -65,7 +65,9 @@ class TrainOptions:
             if not value >= least:
                 raise OptionError(f"{name}={value!r} is too small", remedy=f"at least {least}")
         count = self.time_nodes
-        if count is not None and not (isinstance(count, numbers.Integral) and 2 <= int(count) <= 32):
+        if count is not None and not (
+            isinstance(count, numbers.Integral) and 2 <= int(count) <= 32
+        ):
             raise OptionError(
                 f"time_nodes={self.time_nodes!r} is out of range", remedy="choose 2 to 32"
             )
