@@ -73,8 +73,8 @@ def test_agreement_with_train_and_scipy_within_the_stated_errors(name: str) -> N
     """At other points than those the errors are stated from, without any factor.
 
     A solution states two errors: the largest over a sample of interior points, and at corners of
-    the box. In the six dimensions of Kirchhoff's problem another sample of 256 points may exceed the
-    first by a few per cent, never both.
+    the box. In the six dimensions of Kirchhoff's problem another sample of 256 points may exceed
+    the first by a few per cent, never both.
     """
     problem, rtol = PROBLEMS[name]
     greedy = solve(problem, rtol, check=256)

@@ -62,7 +62,7 @@ class TrainOptions:
             if not isinstance(value, kind) or isinstance(value, bool):
                 what = "a number" if kind is numbers.Real else "an integer"
                 raise OptionError(f"{name}={value!r} is not {what}", remedy=f"at least {least}")
-            if not value >= least:
+            if not float(value) >= least:
                 raise OptionError(f"{name}={value!r} is too small", remedy=f"at least {least}")
         count = self.time_nodes
         if count is not None and not (
