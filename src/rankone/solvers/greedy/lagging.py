@@ -46,7 +46,8 @@ class SlabResult:
     usable : bool
         Whether the iteration stayed bounded; what it came to may still be far off.
     changes : tuple of float
-        Largest change of a state in each iteration, in units of its size.
+        Largest change of a state in each iteration, in units of its size, in the block of
+        equations that took longest or did not settle.
     residual : float
         Largest residual of an equation at the end, in the same unit.
     records : tuple of EquationRecord
@@ -120,7 +121,8 @@ class LaggedSlab:
         for block in self.blocks:
             lagged = len(block) > 1 or any(block[0] in t.monomial for t in self._others[block[0]])
             steps, done = self._iterate(block, lagged, tolerance, records)
-            changes += steps
+            if converged and (not done or len(steps) > len(changes)):
+                changes = steps
             converged = converged and done
             usable = usable and bool(steps) and steps[-1] < _DIVERGED
             if not usable:
