@@ -79,3 +79,11 @@ def test_an_oscillator_over_many_periods_and_a_wide_box():
     assert solution.success, solution.message
     k = np.linspace(1, 100, 301)
     np.testing.assert_allclose(solution["x"](t=10.0, k=k), np.cos(10 * np.sqrt(k)), atol=5e-6)
+
+
+def test_a_hopeless_growth_ends_soon_and_says_so():
+    """Corner values exceed interior ones by thirty orders of magnitude."""
+    rhs = {"x": "40*a*b*c*d*e*f*x"}
+    solution = ro.solve(problem(rhs, {"x": 1}, dict.fromkeys("abcdef", (-1, 1)), (0, 2)), rtol=1e-3)
+    assert not solution.success
+    assert len(solution.history) < 1000

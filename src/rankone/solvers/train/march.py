@@ -167,6 +167,9 @@ class March:
             if time == border:
                 length = max(length, proposed)
             length = min(length, ceiling)
+            if length < _SHORTEST * horizon < end - time:
+                result.stopped = Status.NO_CONVERGENCE
+                break
         return result
 
     # -- one slab -------------------------------------------------------------------------------
