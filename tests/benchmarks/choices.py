@@ -111,9 +111,14 @@ VARIANTS: dict[
         lambda: _replaced(engine, "amplification", _no_growth),
         ["Lotka–Volterra, T = 6", "Kirchhoff, T = 3", "Robertson"],
     ),
+    "all entries kept": (
+        {},
+        lambda: _replaced(march, "thinned", lambda cores, tolerance: list(cores)),
+        ["Kirchhoff, T = 1", "Kirchhoff, T = 3", "Robertson"],
+    ),
     "known functions to the tolerance": (
         {},
-        lambda: _replaced(nodes, "_FEW_PARAMETERS", 0),
+        lambda: _replaced(nodes, "FEW_PARAMETERS", 0),
         ["linear", "Lotka–Volterra, T = 6"],
     ),
 }
@@ -122,8 +127,8 @@ VARIANTS: dict[
 def main() -> None:
     compiled = {title: ro.compile(problem) for title, (problem, _) in PROBLEMS.items()}
     lines = [
-        "| problem | rtol | engine | random points | corners | largest rank | solve |",
-        "|---|---|---|--:|--:|--:|--:|",
+        "| problem | rtol | engine | random points | corners | largest rank | entries | solve |",
+        "|---|---|---|--:|--:|--:|--:|--:|",
     ]
     for title, (_, rtol) in PROBLEMS.items():
         exact = _trajectories(compiled[title])
@@ -135,10 +140,12 @@ def main() -> None:
                 solution, seconds = _solve(compiled[title], rtol, options)
             row = [title, f"{rtol:.0e}".replace("e-0", "e-"), variant]
             if solution.time[1] < solution.metadata.horizon[1]:
-                row += [solution.status.value, "", "", ""]
+                row += [solution.status.value, "", "", "", ""]
             else:
                 row += [f"{error:.1e}" for error in _errors(solution, *exact)]
-                row += [str(solution.rank), f"{seconds:.2g} s"]
+                cores = (core for slab in solution.outcome.slabs for core in slab.cores)
+                entries = sum(np.count_nonzero(core) for core in cores)
+                row += [str(solution.rank), f"{entries:,}", f"{seconds:.2g} s"]
             lines.append(f"| {' | '.join(row)} |")
     text = "\n".join(lines)
     print(text)

@@ -1,8 +1,8 @@
 """The solved model in C99: one source file and its header, without any dependency.
 
-The coefficients of a core are laid out so that its contraction reads them once, in order: the
-left index is split into blocks of eight, padded with zeros, and within a block all products of a
-polynomial and an entry of the carry follow each other. The innermost loop runs over a block.
+A core is contracted block by block: eight rows of the left rank together, padded with zeros. The
+coefficients are laid out in the order in which they are used, and the zeros of a core are left out:
+for each polynomial a block goes on along the right rank only as far as it has other entries.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.export.packing import PackedCore, PackedModel
+from rankone.export.packing import PackedModel
 from rankone.version import __version__
 
 __all__ = ["c_identifier", "c_model"]
 
 _WIDTH = 96
-_BLOCK = 8
-"""Rows of a core contracted together; the same in the template."""
+_BLOCK, _LANES, _PAIR = 8, 4, 2
+"""Rows contracted together, and multiples to which products and runs are padded; the same in the
+template."""
 _TEMPLATES = Path(__file__).parent
 
 
@@ -129,39 +130,52 @@ def _numbers(values: Sequence[float]) -> str:
 
 def _tables(model: PackedModel) -> dict[str, str]:
     """The layout of the cores, their coefficients, and the sizes of the work arrays."""
-    rows, blocks, offset = [], [], 0
-    for slab in model.slabs:
-        for core in slab:
-            elements, left, degree, right = core.tensor.shape
-            rows.append(
-                f"{_number(core.lower)}, {_number(core.scale)}, "
-                f"{elements}, {left}, {degree}, {right}, {offset}"
-            )
-            blocks.append(_blocked(core))
-            offset += blocks[-1].size
+    rows: list[str] = []
+    pieces: list[str] = []
+    runs: list[int] = []
+    coefficients: list[float] = []
+    for core in (core for slab in model.slabs for core in slab):
+        elements, left, degree, right = core.tensor.shape
+        rows.append(
+            f"{_number(core.lower)}, {_number(core.scale)}, "
+            f"{elements}, {left}, {degree}, {right}, {len(pieces)}"
+        )
+        for tensor in core.tensor:
+            pieces.append(f"{len(coefficients)}, {len(runs)}")
+            for run, values in _runs(tensor):
+                runs.append(run)
+                coefficients += values
     shapes = [core.tensor.shape for slab in model.slabs for core in slab]
     return {
         "slabs": str(len(model.slabs)),
         "starts": "\n".join(_wrapped(map(_number, model.starts))),
         "cores": "\n".join(f"    {{{row}}}," for row in rows),
-        "coefficients": "\n".join(_wrapped(map(repr, np.concatenate(blocks).tolist()))),
-        "most_rows": str(max(_padded(left) for _, left, _, _ in shapes)),
+        "pieces": "\n".join(_wrapped(f"{{{piece}}}" for piece in pieces)),
+        "runs": "\n".join(_wrapped(map(str, runs))),
+        "coefficients": "\n".join(_wrapped(map(repr, coefficients))),
+        "most_rows": str(max(_padded(max(left, right), _BLOCK) for _, left, _, right in shapes)),
         "most_polynomials": str(max(degree for _, _, degree, _ in shapes)),
-        "most_products": str(max(degree * right for _, _, degree, right in shapes)),
+        "most_products": str(max(degree * _padded(right, _LANES) for *_, degree, right in shapes)),
     }
 
 
-def _padded(count: int) -> int:
-    return -(-count // _BLOCK) * _BLOCK
+def _padded(count: int, multiple: int) -> int:
+    return -(-count // multiple) * multiple
 
 
-def _blocked(core: PackedCore) -> NDArray[np.float64]:
-    """Coefficients in the order (element, block of rows, right rank, polynomial, row)."""
-    elements, left, degree, right = core.tensor.shape
-    padded = np.zeros((elements, _padded(left), degree, right))
-    padded[:, :left] = core.tensor
-    split = padded.reshape(elements, -1, _BLOCK, degree, right)
-    return np.ascontiguousarray(split.transpose(0, 1, 4, 3, 2)).ravel()
+def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
+    """For each block of rows and each polynomial, how far to go and the coefficients on the way.
+
+    ``tensor`` is (left, degree, right); the coefficients are in the order (right, row).
+    """
+    left, degree, right = tensor.shape
+    padded = np.zeros((_padded(left, _BLOCK), degree, _padded(right, _PAIR)))
+    padded[:left, :, :right] = tensor
+    for block in padded.reshape(-1, _BLOCK, degree, padded.shape[2]):
+        for part in block.transpose(1, 2, 0):
+            used = np.flatnonzero(part.any(axis=1))
+            run = _padded(int(used[-1]) + 1, _PAIR) if used.size else 0
+            yield run, part[:run].ravel().tolist()
 
 
 def _wrapped(items: Iterable[str]) -> Iterator[str]:

@@ -48,13 +48,17 @@ def chebyshev_polynomials(xi: Array, count: int) -> Array:
 
 
 def _to_chebyshev(basis: Basis1D) -> Array:
-    """Map coefficients of one element's modes to Chebyshev coefficients, (degree, degree)."""
+    """Map coefficients of one element's modes to Chebyshev coefficients, (degree, degree).
+
+    Mode k has no part above degree k; zeros there are exact, so that high modes which are zero
+    stay zero.
+    """
     count = basis.degree
     angles = np.pi * (np.arange(count) + 0.5) / count
     modes = replace(basis, lower=-1.0, upper=1.0, elements=1).modal_values(np.cos(angles))
     transform = np.cos(np.arange(count)[:, None] * angles) * (2.0 / count)
     transform[0] *= 0.5
-    return np.asarray(transform @ modes * np.sqrt(basis.elements))
+    return np.triu(transform @ modes * np.sqrt(basis.elements))
 
 
 class _Dimension:

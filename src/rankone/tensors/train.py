@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["apply_to_modes", "right_orthonormal", "widened"]
+__all__ = ["apply_to_modes", "right_orthonormal", "thinned", "widened"]
 
 Array = NDArray[np.float64]
 
@@ -62,3 +62,38 @@ def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:
         block[left:, :, right:] = other
         result.append(block)
     return right_orthonormal(result)
+
+
+def thinned(cores: Sequence[Array], tolerance: float) -> list[Array]:
+    """The same train within a tolerance, with zeros for all entries that do not matter.
+
+    Both sides of a core are made orthonormal and turned to their singular vectors. An entry, times
+    the singular value on its left, is then its share in the norm of the train, and the shares
+    fall along both ranks and, for smooth functions, with the degree: the entries left are few and
+    stand together.
+
+    Parameters
+    ----------
+    cores : sequence of ndarray
+        Core 0 (n, K, r_1), cores j >= 1 (r_j, n_j, r_{j+1}).
+    tolerance : float
+        Largest norm of the change.
+
+    Returns
+    -------
+    list of ndarray
+        The ranks are not larger.
+    """
+    result = right_orthonormal(cores)
+    weights = np.ones(len(result[0]))
+    for j, core in enumerate(result):
+        shares = weights[:, None, None] * core
+        if j + 1 < len(result):
+            rows = shares.reshape(-1, core.shape[2])
+            _, weights, turn = np.linalg.svd(rows, full_matrices=False)
+            core, shares = core @ turn.T, shares @ turn.T
+            result[j + 1] = np.tensordot(turn, result[j + 1], 1)
+        squares = np.sort(shares**2, axis=None)
+        dropped = np.count_nonzero(np.cumsum(squares[:-1]) <= (tolerance / len(result)) ** 2)
+        result[j] = np.where(shares**2 < squares[dropped], 0.0, core)
+    return result

@@ -17,12 +17,13 @@ from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.reference import INSET, Reference
 from rankone.solvers.train.convergence import Convergence
 from rankone.solvers.train.groups import ParameterOperators, term_groups
+from rankone.solvers.train.nodes import FEW_PARAMETERS
 from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import SlabOperator
 from rankone.solvers.train.sweep import Sweeper
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import apply_to_modes, right_orthonormal, widened
+from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, widened
 
 __all__ = ["Guess", "March", "MarchResult"]
 
@@ -42,6 +43,8 @@ _PROBE_MODES = 3
 """Number of modes of its terms: higher ones would look like a need for more nodes."""
 _LEAST_FOR_MEMORY = 1e-3
 """Below this part of the horizon a slab that needs too much memory is not halved again."""
+_THINNED = 0.5
+"""Norm of the entries left out of an accepted slab, relative to the resolution."""
 _SHORTEST = 1e-10
 """Shortest slab, relative to the horizon."""
 
@@ -390,9 +393,11 @@ class March:
         values = np.empty((n, count + 1, sweeper.cores[0].shape[2]))
         values[:, 0] = sweeper.source_in_frame()
         values[:, 1:] = sweeper.cores[0][:n] * np.sqrt(count)
-        values *= self.scale[:n, None, None]
         first = np.einsum("mk,nkr->nmr", self.collocation.to_modal, values)
         cores = apply_to_modes([first, *sweeper.cores[1:]], [b.to_modal for b in self.bases])
+        if len(self.bases) > FEW_PARAMETERS:
+            cores = thinned(cores, _THINNED * self.resolution)
+        cores[0] *= self.scale[:n, None, None]
         self.result.slabs.append(SlabTrain(time, time + length, tuple(cores), self.bases))
         self.result.guesses.append(Guess(time, length, tuple(sweeper.cores), self.bases))
 

@@ -11,10 +11,10 @@ from rankone.discretization import BASES, Basis1D
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import Array, System
 
-__all__ = ["first_bases"]
+__all__ = ["FEW_PARAMETERS", "first_bases"]
 
-_FEW_PARAMETERS = 2
-"""Up to so many parameters the known functions are resolved to rounding level."""
+FEW_PARAMETERS = 2
+"""Up to so many parameters functions that are known are resolved, and kept, to rounding level."""
 _ROUNDING = 1e-14
 _UNRESOLVED = 1e-12
 """Relative size of the last modes above which a function is not resolved at all."""
@@ -39,7 +39,7 @@ def first_bases(
     kind = BASES[options.basis]
     most = min(options.max_degree, options.max_nodes)
     common = min(max(round(2.0 + 1.2 * -math.log10(rtol)), 4), most)
-    tolerance = _ROUNDING if len(box) <= _FEW_PARAMETERS else 0.01 * rtol
+    tolerance = _ROUNDING if len(box) <= FEW_PARAMETERS else 0.01 * rtol
     bases, floors = [], []
     for j, (lower, upper) in enumerate(box):
         basis = kind(float(lower), float(upper), common)
