@@ -112,15 +112,9 @@ class BlowUpError(ConvergenceError):
     """
 
     def __init__(
-        self,
-        message: str,
-        *,
-        time: float,
-        parameters: dict[str, float],
-        solution: Solution | None = None,
-        **where: Any,
+        self, message: str, *, time: float, parameters: dict[str, float], **where: Any
     ) -> None:
-        super().__init__(message, solution=solution, **where)
+        super().__init__(message, **where)
         self.time = time
         self.parameters = parameters
 

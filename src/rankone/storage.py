@@ -165,14 +165,10 @@ def slab_arrays(solution: Solution) -> dict[str, Any]:
     """The arrays of a file by name."""
     outcome = solution.outcome
     bases: dict[Basis1D, int] = {}
-    slabs = [
-        {
-            "start": slab.start,
-            "end": slab.end,
-            "bases": [bases.setdefault(basis, len(bases)) for basis in slab.bases],
-        }
-        for slab in outcome.slabs
-    ]
+    slabs = []
+    for slab in outcome.slabs:
+        used = [bases.setdefault(basis, len(bases)) for basis in slab.bases]
+        slabs.append({"start": slab.start, "end": slab.end, "bases": used})
     header = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -183,16 +179,7 @@ def slab_arrays(solution: Solution) -> dict[str, Any]:
         "history": [asdict(record) for record in outcome.history],
         "timings": outcome.timings,
         "blow_up": outcome.blow_up,
-        "bases": [
-            {
-                "kind": basis.kind,
-                "lower": basis.lower,
-                "upper": basis.upper,
-                "degree": basis.degree,
-                "elements": basis.elements,
-            }
-            for basis in bases
-        ],
+        "bases": [{"kind": basis.kind, **asdict(basis)} for basis in bases],
         "slabs": slabs,
     }
     arrays = {"header": np.array(json.dumps(_plain(header), allow_nan=False))}

@@ -204,7 +204,6 @@ def test_identical_bytes(tmp_path):
         assert target.read_bytes() == first
 
 
-@pytest.mark.xfail(strict=True, reason="at most 2,500 lines are wanted; it has about 2,600")
 def test_length():
     assert standalone_source(compiled("lotka_volterra")).count("\n") <= 2500
 

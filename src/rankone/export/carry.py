@@ -387,6 +387,8 @@ class _ModuleText:
         ]
         if isinstance(statement.node, ast.ClassDef):
             text = _tidy_class(text)
+        elif statement.last > (end := statement.node.end_lineno or 0):
+            text = _beside(text, end - statement.last)
         return "\n".join(_plain(line) for line in text)
 
     def _local_names(self, renamed: Mapping[Key, str]) -> dict[str, str]:
@@ -462,6 +464,13 @@ def _tidy_class(lines: Sequence[str]) -> list[str]:
     while tidy and not tidy[-1].strip():
         tidy.pop()
     return tidy
+
+
+def _beside(lines: list[str], count: int) -> list[str]:
+    """A constant with the text below it, its last ``-count`` lines, as a comment if that fits."""
+    text = " ".join(line.strip() for line in lines[count:]).strip('"')
+    line = f"{lines[count - 1]}  # {text if text.endswith('...') else text.rstrip('.')}"
+    return [*lines[: count - 1], line] if len(line) <= _WIDTH else lines
 
 
 def _plain(text: str) -> str:

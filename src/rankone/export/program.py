@@ -43,9 +43,9 @@ _LARGEST_GRID = 20_000_000
 """Largest number of values on a grid of the command line."""
 
 
-def features(function: Callable[[Array], Array], lower: float, upper: float) -> list[float]:
+def system_features(system: System) -> tuple[tuple[float, ...], list[list[float]]]:
     """Nothing to cut at: every known function of this problem is a polynomial."""
-    return []
+    return (), [[] for _ in system.BOX]
 
 
 class Solution:
@@ -74,14 +74,12 @@ class Solution:
 
     def __call__(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
         """Values of all unknowns; coordinates by keyword, or in a mapping from their names."""
-        points = np.array(np.broadcast_arrays(*self._checked({**(values or {}), **named})))
-        return self._at(points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
+        return self._at(np.broadcast_arrays(*self._checked({**(values or {}), **named})))
 
     def grid(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
         """Values of all unknowns for every combination of the coordinates."""
         axes = self._checked({**(values or {}), **named})
-        points = np.array(np.meshgrid(*axes, indexing="ij"))
-        return self._at(points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
+        return self._at(np.meshgrid(*axes, indexing="ij"))
 
     def save(self, path: str, *, overwrite: bool = False) -> None:
         """Write the solution to a file, which `load` and `rankone.load` read."""
@@ -101,8 +99,9 @@ class Solution:
             arrays.append(np.clip(array, lower, upper))
         return arrays
 
-    def _at(self, points: Array) -> Array:
-        """Values at points (1 + d, N): shape (unknowns, N)."""
+    def _at(self, coordinates: Sequence[Array]) -> Array:
+        """Values at time and parameters, arrays of one shape: (unknowns, *shape)."""
+        points = np.array([values.ravel() for values in coordinates])
         slabs = self.outcome.slabs
         if not slabs:
             raise EvaluationError(f"nothing was solved: {self.message}")
@@ -114,7 +113,7 @@ class Solution:
                 part = here[begin : begin + _CHUNK]
                 states = slabs[index](points[0, part], points[1:, part])
                 values[:, part] = states[: len(self.unknowns)]
-        return values
+        return values.reshape(-1, *coordinates[0].shape)
 
 
 def write_arrays(path: str, arrays: Mapping[str, Any], overwrite: bool) -> None:

@@ -38,6 +38,8 @@ class Engine:
         Its function ``(system, rtol, options, check) -> Outcome``.
     options : str
         The class of its options.
+    unused : tuple of str
+        Methods that only the library calls.
     form : bool
         Whether ``solve`` takes the separated form after the system.
     """
@@ -45,25 +47,32 @@ class Engine:
     module: str
     solve: str
     options: str
+    unused: tuple[str, ...]
     form: bool = False
 
 
 ENGINES = {
-    "train": Engine("rankone.solvers.train", "solve_train", "TrainOptions"),
-    "greedy": Engine("rankone.solvers.greedy", "solve_greedy", "GreedyOptions", form=True),
+    "train": Engine(
+        "rankone.solvers.train",
+        "solve_train",
+        "TrainOptions",
+        ("rankone.solvers.train.options:TrainOptions.of", "rankone.tensors.slab:SlabTrain.ranks"),
+    ),
+    "greedy": Engine(
+        "rankone.solvers.greedy",
+        "solve_greedy",
+        "GreedyOptions",
+        ("rankone.solvers.greedy.options:GreedyOptions.of",),
+        form=True,
+    ),
 }
 """The engines that can be exported, by the name of the method."""
 
 _SYSTEM_TITLE = "The system: tables, factors and kernels, generated from the equations"
 _END_TITLE = "This solver: what was asked, solve, and the command line"
-_FEATURES = "rankone.solvers.features:features"
+_FEATURES = "rankone.solvers.features:system_features"
 _PROGRAM = "rankone.export.program"
 _TABLES = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
-_FIELDS = (
-    *("STATES", "N_DIFFERENTIAL", "PRODUCTS", "PARAMETERS", "TIME", "BOX", "SIGNATURES"),
-    *("INITIAL", "PAIRED", "time_factors", "parameter_factors"),
-    *("rhs", "jacobian", "lift", "lifted_jacobian"),
-)
 _TITLES = {
     "rankone.errors": "Errors: what was given, what was expected, what to do",
     "rankone.compiled": "Checks of what was asked, and delivery of what came out",
@@ -114,14 +123,14 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load")),
             *(f"{_PROGRAM}:Solution.{name}" for name in ("grid", "error")),
         ],
-        reserved={*system.names, *_FIELDS, *_OWN_NAMES, "np", "os", "sys"},
+        reserved={*system.names, *_OWN_NAMES, "np", "os", "sys"},
         replaced={
             "rankone.system:System": "",
             "rankone.ir:SeparatedForm": "",
             "rankone.solution:Solution": f"{_PROGRAM}:Solution",
-            **({_FEATURES: f"{_PROGRAM}:features"} if _only_polynomials(compiled) else {}),
+            **({_FEATURES: f"{_PROGRAM}:system_features"} if _only_polynomials(compiled) else {}),
         },
-        dropped=["rankone.errors:RankoneError.__reduce__"],
+        dropped=["rankone.errors:RankoneError.__reduce__", *engine.unused],
         titles=_TITLES,
     )
     imports |= {Import("types", "SimpleNamespace", "SimpleNamespace")}
@@ -233,7 +242,7 @@ def _system_object(system: _SystemText) -> str:
         "",
         "",
         "SYSTEM = System(",
-        *(f"    {name}={name}," for name in _FIELDS),
+        "    **globals(),",
     ]
     for name in _TABLES:
         lines += _entry(name, system.tables[name])

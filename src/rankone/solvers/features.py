@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from rankone.discretization import ChebyshevBasis
-from rankone.system import Array
+from rankone.system import Array, System
 
-__all__ = ["features"]
+__all__ = ["features", "system_features"]
 
 _SAMPLES = 2**14
 """Fine samples over the interval: narrower features may be missed."""
@@ -26,6 +27,26 @@ _NARROW = 1.0 / 64.0
 _RARE = 0.25
 """Narrow pieces are features if they make up less than this part of the interval."""
 _DEEPEST = 13
+_MOST = 16
+"""Most values returned for one parameter."""
+
+
+def system_features(system: System) -> tuple[tuple[float, ...], list[list[float]]]:
+    """Features of the time factors, and those of the factors of each parameter.
+
+    The first factor of every coordinate is one; where it is the only one there is no need to look.
+    """
+    cuts: list[float] = []
+    if len(system.time_factors(np.array(system.TIME))) > 1:
+        cuts = features(system.time_factors, *system.TIME)
+    special: list[list[float]] = []
+    for j, (lower, upper) in enumerate(system.BOX):
+        special.append([])
+        if len(system.parameter_factors(j, np.array([lower]))) > 1:
+            factors = partial(system.parameter_factors, j)
+            found = features(factors, float(lower), float(upper))
+            special[j] = found[:: max(1, -(-len(found) // _MOST))]
+    return tuple(cuts), special
 
 
 def features(function: Callable[[Array], Array], lower: float, upper: float) -> list[float]:

@@ -23,14 +23,13 @@ from rankone.tensors.slab import SlabTrain
 __all__ = ["INSET", "Reference", "check_points", "initial_values", "integrate_reference", "measure"]
 
 INSET = 1e-9
-"""Factors of time are taken inside a slab or segment by this part of its length: at its ends they
-may jump."""
+"""Times stay inside a slab or segment by this part of it: factors may jump at its ends."""
 _PROBE_STEPS = 100
 """DOP853 steps after which it is asked whether stability limits the step."""
 _STIFF_PRODUCT = 3.0
-"""Step times decay rate above which it does (the stability interval is about 6)."""
+"""Step times decay rate above which it does (stability ends at about 6)."""
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
-"""Where a slab is checked, relative to its length."""
+"""Checked times, in slab lengths."""
 _DENSE_STATES = 240
 """Largest stacked system whose Jacobian is factored densely."""
 

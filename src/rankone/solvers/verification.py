@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.solvers.features import features
+from rankone.solvers.features import system_features
 from rankone.solvers.outcome import Measured, Status
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
 from rankone.system import Array, System
@@ -18,8 +18,6 @@ __all__ = ["Attempt", "Yardstick"]
 
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
-_MOST_FEATURES = 16
-"""Most special values of one parameter among the check points."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 """Limits in the order in which they explain a failure."""
 
@@ -55,9 +53,8 @@ class Yardstick:
         """Integrate the reference for a solve to ``rtol`` with ``check`` random points."""
         box = np.array(system.BOX, dtype=float).reshape(-1, 2)
         start, horizon = system.TIME
-        special = [_parameter_features(system, j, *interval) for j, interval in enumerate(box)]
+        cuts, special = system_features(system)
         points = check_points(box, check, special=special if check else ())
-        cuts = _time_features(system, start, horizon)
         accuracy = max(1e-3 * rtol, 3e-13)
         reference = integrate_reference(system, points, start, horizon, accuracy, cuts)
         end = reference.end
@@ -89,21 +86,6 @@ class Yardstick:
         if self.reference.blown is None:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
-
-
-def _time_features(system: System, start: float, end: float) -> tuple[float, ...]:
-    """Where the time factors are best cut; the constant one alone needs no look."""
-    if len(system.time_factors(np.array([start]))) == 1:
-        return ()
-    return tuple(features(system.time_factors, start, end))
-
-
-def _parameter_features(system: System, j: int, lower: float, upper: float) -> tuple[float, ...]:
-    """Values of one parameter at which its factors are hardest to resolve."""
-    if len(system.parameter_factors(j, np.array([lower]))) == 1:
-        return ()
-    found = features(lambda p: system.parameter_factors(j, p), float(lower), float(upper))
-    return tuple(found[:: max(1, -(-len(found) // _MOST_FEATURES))])
 
 
 @dataclass(frozen=True)

@@ -62,25 +62,22 @@ def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, 
     The basis is None when the range is not small.
     """
     generator = np.random.default_rng(matrix.shape[1])
+    basis = np.zeros((len(matrix), 0))
     extra = generator.standard_normal((matrix.shape[1], _EXTRA))
-    basis, _ = np.linalg.qr(matrix @ np.hstack([rows.T, extra]))
-    reduced = basis.T @ matrix
-    rest = matrix - basis @ reduced
-    missed = float(np.linalg.norm(rest))
-    while missed > tolerance:
+    sample = matrix @ np.hstack([rows.T, extra])
+    while True:
+        for _ in range(2 if basis.size else 1):  # once more against cancellation
+            sample, _ = np.linalg.qr(sample - basis @ (basis.T @ sample))
+        basis = np.hstack([basis, sample])
+        reduced = basis.T @ matrix
+        rest = matrix - basis @ reduced
+        missed = float(np.linalg.norm(rest))
+        if missed <= tolerance:
+            return basis, reduced, missed
         grow = max(2 * _EXTRA, basis.shape[1] // 4)
         if 2 * (basis.shape[1] + grow) > min(matrix.shape):
             return None, reduced, 0.0
         sample = rest @ generator.standard_normal((matrix.shape[1], grow))
-        sample -= basis @ (basis.T @ sample)
-        more, _ = np.linalg.qr(sample)
-        more -= basis @ (basis.T @ more)
-        more, _ = np.linalg.qr(more)
-        basis = np.hstack([basis, more])
-        reduced = basis.T @ matrix
-        rest = matrix - basis @ reduced
-        missed = float(np.linalg.norm(rest))
-    return basis, reduced, missed
 
 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:

@@ -61,9 +61,9 @@ def dense(cores):
     return full[..., 0]
 
 
-def fixed_point(sweeper, bases, train):
+def fixed_point(module, sweeper, bases, train):
     """E U_s + S (f(U) - A U) on the full grid, by pointwise evaluation of the generated rhs."""
-    operator, module = sweeper.operator, sweeper.operator.system
+    operator = sweeper.operator
     n, count = operator.shape
     weight = np.ones(())
     for basis in bases:
@@ -109,10 +109,11 @@ def frames(cores, b):
 @pytest.mark.parametrize("kind", [ChebyshevBasis, LegendreBasis])
 @pytest.mark.parametrize("cubic", [False, True], ids=["quadratic", "lowered cubic"])
 def test_every_pair_is_the_projection_of_the_fixed_point(kind, cubic):
-    sweeper, bases = setting(system(cubic), kind)
+    module = system(cubic)
+    sweeper, bases = setting(module, kind)
     for b in range(sweeper.dimensions):
         train = [core.copy() for core in sweeper.cores]
-        full = fixed_point(sweeper, bases, train)
+        full = fixed_point(module, sweeper, bases, train)
         left, right = frames(train, b)
         if b == 0:
             left = np.eye(1)
@@ -129,8 +130,9 @@ def test_every_pair_is_the_projection_of_the_fixed_point(kind, cubic):
 
 
 def test_first_core_alone_is_the_projection_on_the_parameter_frame():
-    sweeper, bases = setting(system())
-    full = fixed_point(sweeper, bases, sweeper.cores)
+    module = system()
+    sweeper, bases = setting(module)
+    full = fixed_point(module, sweeper, bases, sweeper.cores)
     _, right = frames(sweeper.cores, -1)
     projected = full.reshape(*full.shape[:2], -1) @ right.T
     block = sweeper._first_block(sweeper.cores[0], 1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 __all__ = ["Convergence"]
 
 _SLOWEST = 0.6
-"""A residual that falls by less than this factor, after four sweeps, will not get there."""
+"""A residual that falls by less, after four sweeps, will not get there."""
 _RELIABLE = 0.5
 """A smaller ratio of residuals says how far the next would fall ..."""
 _LEAST_RATIO = 0.15

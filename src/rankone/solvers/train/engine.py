@@ -17,11 +17,9 @@ from rankone.system import System
 __all__ = ["solve_train"]
 
 _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
-"""Inner tolerance relative to the error asked for, before the growth of errors: up to three
-parameters, where the corners of the box count, and beyond."""
+"""Part of rtol for one slab: up to three parameters, beyond."""
 _STALLED = 0.7
-"""An attempt that leaves more than this part of the error has stalled; the second in a row is
-the last."""
+"""An attempt that leaves more of the error has stalled; two in a row are the last."""
 _REMEDIES = {
     Status.RANK_LIMIT: "raise max_rank, narrow the box or loosen rtol",
     Status.NODE_LIMIT: "raise max_nodes, narrow the box or loosen rtol",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +23,25 @@ contraction over those parameters, whatever they did before."""
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """All terms of one degree and one signature: they share every contraction."""
+    """All terms of one degree and one signature: they share every contraction.
+
+    Attributes
+    ----------
+    degree : int
+        In the states.
+    signature : tuple of int
+        Row of the factors of each parameter.
+    kernel, adjoint : callable
+        The generated terms and their adjoint; a constant is its own.
+    paired : list of int
+        Second states of quadratic terms.
+    """
 
     degree: int
-    index: int
     signature: tuple[int, ...]
+    kernel: Any
+    adjoint: Any
+    paired: list[int]
 
     @property
     def key(self) -> Key:
@@ -35,12 +50,13 @@ class Group:
 
 def term_groups(system: System) -> tuple[Group, ...]:
     """The groups of a generated system, by degree and signature."""
-    tables = {CONSTANT: system.CONSTANT, LINEAR: system.LINEAR, QUADRATIC: system.QUADRATIC}
+    kernels = (system.CONSTANT, system.LINEAR, system.QUADRATIC)
+    adjoints = (system.CONSTANT, system.LINEAR_ADJOINT, system.QUADRATIC_ADJOINT)
     return tuple(
-        Group(degree, index, signature)
-        for degree, table in tables.items()
-        for index, signature in enumerate(system.SIGNATURES)
-        if table[index] is not None
+        Group(degree, signature, kernels[degree][g], adjoints[degree][g], list(system.PAIRED[g]))
+        for degree in (CONSTANT, LINEAR, QUADRATIC)
+        for g, signature in enumerate(system.SIGNATURES)
+        if kernels[degree][g] is not None
     )
 
 

@@ -28,7 +28,7 @@ from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, wi
 __all__ = ["Guess", "March", "MarchResult"]
 
 _SHRINK, _SLOW, _GROW = 0.5, 0.7, 1.5
-"""Factors on the slab length: after divergence, after many sweeps, after few."""
+"""On the length after divergence, many sweeps, few."""
 _REFERENCE_NOISE = 1e-7
 """Relative size below which the dense output of the reference is not smooth."""
 _PATIENCE = 1.15
@@ -38,11 +38,11 @@ _UNRESOLVED = 0.8
 _COARSEST = 30.0
 """Tolerance of the first sweep on a slab, at most so many times the final one."""
 _MOST_PROBES = 8
-"""The frame is widened on each slab by one random sum for each state, at most so many."""
+"""One random sum for each state widens the frame, at most so many."""
 _PROBE_MODES = 3
 """Number of modes of its terms: higher ones would look like a need for more nodes."""
 _LEAST_FOR_MEMORY = 1e-3
-"""Below this part of the horizon a slab that needs too much memory is not halved again."""
+"""Part of the horizon below which memory is no reason to halve."""
 _THINNED = 0.5
 """Norm of the entries left out of an accepted slab, relative to the resolution."""
 _SHORTEST = 1e-10
@@ -218,17 +218,9 @@ class March:
             else:
                 sweeper, source = self._rebase(sweeper, source, wanted)
                 convergence.restart()
-        residuals = convergence.residuals
-        record = SlabRecord(
-            self.attempt,
-            time,
-            time + length,
-            accepted,
-            tolerance,
-            tuple(residuals),
-            sweeper.ranks,
-            tuple(basis.size for basis in self.bases),
-        )
+        residuals, sizes = tuple(convergence.residuals), tuple(basis.size for basis in self.bases)
+        span = self.attempt, time, time + length
+        record = SlabRecord(*span, accepted, tolerance, residuals, sweeper.ranks, sizes)
         if accepted:
             self._spectra = spectra
             self._second_residual = residuals[min(1, len(residuals) - 1)]
@@ -297,15 +289,16 @@ class March:
 
     def _stretch(self, sweeper: Sweeper, time: float) -> float:
         """Factor on the length at which the highest time modes would be at the tolerance."""
-        count = self.collocation.count
-        n = self.system.N_DIFFERENTIAL
-        values = np.empty((n, count + 1, sweeper.cores[0].shape[2]))
-        values[:, 0] = sweeper.source_in_frame()
-        values[:, 1:] = sweeper.cores[0][:n] * np.sqrt(count)
-        highest = np.matmul(self.collocation.to_modal[-2:], values)
+        highest = self._time_modes(sweeper)[:, -2:]
         tail = float(np.sqrt(np.sum(highest**2, axis=(1, 2)).max()))
         allowed = max(20.0 * self.tolerance(time), self.resolution)
-        return float((allowed / max(tail, 1e-300)) ** (1.0 / count))
+        return float((allowed / max(tail, 1e-300)) ** (1.0 / self.collocation.count))
+
+    def _time_modes(self, sweeper: Sweeper) -> Array:
+        """Legendre coefficients in time of the scaled states, (n_differential, modes, r_1)."""
+        start = sweeper.source_in_frame()[:, None]
+        nodes = sweeper.cores[0][: self.system.N_DIFFERENTIAL] * np.sqrt(self.collocation.count)
+        return np.asarray(self.collocation.to_modal @ np.concatenate([start, nodes], axis=1))
 
     # -- parameter nodes ------------------------------------------------------------------------
 
@@ -389,15 +382,11 @@ class March:
         return right_orthonormal(apply_to_modes(source, self._set_bases(bases)))
 
     def _accept(self, sweeper: Sweeper, time: float, length: float) -> None:
-        n, count = self.system.N_DIFFERENTIAL, self.collocation.count
-        values = np.empty((n, count + 1, sweeper.cores[0].shape[2]))
-        values[:, 0] = sweeper.source_in_frame()
-        values[:, 1:] = sweeper.cores[0][:n] * np.sqrt(count)
-        first = np.einsum("mk,nkr->nmr", self.collocation.to_modal, values)
-        cores = apply_to_modes([first, *sweeper.cores[1:]], [b.to_modal for b in self.bases])
+        cores = [self._time_modes(sweeper), *sweeper.cores[1:]]
+        cores = apply_to_modes(cores, [basis.to_modal for basis in self.bases])
         if len(self.bases) > FEW_PARAMETERS:
             cores = thinned(cores, _THINNED * self.resolution)
-        cores[0] *= self.scale[:n, None, None]
+        cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
         self.result.slabs.append(SlabTrain(time, time + length, tuple(cores), self.bases))
         self.result.guesses.append(Guess(time, length, tuple(sweeper.cores), self.bases))
 

@@ -12,6 +12,10 @@ from rankone.errors import OptionError
 
 __all__ = ["TrainOptions"]
 
+_LEAST = {"time_nodes": 2, "max_degree": 4, "max_nodes": 4, "max_sweeps": 3}
+_MOST = {"time_nodes": 32}
+"""Ranges of the numbers; otherwise from one on."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrainOptions:
@@ -54,23 +58,15 @@ class TrainOptions:
             raise OptionError(
                 f"basis={self.basis!r} is unknown", remedy=f"choose one of {sorted(BASES)}"
             )
-        lowest = {"max_rank": 1, "max_degree": 4, "max_nodes": 4, "max_slabs": 1}
-        lowest |= {"max_sweeps": 3, "max_attempts": 1, "max_memory": 1}
-        for name, least in lowest.items():
-            value = getattr(self, name)
+        for name in list(self.__dataclass_fields__)[1:]:
+            value, least, most = getattr(self, name), _LEAST.get(name, 1), _MOST.get(name, math.inf)
             kind = numbers.Real if name == "max_memory" else numbers.Integral
-            if not isinstance(value, kind) or isinstance(value, bool):
-                what = "a number" if kind is numbers.Real else "an integer"
-                raise OptionError(f"{name}={value!r} is not {what}", remedy=f"at least {least}")
-            if not float(value) >= least:
-                raise OptionError(f"{name}={value!r} is too small", remedy=f"at least {least}")
-        count = self.time_nodes
-        if count is not None and not (
-            isinstance(count, numbers.Integral) and 2 <= int(count) <= 32
-        ):
-            raise OptionError(
-                f"time_nodes={self.time_nodes!r} is out of range", remedy="choose 2 to 32"
-            )
+            what = "a number" if kind is numbers.Real else "an integer"
+            optional = value is None and name == "time_nodes"
+            number = isinstance(value, kind) and not isinstance(value, bool)
+            if not (optional or (number and least <= float(value) <= most)):
+                remedy = f"choose {what} from {least} to {most:g}"
+                raise OptionError(f"{name}={value!r} is out of range", remedy=remedy)
 
     @classmethod
     def of(cls, **changes: Any) -> TrainOptions:

@@ -49,7 +49,6 @@ class SlabOperator:
         scale: Array,
         jacobian: Array,
     ) -> None:
-        self.system = system
         self.collocation = collocation
         self.start, self.length = start, length
         n, count = scale.size, collocation.count
@@ -80,25 +79,19 @@ class SlabOperator:
         return self.phi if repeat == 1 else np.repeat(self.phi, repeat, axis=1)
 
     def constant(self, group: Group, phi: Array) -> Array:
-        kernel = self.system.CONSTANT[group.index]
-        assert kernel is not None
-        return np.asarray(kernel(phi) / self._units[:, None])
+        return np.asarray(group.kernel(phi) / self._units[:, None])
 
     def linear(self, group: Group, phi: Array, x: Array) -> Array:
-        kernel = self.system.LINEAR[group.index]
-        assert kernel is not None
         units = self._units[:, None, None]
-        return np.asarray(kernel(phi, x * units) / units)
+        return np.asarray(group.kernel(phi, x * units) / units)
 
     def quadratic(self, group: Group, phi: Array, x: Array, env: Array) -> Array:
         """Right-hand side of a quadratic group, contracted with env (r, r, s)."""
-        kernel = self.system.QUADRATIC[group.index]
-        assert kernel is not None
         x = x * self._units[:, None, None]
-        paired = x[list(self.system.PAIRED[group.index])]
+        paired = x[group.paired]
         m, points, r = paired.shape
         z = (paired.reshape(m * points, r) @ env.reshape(r, -1)).reshape(m, points, r, -1)
-        return np.asarray(kernel(phi, x, z) / self._units[:, None, None])
+        return np.asarray(group.kernel(phi, x, z) / self._units[:, None, None])
 
     def minus_jacobian(self, x: Array, repeat: int) -> Array:
         """-A x at x (n, K * repeat, r)."""
@@ -132,14 +125,10 @@ class SlabOperator:
         n, count, r = x.shape
         s = weighted.shape[2]
         if group.degree == LINEAR:
-            kernel = self.system.LINEAR_ADJOINT[group.index]
-            assert kernel is not None
-            v = kernel(self.phi, weighted)
+            v = group.adjoint(self.phi, weighted)
             return np.asarray(v.reshape(n * count, s).T @ x.reshape(n * count, r))
-        kernel = self.system.QUADRATIC_ADJOINT[group.index]
-        assert kernel is not None
-        v = kernel(self.phi, x, weighted)
-        paired = x[list(self.system.PAIRED[group.index])].reshape(-1, r)
+        v = group.adjoint(self.phi, x, weighted)
+        paired = x[group.paired].reshape(-1, r)
         env = (paired.T @ v.reshape(paired.shape[0], r * s)).reshape(r, r, s)
         return np.asarray(np.moveaxis(0.5 * (env + env.swapaxes(0, 1)), 2, 0))
 
