@@ -192,7 +192,7 @@ def _solve(arguments: argparse.Namespace) -> int:
 
 
 def _check_target(path: Path | None, overwrite: bool) -> None:
-    """Find out before the solve, not after it, that its result cannot be saved."""
+    """Find out before the work, not after it, that its result cannot be written."""
     if path is None:
         return
     from rankone.errors import StorageError
@@ -253,6 +253,8 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _export(arguments: argparse.Namespace) -> int:
     """Run ``rankone export``."""
+    _check_target(arguments.output, arguments.overwrite)
+
     import rankone
     from rankone.problem_files import load_problem
 

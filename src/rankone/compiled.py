@@ -27,13 +27,13 @@ from typing import Any, Literal
 
 from threadpoolctl import ThreadpoolController
 
-from rankone.codegen import generate_source, load_module
-from rankone.errors import OptionError
+from rankone.codegen import equation_texts, generate_source, load_module
+from rankone.errors import ConvergenceError, OptionError
 from rankone.ir import SeparatedForm
 from rankone.progress import Progress, ProgressEvent, resolve_progress
 from rankone.solution import Solution, SolutionMetadata
 from rankone.solvers.outcome import Outcome
-from rankone.solvers.request import checked_points, checked_rtol, delivered
+from rankone.solvers.request import checked_points, checked_rtol, raise_blow_up
 from rankone.solvers.train import TrainOptions, solve_train
 from rankone.symbolic import Problem, WeakForm, separate, weak_form
 from rankone.system import System
@@ -159,7 +159,10 @@ class CompiledProblem:
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
         solution = Solution(replace(outcome, timings=timings), self._metadata(rtol, method))
-        return delivered(solution, outcome, on_failure)
+        raise_blow_up(solution, outcome)
+        if on_failure == "raise" and not solution.success:
+            raise ConvergenceError(outcome.message, solution=solution)
+        return solution
 
     def export(
         self, path: str | PathLike[str], *, method: str = "train", overwrite: bool = False
@@ -172,7 +175,6 @@ class CompiledProblem:
     def _metadata(self, rtol: float, method: str) -> SolutionMetadata:
         form = self.separated
         clock, *parameters = form.coordinates
-        problem = self.problem
         return SolutionMetadata(
             unknowns=tuple(state.name for state in form.states if state.order == 0),
             states=tuple(state.name for state in form.states),
@@ -182,10 +184,7 @@ class CompiledProblem:
             horizon=(clock.lower, clock.upper),
             rtol=rtol,
             method=method,
-            equations=tuple(
-                f"{state.expression.diff(clock.symbol)} = {value}"
-                for state, value in zip(problem.states, problem.rhs, strict=True)
-            ),
+            equations=tuple(equation_texts(form)),
             version=__version__,
             source=self.source,
         )

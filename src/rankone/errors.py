@@ -1,7 +1,8 @@
 """Errors and warnings: what was given, where, what was expected, what to do.
 
-Every error of the library derives from :class:`RankoneError` and carries, as far as
-they apply, the equation (``.equation``), the term (``.term``) and a way out (``.remedy``).
+Every error of the library derives from :class:`RankoneError` and carries, as far as they apply,
+the term (``.term``) and a way out (``.remedy``); what is wrong with a problem also the equation
+(``.equation``).
 """
 
 from __future__ import annotations
@@ -32,27 +33,15 @@ class RankoneError(Exception):
     ----------
     message : str
         What was given and what was expected.
-    equation : int, optional
-        Number of the equation concerned, counted from 1 as the user wrote them.
     term : object, optional
         The term, symbol or value concerned, as the user wrote it.
     remedy : str, optional
         What to do about it; appended to the message.
     """
 
-    def __init__(
-        self,
-        message: str,
-        *,
-        equation: int | None = None,
-        term: object = None,
-        remedy: str | None = None,
-    ) -> None:
-        self.equation = equation
-        self.term = term
-        self.remedy = remedy
-        text = message if equation is None else f"equation {equation}: {message}"
-        super().__init__(text if remedy is None else f"{text}; remedy: {remedy}")
+    def __init__(self, message: str, *, term: object = None, remedy: str | None = None) -> None:
+        self.term, self.remedy = term, remedy
+        super().__init__(message if remedy is None else f"{message}; remedy: {remedy}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (type(self), self.args, self.__dict__)
@@ -67,7 +56,22 @@ def _restore(cls: type[RankoneError], args: tuple[Any, ...], state: dict[str, An
 
 
 class ProblemError(RankoneError, ValueError):
-    """The problem as written is incomplete or contradictory."""
+    """The problem as written is incomplete or contradictory.
+
+    Parameters
+    ----------
+    message : str
+    equation : int, optional
+        Number of the equation concerned, counted from 1 as the user wrote them.
+    **where
+        Term and remedy, as for every error.
+    """
+
+    def __init__(self, message: str, *, equation: int | None = None, **where: Any) -> None:
+        self.equation = equation
+        super().__init__(
+            message if equation is None else f"equation {equation}: {message}", **where
+        )
 
 
 class SeparationError(ProblemError):

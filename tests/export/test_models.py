@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
 
+import rankone as ro
 from rankone.errors import ExportError
 from rankone.export.model_c import c_identifier
 from rankone.solvers.outcome import Status
@@ -155,12 +157,34 @@ def test_python_bounds_and_names(tmp_path):
     np.testing.assert_array_equal(model.value(t=0.0, lambda_=1.0, x_0=0.5, α=1.5), wanted)
     assert model.value({**at, "t": [0.0, 1.0]}).shape == (2, 2)
     assert model.gradient({**at, "t": [[0.0], [1.0]]}).shape == (2, 4, 2, 1)
+    assert model.value({**at, "t": []}).shape == (2, 0)
     for wrong in ({"t": 2.1}, {"lambda": -2.1}, {"α": float("nan")}):
-        with pytest.raises(ValueError, match="not everywhere in"):
+        with pytest.raises(ValueError, match=r" is [\w.-]+, not in \["):
             model.value({**at, **wrong})
     for given in ({"t": 0.0}, {**at, "y": 1.0}, {**at, "lambda_": 1.0}):
         with pytest.raises(ValueError, match="were given"):
             model.value(given)
+
+
+def test_python_names_that_cannot_be_imported(tmp_path):
+    """The docstring says how a file is imported whose name is no identifier."""
+    path = solved("decay").export(tmp_path / "my-model.py")
+    assert 'importlib.import_module("my-model")' in path.read_text()
+    assert "import my" not in path.read_text()
+
+
+def test_models_say_the_equations(tmp_path):
+    t = sp.Symbol("t")
+    q = sp.Function("q")(t)
+    a = sp.Symbol("a")
+    second = ro.Problem([q.diff(t, 2) + 4 * q], (t, 0, 1), {a: (1, 2)}, {q: a, q.diff(t): 0})
+    solution = ro.solve(second, rtol=1e-6)
+    lines = ("q' = q_t", "q_t' = -4*q", "q(0) = a", "q_t(0) = 0")
+    assert solution.metadata.equations == lines
+    for file in ("model.py", "model.h"):
+        solution.export((tmp_path / file).with_suffix(".py" if file[-1] == "y" else ".c"))
+        text = (tmp_path / file).read_text()
+        assert all(line in text for line in lines)
 
 
 # --- C -----------------------------------------------------------------------------------------

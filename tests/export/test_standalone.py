@@ -135,6 +135,12 @@ def test_other_box_and_horizon(folder):
         ("solver.solve(rtol=1e-3)(t=7, x0=9, y0=5)", "EvaluationError", "[0, 6]"),
         ("solver.solve(rtol=1e-3)(t=float('nan'), x0=9, y0=5)", "EvaluationError", "`t`"),
         ("solver.solve(rtol=1e-3)(t=1, x0=9)", "EvaluationError", "t, x0, y0"),
+        (
+            "solver.solve(rtl=1e-3)",
+            "OptionError",
+            "unknown option 'rtl'; remedy: choose from basis",
+        ),
+        ("solver.solve(check=-1)", "OptionError", "check=-1"),
         ("solver.load('nothing.npz')", "StorageError", "nothing.npz"),
         ("solver.load('solver.py')", "StorageError", "solver.py"),
     ],
@@ -165,7 +171,19 @@ def test_program(folder):
 
     shown = alone(folder, "--help").stdout
     assert "x' = 1.5*x - x*y" in shown
-    assert alone(folder, "--at", "t").returncode == 2
+    assert alone(folder, "--options", "max_rank=2", "--rtol", "1e-8").returncode == 1
+    for wrong, message in (
+        (["--at", "t"], "--at: 't' cannot be read"),
+        (["--at", "t=1", "t=2"], "`t` is given twice"),
+        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read"),
+        (["--rtol", "1e-3", "--grid", "0"], "--grid 0"),
+        (["--save", "values.npz"], "exists"),
+        (["--load", "values.npz", "--rtol", "1e-3"], "no --rtol"),
+        (["--options", "max_rank=0"], "max_rank=0"),
+    ):
+        run = alone(folder, *wrong)
+        assert run.returncode == 2
+        assert message in run.stderr
     assert alone(folder, "--rtol", "1e-3", "--grid", "100000").returncode == 2
 
 
@@ -174,7 +192,30 @@ def test_saved_by_the_program(folder):
     assert alone(folder, "--rtol", "1e-3", "--save", str(file)).returncode == 0
     again = alone(folder, "--load", str(file), "--at", "t=1", "x0=9", "y0=5", "--json")
     values = json.loads(again.stdout)["values"]
-    np.testing.assert_allclose(list(values.values()), ro.load(file)(t=1, x0=9, y0=5), rtol=1e-12)
+    wanted = ro.load(file)
+    np.testing.assert_allclose(list(values.values()), wanted(t=1, x0=9, y0=5), rtol=1e-12)
+    run = alone(
+        folder, script=f"{ALONE}s = solver.load({str(file)!r}); s.save('b.npz'); print(s.error)"
+    )
+    assert float(run.stdout) == wanted.error
+    assert ro.load(folder / "b.npz").error == wanted.error
+    solved("decay").save(folder / "decay.npz")
+    run = alone(folder, "--load", "decay.npz")
+    assert run.returncode == 2
+    assert "other equations" in run.stderr
+
+
+def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
+    problem = ro.Problem.from_strings(
+        rhs={"x": "x**2"}, initial={"x": "a"}, parameters={"a": (1, 2)}, time=(0, 0.8)
+    )
+    ro.compile(problem).export(tmp_path / "solver.py")
+    run = alone(tmp_path, "--rtol", "1e-3", "--at", "t=0.25", "a=2", "--json")
+    assert run.returncode == 1
+    assert "blows up" in run.stderr
+    answer = json.loads(run.stdout)
+    assert answer["success"] is False
+    assert answer["values"]["x"] == pytest.approx(4.0, rel=2e-3)
 
 
 @pytest.mark.parametrize("method", ["train", "greedy"])
@@ -267,11 +308,13 @@ def test_command_line(tmp_path, capsys):
 
 
 def test_taken_names_are_renamed():
-    sections, _ = carry(["rankone.tensors.slab:SlabTrain"], reserved={"_contract"})
+    roots = ["rankone.tensors.truncation:truncated_svd"]
+    sections, _ = carry(roots, reserved={"_svd", "_DIRECT"})
     text = sections[-1].text
-    assert "def _slab_contract(" in text
-    assert "return _slab_contract(first" in text
-    assert "_contract(" not in text.replace("_slab_contract(", "")
+    assert "def _truncation_svd(" in text
+    assert "= _truncation_svd(matrix)" in text
+    assert " _svd(" not in text
+    assert "smaller > _TRUNCATION_DIRECT" in text
 
 
 def test_unknown_roots_are_refused():

@@ -15,6 +15,7 @@ module
 Only ``printer`` prints SymPy expressions; everything else works on integers and strings.
 """
 
+from rankone.codegen.header import equation_texts
 from rankone.codegen.module import generate_source, load_module
 
-__all__ = ["generate_source", "load_module"]
+__all__ = ["equation_texts", "generate_source", "load_module"]

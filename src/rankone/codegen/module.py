@@ -60,7 +60,7 @@ def generate_source(form: SeparatedForm, title: str | None = None) -> str:
         *kernel_functions(form, lowered, groups),
         *functions,
     ]
-    head = header(form, f, lowered, groups, pointwise.operations, title)
+    head = header(form, lowered, groups, pointwise.operations, title)
     top = [*docstring(head, indent=""), "", "import numpy as np", "", *blocks[0]]
     return "\n\n\n".join("\n".join(block) for block in [top, *blocks[1:]] if block) + "\n"
 

@@ -38,8 +38,7 @@ def legendre_values(xi: Array, count: int) -> Array:
     """
     values = np.empty((count, xi.size))
     values[0] = 1.0
-    if count > 1:
-        values[1] = xi
+    values[1:2] = xi
     for m in range(1, count - 1):
         values[m + 1] = ((2 * m + 1) * xi * values[m] - m * values[m - 1]) / (m + 1)
     values *= np.sqrt(2.0 * np.arange(count) + 1.0)[:, None]
@@ -53,8 +52,7 @@ def chebyshev_values(xi: Array, count: int) -> Array:
     """
     values = np.empty((count, xi.size))
     values[0] = 1.0
-    if count > 1:
-        values[1] = xi
+    values[1:2] = xi
     for m in range(1, count - 1):
         np.multiply(2.0 * xi, values[m], out=values[m + 1])
         values[m + 1] -= values[m - 1]

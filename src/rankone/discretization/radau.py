@@ -56,8 +56,6 @@ class RadauCollocation:
 
 def _radau_points(count: int) -> Array:
     """Zeros of P_{K-1} - P_K on (0, 1], polished by Newton steps."""
-    if count == 1:
-        return np.ones(1)
     series = np.zeros(count + 1)
     series[count - 1], series[count] = 1.0, -1.0
     inner = np.sort(npl.legroots(series).real)[:-1]

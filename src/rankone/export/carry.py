@@ -325,7 +325,7 @@ def _new_names(
 
 def _prefixed(name: str, stem: str) -> str:
     if name.startswith("_"):
-        return f"_{stem}_{name.strip('_')}"
+        return f"_{_prefixed(name.strip('_'), stem)}"
     if name.isupper():
         return f"{stem.upper()}_{name}"
     return f"{stem.title() if name[0].isupper() else f'{stem}_'}{name}"

@@ -57,7 +57,7 @@ class Model:
     def value(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
         """Values of the unknowns: shape (unknowns, *broadcast shape of the coordinates)."""
         points, shape = self._points({**(values or {}), **named})
-        return self._evaluate(points, derivatives=False)[:, 0].reshape(-1, *shape)
+        return self._evaluate(points, derivatives=False).reshape(len(self.unknowns), *shape)
 
     def gradient(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
         """Derivatives with respect to each coordinate, in their order.
@@ -81,8 +81,9 @@ class Model:
         for name, (lower, upper) in zip(self.coordinates, self.intervals, strict=True):
             array = np.asarray(named[name], dtype=float)
             slack = max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper))))
-            if not np.all((array >= lower - slack) & (array <= upper + slack)):
-                raise ValueError(f"{name} is not everywhere in [{lower!r}, {upper!r}]")
+            outside = array[~((array >= lower - slack) & (array <= upper + slack))]
+            if outside.size:
+                raise ValueError(f"{name} is {outside[0]:.12g}, not in [{lower!r}, {upper!r}]")
             arrays.append(np.clip(array, lower, upper))
         points = np.array(np.broadcast_arrays(*arrays))
         return points.reshape(len(points), -1), points.shape[1:]

@@ -11,8 +11,8 @@ import argparse
 import json
 import math
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,13 +29,13 @@ from rankone.errors import (
     StorageError,
 )
 from rankone.solution import SolutionMetadata
-from rankone.solvers.outcome import Outcome, Status
-from rankone.solvers.request import checked_rtol, delivered
-from rankone.storage import slab_arrays
+from rankone.solvers.outcome import Measured, Outcome, Status
+from rankone.solvers.request import checked_points, checked_rtol, raise_blow_up
+from rankone.storage import FORMAT, FORMAT_VERSION, slab_arrays
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Solution", "load", "run", "solve_system"]
+__all__ = ["Solution", "load_solution", "run", "solve_system"]
 
 _CHUNK = 4096
 """Points evaluated at once."""
@@ -94,8 +94,10 @@ class Solution:
         for name, (lower, upper) in self._intervals.items():
             array = np.asarray(given[name], dtype=float)
             slack = max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper))))
-            if not np.all((array >= lower - slack) & (array <= upper + slack)):
-                raise EvaluationError(f"`{name}` is not everywhere in [{lower:.12g}, {upper:.12g}]")
+            outside = array[~((array >= lower - slack) & (array <= upper + slack))]
+            if outside.size:
+                interval = f"[{lower:.12g}, {upper:.12g}]"
+                raise EvaluationError(f"`{name}` is {outside[0]:.12g}, not in {interval}")
             arrays.append(np.clip(array, lower, upper))
         return arrays
 
@@ -113,32 +115,38 @@ class Solution:
                 part = here[begin : begin + _CHUNK]
                 states = slabs[index](points[0, part], points[1:, part])
                 values[:, part] = states[: len(self.unknowns)]
-        return values.reshape(-1, *coordinates[0].shape)
+        return values.reshape(len(values), *coordinates[0].shape)
+
+
+def free_target(path: str, overwrite: bool) -> Path:
+    """The path of a file to write; an error if it exists and must stay."""
+    target = Path(path)
+    if target.exists() and not overwrite:
+        raise StorageError(f"`{target}` exists", remedy="choose another name, or overwrite")
+    return target
 
 
 def write_arrays(path: str, arrays: Mapping[str, Any], overwrite: bool) -> None:
     """Write an .npz file; it is either complete or not there."""
-    target = Path(path)
-    if target.exists() and not overwrite:
-        raise StorageError(f"`{target}` exists", remedy="choose another name, or overwrite")
+    target = free_target(path, overwrite)
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
         with partial.open("xb") as file:
             np.savez(file, allow_pickle=False, **arrays)
         partial.replace(target)
     except OSError as error:
-        raise StorageError(f"`{target}` cannot be written: {error}") from error
+        raise StorageError(f"`{target}` cannot be written: {error.strerror}") from error
     finally:
         partial.unlink(missing_ok=True)
 
 
-def load(path: str) -> Solution:
-    """Read a solution that was saved; its history is left in the file."""
+def load_solution(path: str, expected: SolutionMetadata) -> Solution:
+    """Read a solution of the same equations; the history of its solve is left in the file."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
             header = json.loads(str(arrays["header"][()]))
-            if header["format"] != "rankone-solution" or header["format_version"] != 1:
-                raise StorageError(f"`{path}` is no solution of version 1")
+            if header["format"] != FORMAT or header["format_version"] != FORMAT_VERSION:
+                raise StorageError(f"`{path}` is no solution of version {FORMAT_VERSION}")
             size = ("lower", "upper", "degree", "elements")
             bases = [
                 BASES[fields["kind"]](*(fields[key] for key in size)) for fields in header["bases"]
@@ -148,11 +156,20 @@ def load(path: str) -> Solution:
                 own = tuple(bases[k] for k in slab["bases"])
                 cores = tuple(arrays[f"core_{i}_{j}"] for j in range(len(own) + 1))
                 slabs.append(SlabTrain(slab["start"], slab["end"], cores, own))
-    except (OSError, LookupError, TypeError, ValueError) as error:
-        raise StorageError(f"`{path}` cannot be read as a solution: {error}") from error
-    fields = {key: _frozen(value) for key, value in header["metadata"].items()}
-    outcome = Outcome(tuple(slabs), Status[header["status"]], header["message"], None, ())
-    return Solution(outcome, SolutionMetadata(**fields))
+            metadata = SolutionMetadata(**{k: _frozen(v) for k, v in header["metadata"].items()})
+            status, measured = Status[header["status"]], header["measured"]
+            if measured is not None:
+                errors = [tuple(map(float, measured[key])) for key in ("interior", "corners")]
+                measured = Measured(errors[0], errors[1], measured["points"], measured["method"])
+    except OSError as error:
+        raise StorageError(f"`{path}` cannot be read: {error.strerror}") from error
+    except (LookupError, TypeError, ValueError) as error:
+        raise StorageError(f"`{path}` is not a solution, or damaged") from error
+    if (metadata.equations, metadata.parameters) != (expected.equations, expected.parameters):
+        raise StorageError(f"`{path}` holds the solution of other equations")
+    return Solution(
+        Outcome(tuple(slabs), status, header["message"], measured, (), header["timings"]), metadata
+    )
 
 
 def _frozen(value: Any) -> Any:
@@ -168,10 +185,10 @@ def solve_system(
     rtol: float,
     parameters: Mapping[str, Sequence[float]] | None,
     t_final: float | None,
-    check: int,
+    check: bool | int,
 ) -> Solution:
     """Solve the system on its own box and horizon, or on others."""
-    rtol = checked_rtol(rtol)
+    rtol, check = checked_rtol(rtol), checked_points(check)
     start, end = metadata.horizon
     horizon = _interval("the horizon", (start, end if t_final is None else t_final))
     box = dict(zip(metadata.parameters, metadata.box, strict=True))
@@ -186,10 +203,10 @@ def solve_system(
         with np.errstate(all="ignore"):
             if not np.isfinite(system.parameter_factors(j, np.linspace(lower, upper, 257))).all():
                 raise OptionError(f"a coefficient is not finite for `{name}` in its range")
-    with one_blas_thread():
-        outcome = engine(moved, rtol, engine_options, check)
-    asked = replace(metadata, box=moved.BOX, horizon=horizon, rtol=rtol)
-    return delivered(Solution(outcome, asked), outcome, "return")  # type: ignore
+    outcome = engine(moved, rtol, engine_options, check)
+    solution = Solution(outcome, replace(metadata, box=moved.BOX, horizon=horizon, rtol=rtol))
+    raise_blow_up(solution, outcome)  # type: ignore[arg-type]
+    return solution
 
 
 def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:
@@ -202,17 +219,12 @@ def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:
     return lower, upper
 
 
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """Small products run fastest on one thread; without threadpoolctl, set OMP_NUM_THREADS=1."""
-    try:
-        from threadpoolctl import threadpool_limits
-    except ImportError:
-        return nullcontext()
-    limits: AbstractContextManager[Any] = threadpool_limits(1, "blas")
-    return limits
-
-
-def run(solve: Callable[..., Solution], description: str, argv: Sequence[str] | None = None) -> int:
+def run(
+    solve: Callable[..., Solution],
+    load: Callable[[str], Solution],
+    description: str,
+    argv: Sequence[str] | None = None,
+) -> int:
     """Run the command line: the exit status is 0, 1 (tolerance not reached) or 2 (bad input)."""
     parser = argparse.ArgumentParser(
         description=description,
@@ -221,25 +233,27 @@ def run(solve: Callable[..., Solution], description: str, argv: Sequence[str] | 
     )
     add = parser.add_argument
     pair, span = "NAME=VALUE", "NAME=LOWER:UPPER"
-    add("--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)")
-    add("--box", nargs="+", metavar=span, default=[], help="other ranges of parameters")
+    add("--rtol", type=float, help="relative tolerance (default: 1e-6)")
+    add("--box", nargs="+", action="extend", metavar=span, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
-    add("--at", nargs="+", metavar=pair, help="evaluate at one time and parameter point")
+    add("--options", nargs="+", action="extend", metavar=pair, help="options of the engine")
+    add("--at", nargs="+", action="extend", metavar=pair, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
     add("--load", metavar="PATH", help="take a saved solution instead of solving")
     add("--save", metavar="PATH", help="write the values on the grid, or else the solution (.npz)")
     add("--overwrite", action="store_true", help="let --save replace a file")
     add("--json", action="store_true", help="print JSON")
     given = parser.parse_args(argv)
+    asked = given.rtol, given.box, given.t_final, given.options
+    if given.load and any(value is not None for value in asked):
+        parser.error("--load takes a solution as it is: no --rtol, --box, --t-final or --options")
     try:
-        if given.load:
-            solution = load(given.load)
-        else:
-            ranges = {k: [float(x) for x in v.split(":")] for k, v in _pairs(given.box)}
-            solution = solve(given.rtol, parameters=ranges, t_final=given.t_final)
+        if given.save:
+            free_target(given.save, given.overwrite)
+        solution = load(given.load) if given.load else _solved(solve, given)
         summary: dict[str, Any] = {"success": solution.success, "message": solution.message}
         if given.at:
-            values = solution({name: float(text) for name, text in _pairs(given.at)})
+            values = solution(_pairs("--at", given.at, float))
             summary["values"] = dict(zip(solution.unknowns, values.tolist(), strict=True))
         if given.grid is not None:
             arrays = _grid(solution, given.grid)
@@ -247,7 +261,7 @@ def run(solve: Callable[..., Solution], description: str, argv: Sequence[str] | 
             write_arrays(given.save, arrays, given.overwrite)
         elif given.save:
             solution.save(given.save, overwrite=given.overwrite)
-    except (RankoneError, ValueError) as error:
+    except RankoneError as error:
         parser.exit(1 if isinstance(error, ConvergenceError) else 2, f"error: {error}\n")
     if given.json:
         print(json.dumps(summary))
@@ -258,18 +272,42 @@ def run(solve: Callable[..., Solution], description: str, argv: Sequence[str] | 
     return 0 if solution.success else 1
 
 
-def _pairs(texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Names and values from texts of the form NAME=VALUE."""
-    pairs = [text.partition("=") for text in texts]
-    if wrong := [name for name, sign, value in pairs if not (sign and value)]:
-        raise OptionError(f"{wrong[0]!r} is not of the form NAME=VALUE")
-    return [(name, value) for name, _, value in pairs]
+def _solved(solve: Callable[..., Solution], given: argparse.Namespace) -> Solution:
+    """Solve as the command line asks; after a blow-up take the part before it."""
+    box = _pairs("--box", given.box, lambda text: [float(x) for x in text.split(":")])
+    options = _pairs("--options", given.options, _number_or_text)
+    rtol = 1e-6 if given.rtol is None else given.rtol
+    try:
+        return solve(rtol, parameters=box, t_final=given.t_final, **options)
+    except ConvergenceError as error:
+        if error.solution is None:
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return error.solution  # type: ignore[return-value]
+
+
+def _number_or_text(text: str) -> Any:
+    return json.loads(text) if text[:1] in tuple("-0123456789") else text
+
+
+def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any]) -> dict[str, Any]:
+    """Values by name from texts of the form NAME=VALUE."""
+    values: dict[str, Any] = {}
+    for text in texts or ():
+        name, _, value = text.partition("=")
+        if name in values:
+            raise OptionError(f"{option}: `{name}` is given twice")
+        try:
+            values[name] = read(value)
+        except ValueError:
+            raise OptionError(f"{option}: {text!r} cannot be read; --help has the form") from None
+    return values
 
 
 def _grid(solution: Solution, count: int) -> dict[str, Array]:
     """Axes and unknowns on a tensor grid, by name."""
     intervals = {solution.metadata.time: solution.time, **solution.parameters}
     if count < 1 or count ** len(intervals) * len(solution.unknowns) > _LARGEST_GRID:
-        raise OptionError(f"a grid of {count} values in {len(intervals)} dimensions is too large")
+        raise OptionError(f"--grid {count}: from 1 on, at most {_LARGEST_GRID:,} values in all")
     axes = {name: np.linspace(*interval, count) for name, interval in intervals.items()}
     return axes | dict(zip(solution.unknowns, solution.grid(axes), strict=True))

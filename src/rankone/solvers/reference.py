@@ -243,12 +243,9 @@ def measure(
     interior = np.maximum(errors[:, 0], errors[:, 1 + corners :].max(axis=1, initial=0.0)) / scale
     if d <= 3:
         interior = np.maximum(interior, at_corners)
-    return Measured(
-        tuple(interior.tolist()),
-        tuple(at_corners.tolist()) if corners else (),
-        m,
-        "Radau" if reference.stiff else "DOP853",
-    )
+    stated = tuple(at_corners.tolist()) if corners else ()
+    method = "Radau" if reference.stiff else "DOP853"
+    return Measured(tuple(interior.tolist()), stated, m, method)
 
 
 def _stacked_jacobian(system: System, parameters: Array, n: int, m: int) -> Any:

@@ -64,8 +64,4 @@ def amplification(
         if gap < steps:
             propagator = np.matmul(step[gap:], propagator[:-1])
     grid = reference.start + width * np.arange(steps + 1)
-
-    def growth(t: float) -> float:
-        return float(np.interp(t, grid, largest))
-
-    return growth
+    return lambda t: float(np.interp(t, grid, largest))

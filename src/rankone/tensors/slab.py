@@ -46,20 +46,11 @@ class SlabTrain:
         The plain way, without any preparation; :class:`~rankone.tensors.evaluator.TrainEvaluator`
         serves many calls.
         """
-        carry = np.ones((1, times.size))
-        for basis, core, values in zip(
-            reversed(self.bases), reversed(self.cores[1:]), reversed(points), strict=True
-        ):
-            carry = _contract(core, basis.modal_values(values), carry)
-        first = self.cores[0]
         xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
-        return _contract(first, legendre_values(xi, first.shape[1]), carry)
-
-
-def _contract(core: Array, modes: Array, carry: Array) -> Array:
-    """Multiply a core (r, n, s) with modes (M, n) and carry (s, M): shape (r, M).
-
-    The products of modes and carry are formed first, so that one matrix product does the rest.
-    """
-    products = np.multiply(modes.T[:, None], carry).reshape(-1, carry.shape[1])
-    return np.asarray(core.reshape(len(core), -1) @ products)
+        modes = [legendre_values(xi, self.cores[0].shape[1])]
+        modes += [basis.modal_values(row) for basis, row in zip(self.bases, points, strict=True)]
+        carry = np.ones((1, times.size))
+        for core, values in zip(reversed(self.cores), reversed(modes), strict=True):
+            products = np.multiply(values.T[:, None], carry).reshape(-1, times.size)
+            carry = core.reshape(len(core), -1) @ products
+        return carry

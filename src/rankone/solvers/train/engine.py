@@ -75,10 +75,6 @@ def solve_train(
     stalls = 0
     for number in range(options.max_attempts):
         began = clock.perf_counter()
-        level = inner
-
-        def tolerance(t: float, level: float = level) -> float:
-            return max(level / growth(t), 1e-14)
 
         def notify(t: float, slabs: int, rank: int, number: int = number) -> None:
             if report is not None:
@@ -90,7 +86,7 @@ def solve_train(
             sizes,
             bases,
             floors,
-            tolerance,
+            lambda t, level=inner: max(level / growth(t), 1e-14),  # type: ignore[misc]
             0.1 * inner,
             options,
             collocation,
@@ -115,12 +111,6 @@ def solve_train(
         guesses, bases = result.guesses, result.guesses[0].bases
     assert best is not None
     status = best.status(yardstick, rtol)
-    return Outcome(
-        tuple(best.slabs),
-        status,
-        best.message(status, rtol, _REMEDIES),
-        best.measured,
-        tuple(records),
-        timings,
-        yardstick.blow_up,
-    )
+    message, slabs = best.message(status, rtol, _REMEDIES), tuple(best.slabs)
+    history, blow_up = tuple(records), yardstick.blow_up
+    return Outcome(slabs, status, message, best.measured, history, timings, blow_up)

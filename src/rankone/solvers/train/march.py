@@ -136,9 +136,11 @@ class March:
             if len(result.records) >= self.options.max_slabs:
                 result.stopped = Status.SLAB_LIMIT
                 break
+            if length < _SHORTEST * horizon < end - time:
+                result.stopped = Status.NO_CONVERGENCE
+                break
             proposed = length
-            border = min(cut for cut in (*self.cuts, end) if cut > time + 1e-12 * horizon)
-            border = min(border, end)
+            border = min([end, *(cut for cut in self.cuts if cut > time + 1e-12 * horizon)])
             remaining = border - time
             guess = self._guess(time, length)
             length = guess.length if guess else self._resolved(time, min(length, remaining))
@@ -156,9 +158,6 @@ class March:
                 if Status.MEMORY_LIMIT in result.limits and length < _LEAST_FOR_MEMORY * horizon:
                     result.stopped = Status.MEMORY_LIMIT
                     break
-                if length < _SHORTEST * horizon:
-                    result.stopped = Status.NO_CONVERGENCE
-                    break
                 continue
             self._accept(sweeper, time, length)
             source = self._end_of(sweeper)
@@ -170,9 +169,6 @@ class March:
             if time == border:
                 length = max(length, proposed)
             length = min(length, ceiling)
-            if length < _SHORTEST * horizon < end - time:
-                result.stopped = Status.NO_CONVERGENCE
-                break
         return result
 
     # -- one slab -------------------------------------------------------------------------------
@@ -195,11 +191,8 @@ class March:
             accepted = convergence.solved(limited=False)
         else:
             sweeper.settle(max(tolerance, 1e-3), 8)
-        while (
-            not accepted
-            and sweeper.dimensions
-            and len(convergence.residuals) < self.options.max_sweeps
-        ):
+        most = self.options.max_sweeps if sweeper.dimensions else 0
+        while not accepted and len(convergence.residuals) < most:
             current = convergence.next_tolerance
             residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
             convergence.add(residual)

@@ -78,11 +78,8 @@ class TrainOptions:
             If an option is unknown or out of its range.
         """
         known = sorted(cls.__dataclass_fields__)
-        for name in changes:
-            if name not in known:
-                raise OptionError(
-                    f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}"
-                )
+        for name in changes.keys() - known:
+            raise OptionError(f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}")
         return cls(**changes)
 
     def nodes_in_time(self, rtol: float) -> int:

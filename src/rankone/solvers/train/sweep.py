@@ -13,6 +13,7 @@ Bond b lies between core b - 1 and core b; core 0 is (state, time), core j is pa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ class Sweeper:
             found = {(g.degree, g.signature[b - 1 :]): None for g in self.groups}
             found[(LINEAR, (0,) * (d + 1 - b))] = None
             self._keys[b] = list(found)
-        self._right: list[dict[Key, Array | None]] = [{} for _ in range(d + 2)]
+        self._right: list[dict[Key, Any]] = [{} for _ in range(d + 2)]
         self._left: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._right_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._left_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
@@ -119,14 +120,12 @@ class Sweeper:
             rest = group.signature[bond - 1 :]
             env = self._right[bond][(group.degree, rest)]
             if group.degree == CONSTANT:
-                assert env is not None
                 y = self.operator.constant(group, phi)[:, :, None] * env
             elif group.degree == LINEAR:
                 y = self.operator.linear(group, phi, flat)
                 if env is not None:
                     y = (y.reshape(-1, rank) @ env).reshape(n, -1, rank)
             else:
-                assert env is not None
                 y = self.operator.quadratic(group, phi, flat, env)
             if bond == 2:
                 vector = self.parameters.vector(group.key, 0)
@@ -176,13 +175,11 @@ class Sweeper:
         env = self._right[b + 1][(degree, rows[1:])]
         vector = self.parameters.vector(key, b - 1)
         if degree == CONSTANT:
-            assert env is not None
             half = np.outer(vector, env)
         elif degree == LINEAR:
             half = core if env is None else (core.reshape(-1, s) @ env).reshape(r, size, s)
             half = half if rows[0] == 0 else half * vector[:, None]
         else:
-            assert env is not None
             half = right_products(env, core, vector)
         half = half.reshape(-1, size * env.shape[-1] if env is not None else size * s)
         self._right_halves[b][key] = half
