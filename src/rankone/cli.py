@@ -197,10 +197,15 @@ def _check_target(path: Path | None, overwrite: bool) -> None:
         return
     from rankone.errors import StorageError
 
-    if path.is_dir() or (path.exists() and not overwrite):
-        remedy = "choose another name" if path.is_dir() else "choose another name, or --overwrite"
+    try:
+        folder, exists = path.is_dir(), path.exists()
+        parent = path.absolute().parent.is_dir()
+    except (OSError, ValueError) as error:
+        raise StorageError(f"`{path}` cannot be written: {error}", term=path) from error
+    if folder or (exists and not overwrite):
+        remedy = "choose another name" if folder else "choose another name, or --overwrite"
         raise StorageError(f"`{path}` exists", term=path, remedy=remedy)
-    if not path.absolute().parent.is_dir():
+    if not parent:
         raise StorageError(f"there is no directory `{path.parent}`", term=path)
 
 

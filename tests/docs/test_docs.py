@@ -12,7 +12,13 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import math
+import os
 import re
+import shlex
+import shutil
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -102,6 +108,40 @@ def test_blocks(path, tmp_path, monkeypatch, request):
 
 def _versioned(text: str) -> str:
     return text.replace("(rankone 0+unknown)", "(rankone 0.1.0)")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "export").glob("*.md")), ids=_name)
+def test_commands(path, tmp_path):
+    """The guides of what is exported: C and commands run as well, after the Python blocks."""
+    text = path.read_text()
+    (tmp_path / "guide.py").write_text("".join(block["code"] for block in BLOCK.finditer(text)))
+    shutil.copy(ROOT / "examples" / "lotka_volterra.py", tmp_path)
+    for number, code in enumerate(re.findall(r"^```c\n(.*?)^```", text, re.M | re.S)):
+        (tmp_path / ("main.c" if number == 0 else f"main{number}.c")).write_text(code)
+    blocks = re.findall(r"^```console\n(.*?)^```", text, re.M | re.S)
+    lines = ["python guide.py", *"".join(blocks).splitlines()]
+    if "```c\n" in text:
+        lines.append("./main")
+    programs = {
+        "python": [sys.executable],
+        "rankone": [sys.executable, "-m", "rankone.cli"],
+        "cc": [shutil.which("cc") or shutil.which("gcc") or ""],
+        "./main": ["./main"],
+    }
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
+    for line in lines:
+        program, *arguments = shlex.split(line)
+        if program == "cc" and not programs["cc"][0]:
+            pytest.skip("no C compiler")
+        if program == "rankone":
+            (tmp_path / arguments[-1]).unlink(missing_ok=True)
+        command = [*programs[program], *arguments]
+        run = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert run.returncode == 0, f"{line}\n{run.stderr}"
+    if "```c\n" in text:
+        assert float(run.stdout) == pytest.approx(math.exp(-2.0), rel=1e-5)
 
 
 @pytest.mark.parametrize("path", FILES, ids=_name)

@@ -173,6 +173,22 @@ def test_python_names_that_cannot_be_imported(tmp_path):
     assert "import my" not in path.read_text()
 
 
+def test_names_that_need_no_change_keep_their_own(tmp_path):
+    """`a b` becomes `a_b` only if nobody is called so already."""
+    t, first, second = sp.symbols("t"), sp.Symbol("a b"), sp.Symbol("a_b")
+    u = sp.Function("u")(t)
+    box = {first: (1, 2), second: (1, 2)}
+    solution = ro.solve(ro.Problem([u.diff(t) + second * u], (t, 0, 1), box, {u: first}), rtol=1e-6)
+    model = imported(solution.export(tmp_path / "model.py"))
+    assert model.KEYWORDS == ("t", "a_b_", "a_b")
+    wanted = solution({"t": 0.5, "a b": 1, "a_b": 2})
+    for given in ({"t": 0.5, "a b": 1, "a_b": 2}, {"t": 0.5, "a_b_": 1, "a_b": 2}):
+        np.testing.assert_allclose(model.value(given), wanted, rtol=1e-12)
+    solution.export(tmp_path / "model.c")
+    header = (tmp_path / "model.h").read_text()
+    assert "#define MODEL_P_a_b_ 0\n#define MODEL_P_a_b 1\n" in header
+
+
 def test_models_say_the_equations(tmp_path):
     t = sp.Symbol("t")
     q = sp.Function("q")(t)
@@ -314,6 +330,30 @@ def test_c_portable_has_the_same_bits(name, tmp_path):
     results = [run_driver(program, solution, where) for program in programs]
     for ours, theirs in zip(*results):
         np.testing.assert_array_equal(ours, theirs)
+
+
+@needs_compiler
+@pytest.mark.parametrize("unknown", ["u", "u*/", "a/*b"])
+def test_c_without_coefficients_or_with_odd_names(unknown, tmp_path):
+    t = sp.Symbol("t")
+    u = sp.Function(unknown)(t)
+    solution = ro.solve(ro.Problem([u.diff(t) + u], (t, 0, 1), {}, {u: 0}))
+    solution.export(tmp_path / "model.c")
+    where = {"t": np.linspace(0, 1, 5)}
+    values, _, _ = run_driver(compiled_driver(tmp_path, "-O2"), solution, where)
+    np.testing.assert_array_equal(values, np.zeros((1, 5)))
+
+
+def test_paths_that_cannot_be(tmp_path):
+    solution = solved("decay")
+    for name in ("x" * 300 + ".c", "a\0.c", 'q"q.c', "a\\b.c"):
+        with pytest.raises(ExportError, match="cannot be"):
+            solution.export(tmp_path / name)
+    (tmp_path / "one.c").write_text("")
+    (tmp_path / "one.h").symlink_to(tmp_path / "one.c")
+    with pytest.raises(ExportError, match="are one file"):
+        solution.export(tmp_path / "one.c", overwrite=True)
+    assert (tmp_path / "one.c").read_text() == ""
 
 
 def test_c_prefix_and_bytes(tmp_path):

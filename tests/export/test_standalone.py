@@ -176,15 +176,18 @@ def test_program(folder):
         (["--at", "t"], "--at: 't' cannot be read"),
         (["--at", "t=1", "t=2"], "`t` is given twice"),
         (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read"),
-        (["--rtol", "1e-3", "--grid", "0"], "--grid 0"),
+        (["--rtol", "1e-3", "--grid", "0", "--save", "zero.npz"], "--grid 0"),
         (["--save", "values.npz"], "exists"),
+        (["--save", "nowhere/values.npz"], "no directory"),
+        (["--grid", "5"], "--grid needs --save"),
         (["--load", "values.npz", "--rtol", "1e-3"], "no --rtol"),
         (["--options", "max_rank=0"], "max_rank=0"),
     ):
         run = alone(folder, *wrong)
         assert run.returncode == 2
         assert message in run.stderr
-    assert alone(folder, "--rtol", "1e-3", "--grid", "100000").returncode == 2
+    large = ("--rtol", "1e-3", "--grid", "100000", "--save", "large.npz")
+    assert alone(folder, *large).returncode == 2
 
 
 def test_saved_by_the_program(folder):

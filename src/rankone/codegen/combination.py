@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from rankone.codegen.names import Names
 from rankone.codegen.sums import Product, SharedSums, share
-from rankone.codegen.text import assignment, commented, statement
+from rankone.codegen.text import assignment, commented, literal, statement
 
 __all__ = ["Combination", "Entry"]
 
@@ -85,7 +85,7 @@ class Combination:
                 lines.append(f"    ({len(self.rows)}, {len(self.columns)}),")
                 for entry in self.entries:
                     if entry.factor == factor:
-                        line = f"    ({entry.row}, {entry.column}, {entry.coefficient!r}),"
+                        line = f"    ({entry.row}, {entry.column}, {literal(entry.coefficient)}),"
                         meaning = f"{self.rows[entry.row]}: {self.columns[entry.column]}"
                         lines.append(commented(line, meaning))
                 lines.append(")")

@@ -16,7 +16,7 @@ from rankone.codegen.lowering import LoweredSystem, lower, right_hand_side, stat
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import common_subexpressions, plain_text
-from rankone.codegen.text import Nested, assignment, docstring, table
+from rankone.codegen.text import Nested, assignment, docstring, literal, table
 from rankone.ir import SeparatedForm
 from rankone.system import System
 
@@ -97,7 +97,7 @@ def constants(form: SeparatedForm, lowered: LoweredSystem, groups: tuple[Group, 
         f"N_DIFFERENTIAL = {lowered.n_differential}",
         *table("PRODUCTS", nested(lowered.products)),
         *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
-        f"TIME = {(float(time.lower), float(time.upper))!r}",
+        f"TIME = {literal((float(time.lower), float(time.upper)))}",
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
         *table("SIGNATURES", nested(group.signature for group in groups)),
         *table("INITIAL", initial),
@@ -170,7 +170,7 @@ def kernel_functions(
 
 def nested(items: Iterable[object]) -> list[Nested]:
     """Text of nested tuples of numbers."""
-    return [nested(item) if isinstance(item, tuple) else repr(item) for item in items]
+    return [nested(item) if isinstance(item, tuple) else literal(item) for item in items]
 
 
 def quoted(text: str) -> str:

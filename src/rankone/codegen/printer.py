@@ -14,6 +14,7 @@ from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
 from sympy.printing.str import sstr
 
+from rankone.codegen.text import literal
 from rankone.errors import SeparationError
 
 __all__ = ["common_subexpressions", "number", "numpy_text", "plain_text"]
@@ -91,10 +92,10 @@ class NumPyText(Printer):  # type: ignore[misc]
         return f"{expr.p} / {expr.q}"
 
     def _print_Float(self, expr: sp.Float) -> str:
-        return repr(float(expr))
+        return literal(float(expr))
 
     def _print_NumberSymbol(self, expr: sp.NumberSymbol) -> str:
-        return repr(float(expr))
+        return literal(float(expr))
 
     def _print_Pi(self, expr: sp.Expr) -> str:
         return "np.pi"

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rankone.codegen.lowering import extract_pairs
+from rankone.codegen.text import literal
 
 __all__ = ["Product", "SharedSums", "share"]
 
@@ -122,7 +123,7 @@ def _plain(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str], i
         size = abs(coefficient)
         factors = [names[symbol] for symbol in symbols]
         if size != 1.0 or not factors:
-            factors.insert(0, repr(size))
+            factors.insert(0, literal(size))
         operations += len(factors) - 1
         minus = coefficient < 0
         sign = ("-" if minus else "") if not chunks else ("- " if minus else "+ ")

@@ -11,6 +11,7 @@ __all__ = [
     "assignment",
     "commented",
     "docstring",
+    "literal",
     "statement",
     "table",
     "unpacking",
@@ -21,6 +22,15 @@ INDENT = "    "
 
 Nested: TypeAlias = "str | Sequence[Nested]"
 """A text, or a tuple of them."""
+
+
+def literal(value: object) -> str:
+    """A number, or a tuple of them, as ``ruff format`` writes it.
+
+    >>> literal((1e200, 0.5))
+    '(1e200, 0.5)'
+    """
+    return repr(value).replace("e+", "e")
 
 
 def assignment(target: str, terms: Sequence[str]) -> list[str]:

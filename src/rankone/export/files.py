@@ -50,9 +50,15 @@ def write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
         If one of them exists and is not to be replaced, or cannot be written.
     """
     for path in files:
-        if path.is_dir() or (path.exists() and not overwrite):
-            remedy = "choose another name" + ("" if path.is_dir() else ", or pass overwrite=True")
+        try:
+            folder, exists = path.is_dir(), path.exists()
+        except (OSError, ValueError) as error:  # no permission, too long, a null character
+            raise ExportError(f"`{path}` cannot be written: {error}", term=path) from error
+        if folder or (exists and not overwrite):
+            remedy = "choose another name" + ("" if folder else ", or pass overwrite=True")
             raise ExportError(f"`{path}` exists", term=path, remedy=remedy)
+    if len({os.path.realpath(path) for path in files}) < len(files):
+        raise ExportError(f"{' and '.join(f'`{path}`' for path in files)} are one file")
     partial: dict[Path, Path] = {}
     moved: list[Path] = []
     kept: dict[Path, bytes] = {}

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.errors import ExportError
 from rankone.export.packing import PackedModel
 from rankone.version import __version__
 
@@ -37,7 +38,14 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, str | bytes]:
     model : PackedModel
     path : Path
         Where the source will be.
+
+    Raises
+    ------
+    ExportError
+        If the source cannot include a header of this name.
     """
+    if not path.stem.isprintable() or {*path.stem} & {*'"\\'}:
+        raise ExportError(f"`{path}` cannot be included: `{path.stem}` has quotes or backslashes")
     prefix = c_identifier(path.stem)
     values = {
         "prefix": prefix,
@@ -49,8 +57,7 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, str | bytes]:
         "unknowns": str(len(model.unknowns)),
         "parameters": str(len(model.coordinates) - 1),
         "room": str(max(len(model.coordinates) - 1, 1)),
-        "unknown_list": ", ".join(model.unknowns),
-        "coordinate_list": ", ".join(model.coordinates),
+        "unknown_list": _outside_of_comments(", ".join(model.unknowns)),
         "indices": _indices(model, prefix.upper()),
         "unknown_names": _strings(model.unknowns),
         "parameter_names": _strings(model.coordinates[1:] or ("",)),
@@ -91,21 +98,25 @@ def _comment(model: PackedModel) -> str:
     for line in model.summary:
         indent = " " * (len(line) - len(line.lstrip()) + 4)
         lines += textwrap.wrap(line, _WIDTH, subsequent_indent=indent) or [""]
-    safe = (line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
-    return "\n".join(f" * {line}".rstrip() for line in safe)
+    return "\n".join(f" * {_outside_of_comments(line)}".rstrip() for line in lines)
+
+
+def _outside_of_comments(text: str) -> str:
+    """Text that neither ends a comment nor begins one."""
+    return text.replace("*/", "* /").replace("/*", "/ *")
 
 
 def _indices(model: PackedModel, prefix: str) -> str:
     """Positions of parameters and unknowns by name."""
     lines = []
     for kind, names in (("P", model.coordinates[1:]), ("U", model.unknowns)):
-        taken: set[str] = set()
-        for position, name in enumerate(names):
+        words: dict[str, str] = {}
+        for name in sorted(names, key=lambda name: c_identifier(name) != name):
             word = c_identifier(name)
-            while word in taken:
+            while word in words.values():
                 word += "_"
-            taken.add(word)
-            lines.append(f"#define {prefix}_{kind}_{word} {position}")
+            words[name] = word
+        lines += [f"#define {prefix}_{kind}_{words[name]} {k}" for k, name in enumerate(names)]
     return "\n".join(lines)
 
 
@@ -152,7 +163,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "cores": "\n".join(f"    {{{row}}}," for row in rows),
         "pieces": "\n".join(_wrapped(f"{{{piece}}}" for piece in pieces)),
         "runs": "\n".join(_wrapped(map(str, runs))),
-        "coefficients": "\n".join(_wrapped(map(repr, coefficients))),
+        "coefficients": "\n".join(_wrapped(map(repr, coefficients or [0.0]))),
         "most_rows": str(max(_padded(max(left, right), _BLOCK) for _, left, _, right in shapes)),
         "most_polynomials": str(max(degree for _, _, degree, _ in shapes)),
         "most_products": str(max(degree * _padded(right, _LANES) for *_, degree, right in shapes)),

@@ -79,9 +79,16 @@ _END = [
 
 def keywords(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names as Python identifiers: ``lambda`` becomes ``lambda_``, ``x_{0}`` ``x_0``."""
-    identifier = Names()
-    identifier.taken -= {"l", "O", "I", "match", "case", "type", "_"}
-    return tuple(identifier(name) for name in names)
+
+    def identifiers() -> Names:
+        handed_out = Names()
+        handed_out.taken -= {"l", "O", "I", "match", "case", "type", "_"}
+        return handed_out
+
+    identifier = identifiers()  # names that need no change come first, so that they keep their own
+    order = sorted(names, key=lambda name: identifiers()(name) != name)
+    words = {name: identifier(name) for name in order}
+    return tuple(words[name] for name in names)
 
 
 def _head(model: PackedModel, path: Path) -> list[str]:

@@ -123,6 +123,8 @@ def free_target(path: str, overwrite: bool) -> Path:
     target = Path(path)
     if target.exists() and not overwrite:
         raise StorageError(f"`{target}` exists", remedy="choose another name, or overwrite")
+    if not target.absolute().parent.is_dir():
+        raise StorageError(f"there is no directory `{target.parent}`")
     return target
 
 
@@ -247,6 +249,8 @@ def run(
     asked = given.rtol, given.box, given.t_final, given.options
     if given.load and any(value is not None for value in asked):
         parser.error("--load takes a solution as it is: no --rtol, --box, --t-final or --options")
+    if given.grid is not None and not given.save:
+        parser.error("--grid needs --save")
     try:
         if given.save:
             free_target(given.save, given.overwrite)
@@ -294,7 +298,7 @@ def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any])
     """Values by name from texts of the form NAME=VALUE."""
     values: dict[str, Any] = {}
     for text in texts or ():
-        name, _, value = text.partition("=")
+        name, _, value = text.rpartition("=")
         if name in values:
             raise OptionError(f"{option}: `{name}` is given twice")
         try:

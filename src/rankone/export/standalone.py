@@ -14,7 +14,7 @@ from keyword import iskeyword
 from typing import TYPE_CHECKING
 
 from rankone.codegen.module import quoted
-from rankone.codegen.text import WIDTH, docstring
+from rankone.codegen.text import WIDTH, docstring, literal
 from rankone.errors import OptionError
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
@@ -283,7 +283,7 @@ def _form(engine: Engine, form: SeparatedForm) -> str:
         for term in form.terms
     )
     return _FORM.format(
-        terms="\n".join(f"        Term({', '.join(map(repr, term))})," for term in terms),
+        terms="\n".join(f"        Term({', '.join(map(literal, term))})," for term in terms),
         solve=engine.solve,
         options=engine.options,
     ).strip()
@@ -365,4 +365,4 @@ def _literal(name: str, value: object) -> list[str]:
 
 
 def _text(value: object) -> str:
-    return quoted(value) if isinstance(value, str) else repr(value)
+    return quoted(value) if isinstance(value, str) else literal(value)

@@ -52,10 +52,14 @@ def element_trains(
         + RankOneSum((np.vstack([np.zeros((1, mode.rank)), mode.factors[0]]), *mode.factors[1:]))
         for value, mode in zip(start, modes, strict=True)
     ]
+    if not any(total.rank for total in sums):
+        sums[0] = RankOneSum(tuple(np.zeros((len(factor), 1)) for factor in sums[0].factors))
     n, rank = len(sums), sum(total.rank for total in sums)
     first = np.zeros((n, time.elements, time.order + 1, rank))
     begin = 0
     for state, total in enumerate(sums):
+        if not total.rank:
+            continue
         first[state, :, :, begin : begin + total.rank] = time.to_modes(total.factors[0])
         begin += total.rank
     first /= tolerance[:, None, None, None]

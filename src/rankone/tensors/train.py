@@ -77,7 +77,7 @@ def thinned(cores: Sequence[Array], tolerance: float) -> list[Array]:
     cores : sequence of ndarray
         Core 0 (n, K, r_1), cores j >= 1 (r_j, n_j, r_{j+1}).
     tolerance : float
-        Largest norm of the change.
+        Largest norm of the change: a root mean square, not a largest value.
 
     Returns
     -------

@@ -245,3 +245,17 @@ def test_a_problem_without_parameters() -> None:
     assert outcome.status is Status.CONVERGED
     exact = 1 / (1 + 3 * np.exp(-2.0))
     assert outcome.slabs[-1](np.array([2.0]), np.zeros((0, 1)))[0, 0] == pytest.approx(exact, 1e-5)
+
+
+def test_solutions_that_vanish() -> None:
+    problem = ro.Problem.from_strings(
+        rhs={"u": "-k*u + v", "v": "0", "w": "-w"},
+        initial={"u": "0", "v": "0", "w": "k"},
+        parameters={"k": (1, 2)},
+        time=(0, 1),
+    )
+    solution = ro.solve(problem, rtol=1e-3, method="greedy")
+    assert solution.success, solution.message
+    np.testing.assert_allclose(solution(t=0.5, k=1.5)[:2], 0.0, atol=1e-30)
+    zero = ro.Problem.from_strings({"u": "-k*u"}, {"u": "0"}, {"k": (1, 2)}, (0, 1))
+    np.testing.assert_array_equal(ro.solve(zero, method="greedy")(t=0.5, k=1.5), 0.0)

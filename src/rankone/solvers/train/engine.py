@@ -17,7 +17,7 @@ from rankone.system import System
 __all__ = ["solve_train"]
 
 _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
-"""Part of rtol for one slab: up to three parameters, beyond."""
+"""Part of rtol left to a slab, with up to 3 parameters or more."""
 _STALLED = 0.7
 """An attempt that leaves more of the error has stalled; two in a row are the last."""
 _REMEDIES = {

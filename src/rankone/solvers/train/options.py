@@ -64,7 +64,7 @@ class TrainOptions:
             what = "a number" if kind is numbers.Real else "an integer"
             optional = value is None and name == "time_nodes"
             number = isinstance(value, kind) and not isinstance(value, bool)
-            if not (optional or (number and least <= float(value) <= most)):
+            if not (optional or (number and least <= value <= most)):
                 remedy = f"choose {what} from {least} to {most:g}"
                 raise OptionError(f"{name}={value!r} is out of range", remedy=remedy)
 
