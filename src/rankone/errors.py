@@ -2,11 +2,12 @@
 
 Every error of the library derives from :class:`RankoneError` and carries, as far as they apply,
 the term (``.term``) and a way out (``.remedy``); what is wrong with a problem also the equation
-(``.equation``).
+(``.equation``). All can be pickled: what they are made of beside the message is optional.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -42,17 +43,6 @@ class RankoneError(Exception):
     def __init__(self, message: str, *, term: object = None, remedy: str | None = None) -> None:
         self.term, self.remedy = term, remedy
         super().__init__(message if remedy is None else f"{message}; remedy: {remedy}")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self.args, self.__dict__)
-
-
-def _restore(cls: type[RankoneError], args: tuple[Any, ...], state: dict[str, Any]) -> RankoneError:
-    """Rebuild a pickled error without formatting its message a second time."""
-    error = cls.__new__(cls)
-    error.args = args
-    error.__dict__.update(state)
-    return error
 
 
 class ProblemError(RankoneError, ValueError):
@@ -115,12 +105,9 @@ class BlowUpError(ConvergenceError):
         The verified part of the solution, up to shortly before ``time``.
     """
 
-    def __init__(
-        self, message: str, *, time: float, parameters: dict[str, float], **where: Any
-    ) -> None:
+    def __init__(self, message: str, *, time: float = math.nan, **where: Any) -> None:
+        self.time, self.parameters = time, where.pop("parameters", {})
         super().__init__(message, **where)
-        self.time = time
-        self.parameters = parameters
 
 
 class RankoneWarning(UserWarning):

@@ -85,13 +85,12 @@ def save(solution: Solution, path: str | PathLike[str], *, overwrite: bool = Fal
         If the file exists and is not to be replaced, or cannot be written.
     """
     given = Path(path)
-    if given.exists() and not overwrite:
-        raise StorageError(
-            f"`{given}` exists", term=given, remedy="choose another name, or pass overwrite=True"
-        )
-    target = Path(os.path.realpath(given))
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
     try:
+        if given.exists() and not overwrite:
+            remedy = "choose another name, or pass overwrite=True"
+            raise StorageError(f"`{given}` exists", term=given, remedy=remedy)
+        target = Path(os.path.realpath(given))
+        partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
         try:
             with partial.open("xb") as file:
                 np.savez(file, allow_pickle=False, **slab_arrays(solution))
@@ -100,8 +99,10 @@ def save(solution: Solution, path: str | PathLike[str], *, overwrite: bool = Fal
             partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
+    except StorageError:
+        raise
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise StorageError(f"`{given}` cannot be written: {reason}", term=given) from error
     return given
 
@@ -197,9 +198,7 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # --- reading -----------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ import sympy as sp
 import rankone as ro
 from rankone.errors import ExportError
 from rankone.export.model_c import c_identifier
+from rankone.export.model_python import keywords
 from rankone.solvers.outcome import Status
 from tests.export.solutions import points, solved, synthetic
 from tests.problems import EXAMPLES
@@ -187,6 +188,18 @@ def test_names_that_need_no_change_keep_their_own(tmp_path):
     solution.export(tmp_path / "model.c")
     header = (tmp_path / "model.h").read_text()
     assert "#define MODEL_P_a_b_ 0\n#define MODEL_P_a_b 1\n" in header
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("t", "x_", "x__"), ("t", "x_", "x__")),
+        (("t", "x_{0}", "x_0", "x_0_"), ("t", "x_0__", "x_0", "x_0_")),
+        (("t", "lambda", "lambda_", "ﬁ"), ("t", "lambda__", "lambda_", "fi")),
+    ],
+)
+def test_keywords(names, words):
+    assert keywords(names) == words
 
 
 def test_models_say_the_equations(tmp_path):

@@ -173,12 +173,20 @@ def test_program(folder):
     assert "x' = 1.5*x - x*y" in shown
     assert alone(folder, "--options", "max_rank=2", "--rtol", "1e-8").returncode == 1
     for wrong, message in (
-        (["--at", "t"], "--at: 't' cannot be read"),
-        (["--at", "t=1", "t=2"], "`t` is given twice"),
+        (["--at", "t"], "--at: 't' has no name"),
+        (["--at", "t=a"], "--at: 't=a' cannot be read"),
+        (["--at", "t=1", "t=2"], "'t=2' has no name, or one that is given twice"),
         (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read"),
         (["--rtol", "1e-3", "--grid", "0", "--save", "zero.npz"], "--grid 0"),
         (["--save", "values.npz"], "exists"),
         (["--save", "nowhere/values.npz"], "no directory"),
+        (["--save", ".", "--overwrite"], "is a directory"),
+        (["--save", "", "--overwrite"], "is a directory"),
+        (["--save", "x" * 300], "cannot be written"),
+        (["--load", ""], "cannot be read"),
+        (["--options", "rtol=1"], "no options of the engine"),
+        (["--options", "cls=1"], "unknown option 'cls'"),
+        (["--box", "x0=7"], "not two numbers"),
         (["--grid", "5"], "--grid needs --save"),
         (["--load", "values.npz", "--rtol", "1e-3"], "no --rtol"),
         (["--options", "max_rank=0"], "max_rank=0"),
@@ -202,6 +210,13 @@ def test_saved_by_the_program(folder):
     )
     assert float(run.stdout) == wanted.error
     assert ro.load(folder / "b.npz").error == wanted.error
+    whole = file.read_bytes()
+    middle = len(whole) // 2
+    for damaged in (b"", whole[:2000], whole[:middle] + b"?" + whole[middle + 1 :]):
+        (folder / "damaged.npz").write_bytes(damaged)
+        run = alone(folder, "--load", "damaged.npz")
+        assert run.returncode == 2
+        assert "damaged.npz` cannot be read" in run.stderr
     solved("decay").save(folder / "decay.npz")
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
@@ -216,6 +231,15 @@ def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
     run = alone(tmp_path, "--rtol", "1e-3", "--at", "t=0.25", "a=2", "--json")
     assert run.returncode == 1
     assert "blows up" in run.stderr
+    script = (
+        ALONE + "import pickle\ntry:\n    solver.solve(1e-3)\nexcept solver.BlowUpError as error:\n"
+        "    again = pickle.loads(pickle.dumps(error))\n"
+        "    print(str(again) == str(error), again.parameters == error.parameters)"
+    )
+    assert alone(tmp_path, script=script).stdout == "True True\n"
+    late = alone(tmp_path, "--rtol", "1e-3", "--at", "t=0.7", "a=2", "--save", "b.npz")
+    assert late.returncode == 1
+    assert ro.load(tmp_path / "b.npz").time[1] < 0.7
     answer = json.loads(run.stdout)
     assert answer["success"] is False
     assert answer["values"]["x"] == pytest.approx(4.0, rel=2e-3)
@@ -308,6 +332,17 @@ def test_command_line(tmp_path, capsys):
     assert main(["export", str(source), "-o", str(target)]) == 2
     assert "exists" in capsys.readouterr().err
     assert main(["export", str(source), "-o", str(target), "--overwrite"]) == 0
+
+
+def test_grids_of_any_names(tmp_path):
+    problem = ro.Problem.from_strings({"x": "-file*x"}, {"x": "1"}, {"file": (1, 2)}, (0, 1))
+    ro.compile(problem).export(tmp_path / "solver.py")
+    run = alone(tmp_path, "--rtol", "1e-3", "--grid", "3", "--save", "grid.npz")
+    assert run.returncode == 0, run.stderr
+    with np.load(tmp_path / "grid.npz") as arrays:
+        assert set(arrays) == {"t", "file", "x"}
+        assert arrays["x"].shape == (3, 3)
+        np.testing.assert_allclose(arrays["x"][-1], np.exp(-arrays["file"]), rtol=2e-3)
 
 
 def test_taken_names_are_renamed():

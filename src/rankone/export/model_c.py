@@ -110,8 +110,8 @@ def _indices(model: PackedModel, prefix: str) -> str:
     """Positions of parameters and unknowns by name."""
     lines = []
     for kind, names in (("P", model.coordinates[1:]), ("U", model.unknowns)):
-        words: dict[str, str] = {}
-        for name in sorted(names, key=lambda name: c_identifier(name) != name):
+        words = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
+        for name in (name for name in names if name not in words):
             word = c_identifier(name)
             while word in words.values():
                 word += "_"

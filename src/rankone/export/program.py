@@ -10,8 +10,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import numbers
 import os
 import sys
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -119,22 +121,28 @@ class Solution:
 
 
 def free_target(path: str, overwrite: bool) -> Path:
-    """The path of a file to write; an error if it exists and must stay."""
+    """The path of a file that can be written and need not stay as it is."""
     target = Path(path)
-    if target.exists() and not overwrite:
+    try:
+        exists, folder = target.exists(), target.is_dir() or not target.absolute().parent.is_dir()
+    except (OSError, ValueError) as error:
+        raise StorageError(f"`{target}` cannot be written: {error}") from error
+    if folder:
+        raise StorageError(f"`{target}` is a directory, or there is no directory for it")
+    if exists and not overwrite:
         raise StorageError(f"`{target}` exists", remedy="choose another name, or overwrite")
-    if not target.absolute().parent.is_dir():
-        raise StorageError(f"there is no directory `{target.parent}`")
     return target
 
 
 def write_arrays(path: str, arrays: Mapping[str, Any], overwrite: bool) -> None:
-    """Write an .npz file; it is either complete or not there."""
+    """Write an .npz file, whatever the names; it is either complete or not there."""
     target = free_target(path, overwrite)
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
-        with partial.open("xb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+        with partial.open("xb") as file, zipfile.ZipFile(file, "w") as archive:
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
         partial.replace(target)
     except OSError as error:
         raise StorageError(f"`{target}` cannot be written: {error.strerror}") from error
@@ -147,8 +155,8 @@ def load_solution(path: str, expected: SolutionMetadata) -> Solution:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             header = json.loads(str(arrays["header"][()]))
-            if header["format"] != FORMAT or header["format_version"] != FORMAT_VERSION:
-                raise StorageError(f"`{path}` is no solution of version {FORMAT_VERSION}")
+            if (header["format"], header["format_version"]) != (FORMAT, FORMAT_VERSION):
+                raise ValueError(f"no {FORMAT} of version {FORMAT_VERSION}")
             size = ("lower", "upper", "degree", "elements")
             bases = [
                 BASES[fields["kind"]](*(fields[key] for key in size)) for fields in header["bases"]
@@ -158,20 +166,18 @@ def load_solution(path: str, expected: SolutionMetadata) -> Solution:
                 own = tuple(bases[k] for k in slab["bases"])
                 cores = tuple(arrays[f"core_{i}_{j}"] for j in range(len(own) + 1))
                 slabs.append(SlabTrain(slab["start"], slab["end"], cores, own))
-            metadata = SolutionMetadata(**{k: _frozen(v) for k, v in header["metadata"].items()})
-            status, measured = Status[header["status"]], header["measured"]
-            if measured is not None:
-                errors = [tuple(map(float, measured[key])) for key in ("interior", "corners")]
-                measured = Measured(errors[0], errors[1], measured["points"], measured["method"])
-    except OSError as error:
-        raise StorageError(f"`{path}` cannot be read: {error.strerror}") from error
-    except (LookupError, TypeError, ValueError) as error:
-        raise StorageError(f"`{path}` is not a solution, or damaged") from error
+        metadata = SolutionMetadata(**{k: _frozen(v) for k, v in header["metadata"].items()})
+        status, measured = Status[header["status"]], header["measured"]
+        if measured is not None:
+            errors = [tuple(map(float, measured[key])) for key in ("interior", "corners")]
+            measured = Measured(errors[0], errors[1], measured["points"], measured["method"])
+        timings, message = header["timings"], header["message"]
+    except Exception as error:  # a damaged archive fails in many ways
+        reason = getattr(error, "strerror", None) or "it is no solution, or damaged"
+        raise StorageError(f"`{path}` cannot be read: {reason}") from error
     if (metadata.equations, metadata.parameters) != (expected.equations, expected.parameters):
         raise StorageError(f"`{path}` holds the solution of other equations")
-    return Solution(
-        Outcome(tuple(slabs), status, header["message"], measured, (), header["timings"]), metadata
-    )
+    return Solution(Outcome(tuple(slabs), status, message, measured, (), timings), metadata)
 
 
 def _frozen(value: Any) -> Any:
@@ -196,9 +202,7 @@ def solve_system(
     box = dict(zip(metadata.parameters, metadata.box, strict=True))
     for name, interval in (parameters or {}).items():
         if name not in box:
-            raise OptionError(
-                f"there is no parameter `{name}`", remedy=f"choose from {', '.join(box)}"
-            )
+            raise OptionError(f"there is no parameter `{name}`", remedy=f"one of {[*box]}")
         box[name] = _interval(f"the range of `{name}`", interval)
     moved: Any = SimpleNamespace(**{**vars(system), "TIME": horizon, "BOX": tuple(box.values())})
     for j, (name, (lower, upper)) in enumerate(box.items()):
@@ -213,7 +217,7 @@ def solve_system(
 
 def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:
     try:
-        lower, upper = (float(value) for value in given)
+        lower, upper = (float(value) for value in given if isinstance(value, numbers.Real))
     except (TypeError, ValueError):
         lower = upper = math.nan
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
@@ -247,26 +251,26 @@ def run(
     add("--json", action="store_true", help="print JSON")
     given = parser.parse_args(argv)
     asked = given.rtol, given.box, given.t_final, given.options
-    if given.load and any(value is not None for value in asked):
+    if given.load is not None and any(value is not None for value in asked):
         parser.error("--load takes a solution as it is: no --rtol, --box, --t-final or --options")
-    if given.grid is not None and not given.save:
+    if given.grid is not None and given.save is None:
         parser.error("--grid needs --save")
+    solution = None
     try:
-        if given.save:
+        if given.save is not None:
             free_target(given.save, given.overwrite)
-        solution = load(given.load) if given.load else _solved(solve, given)
+        solution = load(given.load) if given.load is not None else _solved(solve, given)
         summary: dict[str, Any] = {"success": solution.success, "message": solution.message}
+        if given.save is not None and given.grid is None:
+            solution.save(given.save, overwrite=given.overwrite)
+        elif given.save is not None:
+            write_arrays(given.save, _grid(solution, given.grid), given.overwrite)
         if given.at:
             values = solution(_pairs("--at", given.at, float))
             summary["values"] = dict(zip(solution.unknowns, values.tolist(), strict=True))
-        if given.grid is not None:
-            arrays = _grid(solution, given.grid)
-        if given.save and given.grid is not None:
-            write_arrays(given.save, arrays, given.overwrite)
-        elif given.save:
-            solution.save(given.save, overwrite=given.overwrite)
     except RankoneError as error:
-        parser.exit(1 if isinstance(error, ConvergenceError) else 2, f"error: {error}\n")
+        failed = isinstance(error, ConvergenceError) or (solution and not solution.success)
+        parser.exit(1 if failed else 2, f"error: {error}\n")
     if given.json:
         print(json.dumps(summary))
     else:
@@ -280,6 +284,8 @@ def _solved(solve: Callable[..., Solution], given: argparse.Namespace) -> Soluti
     """Solve as the command line asks; after a blow-up take the part before it."""
     box = _pairs("--box", given.box, lambda text: [float(x) for x in text.split(":")])
     options = _pairs("--options", given.options, _number_or_text)
+    if own := options.keys() & {"rtol", "parameters", "t_final", "check"}:
+        raise OptionError(f"--options: {own} are no options of the engine")
     rtol = 1e-6 if given.rtol is None else given.rtol
     try:
         return solve(rtol, parameters=box, t_final=given.t_final, **options)
@@ -291,7 +297,7 @@ def _solved(solve: Callable[..., Solution], given: argparse.Namespace) -> Soluti
 
 
 def _number_or_text(text: str) -> Any:
-    return json.loads(text) if text[:1] in tuple("-0123456789") else text
+    return json.loads(text) if text[:1] in tuple("-0123456789[") else text
 
 
 def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any]) -> dict[str, Any]:
@@ -299,8 +305,8 @@ def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any])
     values: dict[str, Any] = {}
     for text in texts or ():
         name, _, value = text.rpartition("=")
-        if name in values:
-            raise OptionError(f"{option}: `{name}` is given twice")
+        if not name or name in values:
+            raise OptionError(f"{option}: {text!r} has no name, or one that is given twice")
         try:
             values[name] = read(value)
         except ValueError:

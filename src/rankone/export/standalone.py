@@ -130,7 +130,7 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
             "rankone.solution:Solution": f"{_PROGRAM}:Solution",
             **({_FEATURES: f"{_PROGRAM}:system_features"} if _only_polynomials(compiled) else {}),
         },
-        dropped=["rankone.errors:RankoneError.__reduce__", *engine.unused],
+        dropped=engine.unused,
         titles=_TITLES,
     )
     imports |= {Import("types", "SimpleNamespace", "SimpleNamespace")}

@@ -217,9 +217,18 @@ def test_a_blow_up_is_found() -> None:
         {"weak_form": "strong"},
         {"elements": "quadratic", "time_nodes": 10},
         {"parameter_nodes": 1},
+        {"parameter_nodes": 5.0},
+        {"parameter_nodes": (5, "6")},
         {"max_modes": 0},
+        {"max_modes": 2.5},
+        {"max_modes": "abc"},
+        {"max_iterations": None},
         {"tolerance": 2.0},
+        {"tolerance": float("nan")},
+        {"fixed_point_tolerance": "x"},
         {"time_slabs": 0},
+        {"time_slabs": 1.5},
+        {"cls": 1},
         {"nodes": 7},
         {"preset": "book"},
     ],
@@ -228,6 +237,15 @@ def test_a_blow_up_is_found() -> None:
 def test_wrong_options(wrong: dict[str, Any]) -> None:
     with pytest.raises(OptionError):
         GreedyOptions.of(**wrong)
+
+
+def test_numbers_of_other_kinds() -> None:
+    options = GreedyOptions.of(
+        max_modes=np.int64(7), tolerance=np.float32(0.5), parameter_nodes=[3]
+    )
+    assert (type(options.max_modes), options.max_modes) == (int, 7)
+    assert (type(options.tolerance), options.tolerance) == (float, 0.5)
+    assert options.parameter_nodes == (3,)
 
 
 def test_nodes_for_another_number_of_parameters() -> None:

@@ -238,13 +238,26 @@ def test_rtol_out_of_range(rtol):
         ({"max_rank": 0}, "max_rank=0"),
         ({"max_ranks": 5}, "unknown option 'max_ranks'"),
         ({"basis": "fourier"}, "basis='fourier'"),
+        ({"basis": ["legendre"]}, "basis="),
         ({"time_nodes": 1}, "time_nodes=1"),
+        ({"time_nodes": 33}, "time_nodes=33 .* from 2 to 32"),
+        ({"max_rank": 10.0}, "max_rank=10.0"),
+        ({"max_nodes": "many"}, "max_nodes='many'"),
+        ({"max_sweeps": True}, "max_sweeps=True"),
+        ({"cls": 1}, "unknown option 'cls'"),
         ({"progress": 3}, "progress"),
     ],
 )
 def test_bad_options_are_named(options, message):
     with pytest.raises(ro.OptionError, match=message):
         ro.solve(REFERENCE["decay"](), **options)
+
+
+def test_numbers_of_other_kinds():
+    options = {"max_degree": sp.Integer(12), "max_rank": np.int64(30), "max_memory": 10**10}
+    solution = ro.solve(REFERENCE["decay"](), rtol=sp.Float(1e-3), check=np.int32(5), **options)
+    assert solution.success
+    assert type(ro.TrainOptions(**options).max_degree) is int
 
 
 def test_an_interrupt_passes_through():

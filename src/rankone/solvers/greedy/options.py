@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.errors import OptionError
+from rankone.solvers.request import checked_number
 
 __all__ = ["GreedyOptions"]
 
@@ -16,6 +18,14 @@ _CHOICES = {
     "update": ("amplitudes", "time", "all"),
     "elements": ("linear", "quadratic", "legendre"),
 }
+_NUMBERS: tuple[tuple[str, type, float, float], ...] = (
+    *((name, int, 1, math.inf) for name in ("max_modes", "max_fixed_point", "update_sweeps")),
+    *((name, int, 1, math.inf) for name in ("max_iterations", "max_slabs", "max_attempts")),
+    ("time_slabs", int, 1, math.inf),
+    *((name, float, 1e-16, 1.0) for name in ("fixed_point_tolerance", "tolerance")),
+)
+"""Name, kind, least and largest value."""
+_OPTIONAL = ("time_slabs", "tolerance")
 _SLIDES: dict[str, Any] = {
     "weak_form": "derivative",
     "projection": "galerkin",
@@ -97,31 +107,29 @@ class GreedyOptions:
                 raise OptionError(
                     f"{name}={value!r} is unknown", remedy=f"choose one of {', '.join(choices)}"
                 )
-        counts = ("max_modes", "max_fixed_point", "update_sweeps", "max_iterations")
-        for name in (*counts, "max_slabs", "max_attempts"):
-            if not getattr(self, name) >= 1:
-                raise OptionError(
-                    f"{name}={getattr(self, name)!r} is too small", remedy="at least 1"
-                )
-        if self.time_slabs is not None and not self.time_slabs >= 1:
-            raise OptionError(f"time_slabs={self.time_slabs!r} is too small", remedy="at least 1")
-        for name in ("fixed_point_tolerance", "tolerance"):
+        for name, kind, least, most in _NUMBERS:
             value = getattr(self, name)
-            if value is not None and not 0.0 < value < 1.0:
-                raise OptionError(f"{name}={value!r} is out of range", remedy="between 0 and 1")
-        given = (
-            self.parameter_nodes
-            if isinstance(self.parameter_nodes, tuple)
-            else (self.parameter_nodes,)
-        )
-        for name, value in [("time_nodes", self.time_nodes)] + [
-            ("parameter_nodes", count) for count in given
-        ]:
-            if value is not None and (value < 2 or (value - 1) % self.order):
-                raise OptionError(
-                    f"{name}={value!r} does not fit {self.elements} elements",
-                    remedy="at least 3 and odd" if self.order == 2 else "at least 2",
-                )
+            if value is not None or name not in _OPTIONAL:
+                object.__setattr__(self, name, checked_number(name, value, least, most, kind))
+        self._fit("time_nodes", self.time_nodes)
+        given = self.parameter_nodes
+        if isinstance(given, list | tuple):
+            counts = tuple(self._fit("parameter_nodes", count) for count in given)
+            object.__setattr__(self, "parameter_nodes", counts)
+        else:
+            self._fit("parameter_nodes", given)
+
+    def _fit(self, name: str, nodes: Any) -> int | None:
+        """A number of nodes that is possible with the elements."""
+        if nodes is None:
+            return None
+        count = int(checked_number(name, nodes, 2))
+        if (count - 1) % self.order:
+            raise OptionError(
+                f"{name}={count} does not fit {self.elements} elements",
+                remedy="at least 3 and odd",
+            )
+        return count
 
     @classmethod
     def slides(cls, **changes: Any) -> GreedyOptions:
@@ -129,7 +137,7 @@ class GreedyOptions:
         return cls.of("slides", **changes)
 
     @classmethod
-    def of(cls, preset: Literal["slides"] | None = None, **changes: Any) -> GreedyOptions:
+    def of(cls, /, preset: Literal["slides"] | None = None, **changes: Any) -> GreedyOptions:
         """Options from a preset and changes to it.
 
         Raises

@@ -60,7 +60,7 @@ def solve_train(
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
     began = clock.perf_counter()
     yardstick = Yardstick.of(system, rtol, check)
-    reference, start, end = yardstick.reference, yardstick.reference.start, yardstick.end
+    reference, end = yardstick.reference, yardstick.end
     sizes = yardstick.sizes(system)
     states = sizes[: system.N_DIFFERENTIAL]
     growth = amplification(system, reference, states, end)
@@ -76,10 +76,6 @@ def solve_train(
     for number in range(options.max_attempts):
         began = clock.perf_counter()
 
-        def notify(t: float, slabs: int, rank: int, number: int = number) -> None:
-            if report is not None:
-                report(t, (t - start) / (end - start), number, slabs, rank)
-
         march = March(
             system,
             reference,
@@ -93,7 +89,7 @@ def solve_train(
             yardstick.cuts,
             number,
             guesses,
-            notify,
+            report,
         )
         result = march.run(end)
         records += result.records

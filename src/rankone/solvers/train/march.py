@@ -99,8 +99,8 @@ class March:
         Number of the attempt, for the records.
     guesses : sequence of Guess
         Slabs of the attempt before.
-    report : callable
-        Called with (time reached, slabs, rank) after each accepted slab.
+    report : callable, optional
+        Called with (time, fraction of the horizon, attempt, slabs, rank) after each accepted slab.
     """
 
     system: System
@@ -115,7 +115,7 @@ class March:
     cuts: Sequence[float] = ()
     attempt: int = 0
     guesses: Sequence[Guess] = ()
-    report: Callable[[float, int, int], None] = lambda time, slabs, rank: None
+    report: Callable[[float, float, int, int, int], None] | None = None
 
     def __post_init__(self) -> None:
         self._groups = term_groups(self.system)
@@ -136,7 +136,7 @@ class March:
             if len(result.records) >= self.options.max_slabs:
                 result.stopped = Status.SLAB_LIMIT
                 break
-            if length < _SHORTEST * horizon < end - time:
+            if length < min(_SHORTEST * horizon, end - time):
                 result.stopped = Status.NO_CONVERGENCE
                 break
             proposed = length
@@ -162,7 +162,9 @@ class March:
             self._accept(sweeper, time, length)
             source = self._end_of(sweeper)
             time = border if length == remaining else time + length
-            self.report(time, len(result.slabs), max(sweeper.ranks, default=1))
+            if self.report is not None:
+                place = time, (time - start) / horizon, self.attempt
+                self.report(*place, len(result.slabs), max(sweeper.ranks, default=1))
             sweeps = len(record.residuals)
             length *= min(_GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0, stretch)
             ceiling *= _PATIENCE

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import numbers
 from dataclasses import dataclass
 from typing import Any
 
 from rankone.discretization import BASES
 from rankone.errors import OptionError
+from rankone.solvers.request import checked_number
 
 __all__ = ["TrainOptions"]
 
@@ -54,22 +54,17 @@ class TrainOptions:
     max_memory: float = 4e9
 
     def __post_init__(self) -> None:
-        if self.basis not in BASES:
-            raise OptionError(
-                f"basis={self.basis!r} is unknown", remedy=f"choose one of {sorted(BASES)}"
-            )
+        if self.basis not in list(BASES):
+            raise OptionError(f"basis={self.basis!r} is unknown", remedy=f"one of {sorted(BASES)}")
         for name in list(self.__dataclass_fields__)[1:]:
-            value, least, most = getattr(self, name), _LEAST.get(name, 1), _MOST.get(name, math.inf)
-            kind = numbers.Real if name == "max_memory" else numbers.Integral
-            what = "a number" if kind is numbers.Real else "an integer"
-            optional = value is None and name == "time_nodes"
-            number = isinstance(value, kind) and not isinstance(value, bool)
-            if not (optional or (number and least <= value <= most)):
-                remedy = f"choose {what} from {least} to {most:g}"
-                raise OptionError(f"{name}={value!r} is out of range", remedy=remedy)
+            least, most = _LEAST.get(name, 1), _MOST.get(name, math.inf)
+            kind = float if name == "max_memory" else int
+            value = getattr(self, name)
+            if value is not None or name != "time_nodes":
+                object.__setattr__(self, name, checked_number(name, value, least, most, kind))
 
     @classmethod
-    def of(cls, **changes: Any) -> TrainOptions:
+    def of(cls, /, **changes: Any) -> TrainOptions:
         """Options with changes.
 
         Raises
@@ -78,7 +73,7 @@ class TrainOptions:
             If an option is unknown or out of its range.
         """
         known = sorted(cls.__dataclass_fields__)
-        for name in changes.keys() - known:
+        for name in sorted(changes.keys() - known):
             raise OptionError(f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}")
         return cls(**changes)
 
