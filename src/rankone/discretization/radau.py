@@ -25,6 +25,8 @@ class RadauCollocation:
 
     Attributes
     ----------
+    count : int
+        Number of nodes K.
     nodes : ndarray (K,)
         Radau points in (0, 1], ascending, the last is 1.
     derivative : ndarray (K, K)
@@ -35,17 +37,12 @@ class RadauCollocation:
     """
 
     def __init__(self, count: int) -> None:
-        self.nodes = _radau_points(count)
+        self.count, self.nodes = count, _radau_points(count)
         points = np.concatenate([[0.0], self.nodes])
         full = _differentiation(points)[1:]
         self.derivative = full[:, 1:]
         self.start = -full[:, 0]
         self.to_modal = np.linalg.inv(legendre_values(2.0 * points - 1.0, count + 1))
-
-    @property
-    def count(self) -> int:
-        """Number of nodes K."""
-        return self.nodes.size
 
     @staticmethod
     @lru_cache(maxsize=32)

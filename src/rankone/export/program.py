@@ -283,7 +283,8 @@ def run(
 def _solved(solve: Callable[..., Solution], given: argparse.Namespace) -> Solution:
     """Solve as the command line asks; after a blow-up take the part before it."""
     box = _pairs("--box", given.box, lambda text: [float(x) for x in text.split(":")])
-    options = _pairs("--options", given.options, _number_or_text)
+    as_json = "-0123456789["  # what begins with one of these is a number or a list of them
+    options = _pairs("--options", given.options, lambda v: json.loads(v) if v[:1] in as_json else v)
     if own := options.keys() & {"rtol", "parameters", "t_final", "check"}:
         raise OptionError(f"--options: {own} are no options of the engine")
     rtol = 1e-6 if given.rtol is None else given.rtol
@@ -294,10 +295,6 @@ def _solved(solve: Callable[..., Solution], given: argparse.Namespace) -> Soluti
             raise
         print(f"error: {error}", file=sys.stderr)
         return error.solution  # type: ignore[return-value]
-
-
-def _number_or_text(text: str) -> Any:
-    return json.loads(text) if text[:1] in tuple("-0123456789[") else text
 
 
 def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any]) -> dict[str, Any]:

@@ -134,7 +134,7 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
         titles=_TITLES,
     )
     imports |= {Import("types", "SimpleNamespace", "SimpleNamespace")}
-    imports |= {Import("sys", None, "sys"), Import("os", None, "os")}
+    imports |= {Import("sys", None, "sys")}
     imports |= {Import("numpy", None, "np")}
     parts = [
         _head(compiled, method, imports) + f"\n\n{banner(_SYSTEM_TITLE)}\n\n{system.text}",
@@ -232,7 +232,11 @@ def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:
             "",
             "from __future__ import annotations",
             "",
-            *import_lines(imports),
+            "import os",
+            "",
+            'os.environ.setdefault("OMP_NUM_THREADS", "1")  # more only slow small products down',
+            "",
+            *import_lines(imports - {Import("os", None, "os")}),
         ]
     )
 

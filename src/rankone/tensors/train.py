@@ -7,24 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.tensors.truncation import independent
+
 __all__ = ["apply_to_modes", "right_orthonormal", "thinned", "widened"]
 
 Array = NDArray[np.float64]
 
 
-def right_orthonormal(cores: Sequence[Array]) -> list[Array]:
+def right_orthonormal(cores: Sequence[Array], negligible: float = 1e-13) -> list[Array]:
     """Equivalent train whose cores 1, ..., d have orthonormal rows; core 0 takes the rest.
 
     Parameters
     ----------
     cores : sequence of ndarray
         Core 0 has any shape (..., r_1); core j >= 1 has the shape (r_j, n_j, r_{j+1}).
+    negligible : float
+        Rows in which no more is new, relative to the largest, are left out.
     """
     result = list(cores)
     for j in range(len(result) - 1, 0, -1):
-        left, size, right = result[j].shape
-        q, r = np.linalg.qr(result[j].reshape(left, size * right).T)
-        result[j] = np.ascontiguousarray(q.T).reshape(-1, size, right)
+        q, r = independent(result[j].reshape(len(result[j]), -1).T, negligible)
+        result[j] = np.ascontiguousarray(q.T).reshape(-1, *result[j].shape[1:])
         result[j - 1] = result[j - 1] @ r.T
     return result
 
@@ -41,14 +44,15 @@ def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:
     Parameters
     ----------
     cores : sequence of ndarray
-        Core 0 (..., r_1), cores j >= 1 (r_j, n_j, r_{j+1}).
+        Core 0 (..., r_1), cores j >= 1 (r_j, n_j, r_{j+1}) with orthonormal rows.
     extra : sequence of ndarray
-        Cores 1, ..., d of the other train, (k, n_j, k), the last (k, n_d, 1).
+        Cores 1, ..., d of the other train, (k, n_j, k), the last (k, n_d, 1). From each core on
+        its rows have norms below one, so that they come after those that are there.
 
     Returns
     -------
     list of ndarray
-        Ranks r_j + k, cores j >= 1 with orthonormal rows.
+        Ranks up to r_j + k, cores j >= 1 with orthonormal rows.
     """
     first, count = cores[0], extra[0].shape[0]
     result = [np.concatenate([first, np.zeros((*first.shape[:-1], count))], axis=-1)]
@@ -61,7 +65,7 @@ def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:
         block[:left, :, :right] = core
         block[left:, :, right:] = other
         result.append(block)
-    return right_orthonormal(result)
+    return right_orthonormal(result, 1e-6)
 
 
 def thinned(cores: Sequence[Array], tolerance: float) -> list[Array]:

@@ -1,4 +1,4 @@
-"""Truncated singular value decomposition with an absolute Frobenius tolerance."""
+"""Truncated decompositions of matrices: QR without columns of rounding, and SVD."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-__all__ = ["truncated_svd"]
+__all__ = ["independent", "truncated_svd"]
 
 Array = NDArray[np.float64]
 
@@ -14,6 +14,18 @@ _DIRECT = 48
 """Smaller sides than this are decomposed directly."""
 _EXTRA = 12
 """Random directions added to the expected row space."""
+
+
+def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
+    """Orthonormal basis q of columns (m, n), and r: they are q r but for what is left out.
+
+    A column in which nothing is new beyond ``negligible``, relative to the largest, gives no
+    direction: it would be one of rounding, and no two machines round alike.
+    """
+    q, r, order = scipy.linalg.qr(columns, mode="economic", pivoting=True, check_finite=False)
+    sizes = np.abs(np.diag(r))
+    rank = max(int(np.count_nonzero(sizes > negligible * sizes[0])), 1)
+    return np.ascontiguousarray(q[:, :rank]), r[:rank, np.argsort(order)]
 
 
 def truncated_svd(

@@ -125,7 +125,7 @@ def test_every_pair_is_the_projection_of_the_fixed_point(kind, cubic):
         value = value.reshape(-1, right.shape[1]) @ right.T
         np.testing.assert_allclose(present.ravel(), value.ravel(), atol=1e-10)
         if b < sweeper.dimensions - 1:
-            sweeper._shift_right(b)
+            sweeper._shift_right(b, 1e-15)
             sweeper._contract_left(b + 1)
 
 
@@ -142,7 +142,7 @@ def test_first_core_alone_is_the_projection_on_the_parameter_frame():
 def test_the_centre_moves_without_a_change_of_the_train():
     sweeper, _ = setting(system())
     before = dense(sweeper.cores)
-    sweeper._shift_right(0)
+    sweeper._shift_right(0, 1e-15)
     np.testing.assert_allclose(dense(sweeper.cores), before, atol=1e-12)
     first = sweeper.cores[0].reshape(-1, sweeper.cores[0].shape[-1])
     np.testing.assert_allclose(first.T @ first, np.eye(first.shape[1]), atol=1e-12)

@@ -251,12 +251,13 @@ class March:
             constant = np.sqrt(basis.weights)
             low = np.arange(basis.size) % basis.degree < _PROBE_MODES
             modes = generator.standard_normal((count, basis.size)) * low
+            modes *= np.sqrt(0.5) / np.linalg.norm(modes, axis=1, keepdims=True)
             core = np.zeros((count + 1, basis.size, count + 1))
             core[0, :, 0] = constant
-            core[sums, :, sums] = constant
+            core[sums, :, sums] = np.sqrt(0.5) * constant
             core[sums, :, 0] = modes @ basis.to_modal
             cores.append(core)
-        cores[-1] = cores[-1][:, :, :1]
+        cores[-1] = 0.3 * cores[-1][:, :, :1]
         return cores
 
     def _operator(self, time: float, length: float) -> SlabOperator:

@@ -28,7 +28,7 @@ from rankone.solvers.train.groups import (
 from rankone.solvers.train.products import left_products, multiplicity, right_products, unpack
 from rankone.solvers.train.slab import SlabOperator
 from rankone.system import Array
-from rankone.tensors.truncation import truncated_svd
+from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]
 
@@ -61,7 +61,7 @@ class Sweeper:
     max_rank: int
 
     def __post_init__(self) -> None:
-        d = self.dimensions
+        d = self.dimensions = len(self.cores) - 1
         self._keys: list[list[Key]] = [[] for _ in range(d + 2)]
         for b in range(1, d + 2):
             found = {(g.degree, g.signature[b - 1 :]): None for g in self.groups}
@@ -78,10 +78,6 @@ class Sweeper:
         self.initial = self.operator.initial(self.source[0])
         for b in range(d, 0, -1):
             self._contract_right(b)
-
-    @property
-    def dimensions(self) -> int:
-        return len(self.cores) - 1
 
     @property
     def ranks(self) -> tuple[int, ...]:
@@ -279,7 +275,7 @@ class Sweeper:
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
         for b in range(self.dimensions - 1):
-            self._shift_right(b)
+            self._shift_right(b, 1e-3 * tolerance)
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
             with np.errstate(over="ignore", invalid="ignore"):
@@ -292,11 +288,10 @@ class Sweeper:
             self._contract_right(b + 1)
         return largest, spectra
 
-    def _shift_right(self, b: int) -> None:
-        """Move the centre from core b to core b + 1 without a change of the train."""
+    def _shift_right(self, b: int, negligible: float) -> None:
+        """Move the centre from core b to core b + 1 with no more than a negligible change."""
         core, neighbour = self.cores[b], self.cores[b + 1]
-        rows = core.reshape(-1, core.shape[-1])
-        q, r = np.linalg.qr(rows)
+        q, r = independent(core.reshape(-1, core.shape[-1]), negligible)
         self.cores[b] = q.reshape(*core.shape[:-1], q.shape[1])
         self.cores[b + 1] = (r @ neighbour.reshape(neighbour.shape[0], -1)).reshape(
             q.shape[1], *neighbour.shape[1:]
