@@ -1,6 +1,10 @@
 """The engine: exactness, equation classes, limits and failures. Nothing is silently wrong."""
 
 import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -258,6 +262,35 @@ def test_numbers_of_other_kinds():
     solution = ro.solve(REFERENCE["decay"](), rtol=sp.Float(1e-3), check=np.int32(5), **options)
     assert solution.success
     assert type(ro.TrainOptions(**options).max_degree) is int
+
+
+THREADS = """
+import sys
+import numpy as np
+import rankone as ro
+from examples import kirchhoff
+from rankone.solvers.train import solve_train
+slab = solve_train(ro.compile(kirchhoff.problem).system, 1e-4).slabs[-1]
+points = np.random.default_rng(0).uniform(0.5, 1.0, (6, 500))
+np.save(sys.argv[1], slab(np.linspace(slab.start, slab.end, 500), points))
+"""
+
+
+def test_the_number_of_threads_changes_nothing_but_rounding(tmp_path):
+    """Frames hold no directions that come from rounding errors."""
+    root = Path(__file__).parents[3]
+    values = []
+    for threads in ("1", "2"):
+        path = tmp_path / f"{threads}.npy"
+        limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads)
+        environment = {
+            **os.environ,
+            **limits,
+            "PYTHONPATH": os.pathsep.join([f"{root}", f"{root}/src"]),
+        }
+        subprocess.run([sys.executable, "-c", THREADS, path], env=environment, check=True)
+        values.append(np.load(path))
+    assert np.abs(values[1] - values[0]).max() <= 1e-10
 
 
 def test_an_interrupt_passes_through():
