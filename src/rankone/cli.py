@@ -163,11 +163,13 @@ def _count(text: str) -> int:
 
 def _solve(arguments: argparse.Namespace) -> int:
     """Run ``rankone solve``."""
-    _check_target(arguments.save, arguments.overwrite)
-
     import rankone
     from rankone.errors import ConvergenceError
     from rankone.problem_files import load_problem
+    from rankone.storage import free_target
+
+    if arguments.save is not None:  # find out before the solve, not after it
+        free_target(arguments.save, arguments.overwrite)
 
     compiled = rankone.compile(load_problem(arguments.file))
     check = True if arguments.check is None else arguments.check or False
@@ -189,24 +191,6 @@ def _solve(arguments: argparse.Namespace) -> int:
             print(f"  saved     {arguments.save}")
     sys.stdout.flush()
     return _SUCCESS if solution.success else _FAILURE
-
-
-def _check_target(path: Path | None, overwrite: bool) -> None:
-    """Find out before the work, not after it, that its result cannot be written."""
-    if path is None:
-        return
-    from rankone.errors import StorageError
-
-    try:
-        folder, exists = path.is_dir(), path.exists()
-        parent = path.absolute().parent.is_dir()
-    except (OSError, ValueError) as error:
-        raise StorageError(f"`{path}` cannot be written: {error}", term=path) from error
-    if folder or (exists and not overwrite):
-        remedy = "choose another name" if folder else "choose another name, or --overwrite"
-        raise StorageError(f"`{path}` exists", term=path, remedy=remedy)
-    if not parent:
-        raise StorageError(f"there is no directory `{path.parent}`", term=path)
 
 
 def _summary(solution: Solution, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -258,10 +242,11 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _export(arguments: argparse.Namespace) -> int:
     """Run ``rankone export``."""
-    _check_target(arguments.output, arguments.overwrite)
-
     import rankone
     from rankone.problem_files import load_problem
+    from rankone.storage import free_target
+
+    free_target(arguments.output, arguments.overwrite)
 
     compiled = rankone.compile(load_problem(arguments.file))
     compiled.export(arguments.output, method=arguments.method, overwrite=arguments.overwrite)

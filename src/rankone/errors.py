@@ -105,9 +105,11 @@ class BlowUpError(ConvergenceError):
         The verified part of the solution, up to shortly before ``time``.
     """
 
-    def __init__(self, message: str, *, time: float = math.nan, **where: Any) -> None:
-        self.time, self.parameters = time, where.pop("parameters", {})
+    def __init__(
+        self, message: str, *, time: float = math.nan, parameters: Any = None, **where: Any
+    ) -> None:
         super().__init__(message, **where)
+        self.time, self.parameters = time, dict(parameters or {})
 
 
 class RankoneWarning(UserWarning):

@@ -41,7 +41,7 @@ from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, is_zipfile
+from zipfile import BadZipFile, ZipFile, is_zipfile
 from zlib import error as ZlibError
 
 import numpy as np
@@ -84,26 +84,44 @@ def save(solution: Solution, path: str | PathLike[str], *, overwrite: bool = Fal
     StorageError
         If the file exists and is not to be replaced, or cannot be written.
     """
-    given = Path(path)
+    return write_arrays(path, slab_arrays(solution), overwrite)
+
+
+def free_target(path: str | PathLike[str], overwrite: bool) -> Path:
+    """The path of a file that can be written and need not stay as it is, or a StorageError."""
+    target = Path(path)
     try:
-        if given.exists() and not overwrite:
-            remedy = "choose another name, or pass overwrite=True"
-            raise StorageError(f"`{given}` exists", term=given, remedy=remedy)
-        target = Path(os.path.realpath(given))
-        partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
-        try:
-            with partial.open("xb") as file:
-                np.savez(file, allow_pickle=False, **slab_arrays(solution))
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
-    except StorageError:
-        raise
+        exists, folder = target.exists(), target.is_dir() or not target.absolute().parent.is_dir()
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise StorageError(f"`{given}` cannot be written: {reason}", term=given) from error
+        raise StorageError(f"`{target}` cannot be written: {error}", term=target) from error
+    if folder:
+        raise StorageError(f"`{target}` cannot be written: a directory, or in no directory")
+    if exists and not overwrite:
+        remedy = "choose another name, or overwrite=True (--overwrite on the command line)"
+        raise StorageError(f"`{target}` exists", term=target, remedy=remedy)
+    return target
+
+
+def write_arrays(
+    path: str | PathLike[str], arrays: Mapping[str, Any], overwrite: bool = False
+) -> Path:
+    """Write an .npz file, whatever the names; it is either complete or not there."""
+    given = free_target(path, overwrite)
+    target = Path(os.path.realpath(given))
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
+    try:
+        with partial.open("xb") as file:
+            with ZipFile(file, "w") as archive:
+                for name, array in arrays.items():
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                        np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(target)
+    except OSError as error:
+        raise StorageError(f"`{given}` cannot be written: {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
     return given
 
 

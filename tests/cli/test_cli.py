@@ -171,12 +171,12 @@ def test_interrupt_during_the_save(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def savez(stream: Any, **arrays: Any) -> None:
+    def interrupted(stream: Any, array: Any, **_: Any) -> None:
         stream.write(b"half")
         raise KeyboardInterrupt
 
     solver(returning(SOLVED))
-    monkeypatch.setattr("numpy.savez", savez)
+    monkeypatch.setattr("numpy.lib.format.write_array", interrupted)
     assert main(["solve", file, "--save", str(tmp_path / "solution.npz")]) == 130
     assert [path.name for path in tmp_path.iterdir()] == ["problem.toml"]
 

@@ -85,11 +85,11 @@ def test_existing_files_are_kept(tmp_path: Path) -> None:
 def test_an_interrupt_leaves_nothing(
     failure: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(file: Any, **arrays: Any) -> None:
+    def interrupted(file: Any, array: Any, **_: Any) -> None:
         file.write(b"half")
         raise failure
 
-    monkeypatch.setattr(np, "savez", interrupted)
+    monkeypatch.setattr("numpy.lib.format.write_array", interrupted)
     with pytest.raises(failure):
         SOLUTION.save(tmp_path / "new.npz")
     assert not list(tmp_path.iterdir())

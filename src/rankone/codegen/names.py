@@ -8,7 +8,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator
 
-__all__ = ["Names"]
+__all__ = ["Names", "is_identifier"]
 
 
 class Names:
@@ -45,3 +45,9 @@ class Names:
     def numbered(self, prefix: str) -> Iterator[str]:
         """New identifiers ``prefix0``, ``prefix1``, …"""
         return (self(name) for k in itertools.count() if (name := f"{prefix}{k}") not in self.taken)
+
+
+def is_identifier(name: str) -> bool:
+    """Whether Python reads the name as it stands."""
+    normal = unicodedata.normalize("NFKC", name) == name
+    return normal and name.isidentifier() and not keyword.iskeyword(name)

@@ -27,6 +27,7 @@ Key = tuple[str, str]
 """(module, name) of a definition."""
 
 _ROLE = re.compile(r":(?:class|func|meth|mod|attr|data):`~?(?:[\w.]*\.)?(\w+)`")
+_HEADING = re.compile(r" *# -- .* --+$")
 _WIDTH = 100
 
 
@@ -379,12 +380,8 @@ class _ModuleText:
                 self._shorten_docstring(inner)
             elif isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone"):
                 self._drop(inner.lineno, (inner.end_lineno or 0), and_blank=True)
-        text = [
-            line
-            for row in self.lines[statement.first - 1 : statement.last]
-            if row is not None
-            for line in row.split("\n")
-        ]
+        rows = [row for row in self.lines[statement.first - 1 : statement.last] if row is not None]
+        text = [line for row in rows for line in row.split("\n")]
         if isinstance(statement.node, ast.ClassDef):
             text = _tidy_class(text)
         elif statement.last > (end := statement.node.end_lineno or 0):
@@ -456,10 +453,10 @@ class _ModuleText:
 
 
 def _tidy_class(lines: Sequence[str]) -> list[str]:
-    """One blank line at most between the members that are left, none at the end."""
+    """One blank line at most between members, none at the end or below a heading."""
     tidy: list[str] = []
     for line in lines:
-        if line.strip() or (tidy and tidy[-1].strip()):
+        if line.strip() or (tidy and tidy[-1].strip() and not _HEADING.match(tidy[-1])):
             tidy.append(line)
     while tidy and not tidy[-1].strip():
         tidy.pop()

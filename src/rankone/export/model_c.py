@@ -145,7 +145,8 @@ def _tables(model: PackedModel) -> dict[str, str]:
     pieces: list[str] = []
     runs: list[int] = []
     coefficients: list[float] = []
-    for core in (core for slab in model.slabs for core in slab):
+    cores = [core for slab in model.slabs for core in slab]
+    for core in cores:
         elements, left, degree, right = core.tensor.shape
         rows.append(
             f"{_number(core.lower)}, {_number(core.scale)}, "
@@ -156,7 +157,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
             for run, values in _runs(tensor):
                 runs.append(run)
                 coefficients += values
-    shapes = [core.tensor.shape for slab in model.slabs for core in slab]
+    shapes = [core.tensor.shape for core in cores]
     return {
         "slabs": str(len(model.slabs)),
         "starts": "\n".join(_wrapped(map(_number, model.starts))),

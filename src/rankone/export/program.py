@@ -11,12 +11,9 @@ import argparse
 import json
 import math
 import numbers
-import os
 import sys
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,7 +30,7 @@ from rankone.errors import (
 from rankone.solution import SolutionMetadata
 from rankone.solvers.outcome import Measured, Outcome, Status
 from rankone.solvers.request import checked_points, checked_rtol, raise_blow_up
-from rankone.storage import FORMAT, FORMAT_VERSION, slab_arrays
+from rankone.storage import FORMAT, FORMAT_VERSION, free_target, slab_arrays, write_arrays
 from rankone.system import Array, System
 from rankone.tensors.slab import SlabTrain
 
@@ -120,36 +117,6 @@ class Solution:
         return values.reshape(len(values), *coordinates[0].shape)
 
 
-def free_target(path: str, overwrite: bool) -> Path:
-    """The path of a file that can be written and need not stay as it is."""
-    target = Path(path)
-    try:
-        exists, folder = target.exists(), target.is_dir() or not target.absolute().parent.is_dir()
-    except (OSError, ValueError) as error:
-        raise StorageError(f"`{target}` cannot be written: {error}") from error
-    if folder:
-        raise StorageError(f"`{target}` is a directory, or there is no directory for it")
-    if exists and not overwrite:
-        raise StorageError(f"`{target}` exists", remedy="choose another name, or overwrite")
-    return target
-
-
-def write_arrays(path: str, arrays: Mapping[str, Any], overwrite: bool) -> None:
-    """Write an .npz file, whatever the names; it is either complete or not there."""
-    target = free_target(path, overwrite)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("xb") as file, zipfile.ZipFile(file, "w") as archive:
-            for name, array in arrays.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                    np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
-        partial.replace(target)
-    except OSError as error:
-        raise StorageError(f"`{target}` cannot be written: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
-
-
 def load_solution(path: str, expected: SolutionMetadata) -> Solution:
     """Read a solution of the same equations; the history of its solve is left in the file."""
     try:
@@ -157,10 +124,7 @@ def load_solution(path: str, expected: SolutionMetadata) -> Solution:
             header = json.loads(str(arrays["header"][()]))
             if (header["format"], header["format_version"]) != (FORMAT, FORMAT_VERSION):
                 raise ValueError(f"no {FORMAT} of version {FORMAT_VERSION}")
-            size = ("lower", "upper", "degree", "elements")
-            bases = [
-                BASES[fields["kind"]](*(fields[key] for key in size)) for fields in header["bases"]
-            ]
+            bases = [BASES[fields.pop("kind")](**fields) for fields in header["bases"]]
             slabs = []
             for i, slab in enumerate(header["slabs"]):
                 own = tuple(bases[k] for k in slab["bases"])
@@ -225,12 +189,7 @@ def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:
     return lower, upper
 
 
-def run(
-    solve: Callable[..., Solution],
-    load: Callable[[str], Solution],
-    description: str,
-    argv: Sequence[str] | None = None,
-) -> int:
+def run(solve: Callable[..., Solution], load: Callable[[str], Solution], description: str) -> int:
     """Run the command line: the exit status is 0, 1 (tolerance not reached) or 2 (bad input)."""
     parser = argparse.ArgumentParser(
         description=description,
@@ -249,7 +208,7 @@ def run(
     add("--save", metavar="PATH", help="write the values on the grid, or else the solution (.npz)")
     add("--overwrite", action="store_true", help="let --save replace a file")
     add("--json", action="store_true", help="print JSON")
-    given = parser.parse_args(argv)
+    given = parser.parse_args()
     asked = given.rtol, given.box, given.t_final, given.options
     if given.load is not None and any(value is not None for value in asked):
         parser.error("--load takes a solution as it is: no --rtol, --box, --t-final or --options")
@@ -268,6 +227,8 @@ def run(
         if given.at:
             values = solution(_pairs("--at", given.at, float))
             summary["values"] = dict(zip(solution.unknowns, values.tolist(), strict=True))
+    except KeyboardInterrupt:
+        parser.exit(130, "interrupted\n")
     except RankoneError as error:
         failed = isinstance(error, ConvergenceError) or (solution and not solution.success)
         parser.exit(1 if failed else 2, f"error: {error}\n")

@@ -74,7 +74,6 @@ def solve_greedy(
     began = clock.perf_counter()
     yardstick = Yardstick.of(system, rtol, check)
     box, reference, end = yardstick.box, yardstick.reference, yardstick.end
-    start = reference.start
     sizes = yardstick.sizes(system)[: system.N_DIFFERENTIAL]
     stiffness = _stiffness(system, reference, sizes, end)
     growth = amplification(system, reference, sizes, end)
@@ -96,10 +95,6 @@ def solve_greedy(
         def in_time(lower: float, upper: float, count: int = nodes.time) -> LagrangeElements:
             return options.shape_functions(lower, upper, count)
 
-        def notify(t: float, slabs: int, rank: int, attempt: int = attempt) -> None:
-            if report is not None:
-                report(t, (t - start) / (end - start), attempt, slabs, rank)
-
         spaces = [
             options.shape_functions(float(lower), float(upper), count)
             for (lower, upper), count in zip(box, nodes.parameters, strict=True)
@@ -115,7 +110,7 @@ def solve_greedy(
             spaces,
             options,
             attempt,
-            notify,
+            report,
         )
         result = march.run()
         records += result.records

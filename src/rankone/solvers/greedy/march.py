@@ -87,8 +87,8 @@ class March:
     options : GreedyOptions
     attempt : int
         Number of the attempt, for the records.
-    report : callable
-        Called with (time reached, slabs, rank) after each slab.
+    report : callable, optional
+        Called with (time, fraction of the horizon, attempt, slabs, rank) after each slab.
     """
 
     system: System
@@ -101,7 +101,7 @@ class March:
     parameters: Sequence[LagrangeElements]
     options: GreedyOptions
     attempt: int = 0
-    report: Callable[[float, int, int], None] = lambda time, slabs, rank: None
+    report: Callable[[float, float, int, int, int], None] | None = None
 
     def run(self) -> MarchResult:
         """March from the start of the horizon to ``end``."""
@@ -153,7 +153,9 @@ class March:
             ]
             time = upper
             rank = max((max(train.ranks, default=1) for train in trains), default=1)
-            self.report(time, len(result.slabs), rank)
+            if self.report is not None:
+                fraction = (time - self.system.TIME[0]) / horizon
+                self.report(time, fraction, self.attempt, len(result.slabs), rank)
             if adaptive:
                 length *= _stretch(len(solved.changes), limited)
         return result

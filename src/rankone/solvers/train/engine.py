@@ -17,7 +17,7 @@ from rankone.system import System
 __all__ = ["solve_train"]
 
 _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
-"""Part of rtol left to a slab, with up to 3 parameters or more."""
+"""Inner tolerance / rtol if corners count (d <= 3), if not."""
 _STALLED = 0.7
 """An attempt that leaves more of the error has stalled; two in a row are the last."""
 _REMEDIES = {
@@ -76,13 +76,16 @@ def solve_train(
     for number in range(options.max_attempts):
         began = clock.perf_counter()
 
+        def tolerance(t: float, level: float = inner) -> float:
+            return max(level / growth(t), 1e-14)
+
         march = March(
             system,
             reference,
             sizes,
             bases,
             floors,
-            lambda t, level=inner: max(level / growth(t), 1e-14),  # type: ignore[misc]
+            tolerance,
             0.1 * inner,
             options,
             collocation,
