@@ -6,18 +6,16 @@ work without SymPy.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.errors import EvaluationError
+from rankone.wording import did_you_mean, listing
 
 __all__ = ["Coordinates", "name_of"]
-
-Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-12
 """How far outside, relative to the width of the interval, a value counts as round-off."""
@@ -61,21 +59,6 @@ def name_of(key: object, time: str | None = None) -> str:
         term=key,
         remedy="use the symbols of the problem, or their names as text",
     )
-
-
-def listing(names: Iterable[str]) -> str:
-    """Quote names: ```a`, `b` and `c```."""
-    quoted = [f"`{name}`" for name in names]
-    if len(quoted) < 2:
-        return "".join(quoted)
-    return f"{', '.join(quoted[:-1])} and {quoted[-1]}"
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return ``" (did you mean `x0`?)"`` when a known name is close, else nothing."""
-    lowered = {candidate.lower(): candidate for candidate in known}
-    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.5)
-    return f" (did you mean `{lowered[close[0]]}`?)" if close else ""
 
 
 class Coordinates:

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rankone.errors import ProblemError, RankoneError
-from rankone.evaluation import did_you_mean, listing
+from rankone.wording import did_you_mean, listing
 
 if TYPE_CHECKING:
     from rankone.symbolic import Problem

@@ -12,19 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.errors import EvaluationError
-from rankone.evaluation import Coordinates, did_you_mean, listing, name_of
+from rankone.evaluation import Coordinates, name_of
 from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.tensors.evaluator import TrainEvaluator
+from rankone.wording import did_you_mean, listing
 
 if TYPE_CHECKING:
     from rankone.tensors.canonical import CanonicalForms
 
 __all__ = ["Solution", "SolutionMetadata", "UnknownView"]
-
-Array = NDArray[np.float64]
 
 _WIDTH = 96
 _MOST_NAMES = 8

@@ -45,7 +45,6 @@ from zipfile import BadZipFile, ZipFile, is_zipfile
 from zlib import error as ZlibError
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.discretization import BASES, Basis1D
 from rankone.errors import StorageError
@@ -54,8 +53,6 @@ from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["FORMAT", "FORMAT_VERSION", "load", "save"]
-
-Array = NDArray[np.float64]
 
 FORMAT = "rankone-solution"
 FORMAT_VERSION = 1

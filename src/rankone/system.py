@@ -33,12 +33,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from rankone.arrays import Array
 
-__all__ = ["Array", "Kernel", "System"]
+__all__ = ["Kernel", "System"]
 
-Array = NDArray[np.float64]
 Kernel = Callable[..., Array]
 
 
@@ -54,6 +52,9 @@ class System(Protocol):
     PARAMETERS: tuple[str, ...]
     TIME: tuple[float, float]
     BOX: tuple[tuple[float, float], ...]
+    TERMS: tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...]
+    """Right-hand sides term by term, of any degree: (coefficient, differential state, rows of the
+    time factor and of the factor of each parameter, differential states multiplied)."""
     SIGNATURES: tuple[tuple[int, ...], ...]
     """For each group and parameter the row of ``parameter_factors``; row 0 is one."""
     INITIAL: tuple[tuple[float, int, tuple[int, ...]], ...]
@@ -83,11 +84,11 @@ class System(Protocol):
         """Pointwise df/du, shape (N_DIFFERENTIAL, N_DIFFERENTIAL, ...)."""
 
     @staticmethod
-    def lift(u: Sequence[Any] | Array) -> Array:
+    def with_products(u: Sequence[Any] | Array) -> Array:
         """Append the products: (N_DIFFERENTIAL, ...) -> (len(STATES), ...)."""
 
     @staticmethod
-    def lifted_jacobian(t: Any, x: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+    def quadratic_jacobian(t: Any, x: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
         """Jacobian of the quadratic system at x (len(STATES), ...), shape (n, n, ...).
 
         Rows of the differential states hold f with products as states; the row of a product

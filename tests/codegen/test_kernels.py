@@ -6,11 +6,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rankone.arrays import Array
 from rankone.codegen import generate_source, load_module
 from rankone.codegen.grouping import group_terms
 from rankone.codegen.lowering import lower, right_hand_side
 from rankone.ir import SeparatedForm, Term
-from rankone.system import Array, System
+from rankone.system import System
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.strategies import forms
 from tests.codegen.systems import kirchhoff
@@ -28,7 +29,7 @@ def check_kernels_sum_to_f(form: SeparatedForm, seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, d = system.N_DIFFERENTIAL, len(system.PARAMETERS)
     t, u, p = rng.uniform(0.1, 1, P), rng.uniform(-1.5, 1.5, (n, P)), rng.uniform(0.5, 2, (d, P))
-    phi, x = system.time_factors(t), system.lift(u)[:, :, None]
+    phi, x = system.time_factors(t), system.with_products(u)[:, :, None]
     total = np.zeros((len(system.STATES), P))
     for g, signature in enumerate(system.SIGNATURES):
         scale = np.ones(P)

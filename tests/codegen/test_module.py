@@ -133,7 +133,7 @@ def test_names_of_the_generator_are_free_for_the_user() -> None:
     u, p = rng.normal(size=(13, 3)), rng.uniform(size=(12, 3))
     np.testing.assert_allclose(system.rhs(0.3, u, p), oracle.rhs(0.3, u, p), 1e-12)
     np.testing.assert_allclose(system.jacobian(0.3, u, p), oracle.jacobian(0.3, u, p), 1e-12)
-    assert system.lifted_jacobian(0.3, system.lift(u), p).shape[2:] == (3,)
+    assert system.quadratic_jacobian(0.3, system.with_products(u), p).shape[2:] == (3,)
     for j in range(12):
         system.parameter_factors(j, p[j])
 

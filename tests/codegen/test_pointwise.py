@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rankone.arrays import Array
 from rankone.codegen import generate_source, load_module
 from rankone.ir import SeparatedForm
-from rankone.system import Array, System
+from rankone.system import System
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.strategies import forms
 from tests.codegen.systems import REFERENCE, driven, lotka_volterra, separated
@@ -55,12 +56,12 @@ def test_jacobians_are_the_derivatives_of_what_they_belong_to(
 
 @given(form=forms(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=50, deadline=None)
-def test_lifted_jacobian_reduces_to_the_jacobian(form: SeparatedForm, seed: int) -> None:
+def test_quadratic_jacobian_reduces_to_the_jacobian(form: SeparatedForm, seed: int) -> None:
     """Eliminating the products by their own rows leaves df/du."""
     system = load(form)
     t, u, p = points(system, seed)
     n = system.N_DIFFERENTIAL
-    full = system.lifted_jacobian(t, system.lift(u), p)
+    full = system.quadratic_jacobian(t, system.with_products(u), p)
     slaved = np.linalg.solve(-full[n:, n:], full[n:, :n])  # dw/du
     reduced = full[:n, :n] + full[:n, n:] @ slaved
     np.testing.assert_allclose(reduced, system.jacobian(t, u, p), 1e-9, 1e-10)
@@ -71,7 +72,7 @@ def test_lifted_jacobian_reduces_to_the_jacobian(form: SeparatedForm, seed: int)
 def test_lift_appends_the_products(form: SeparatedForm, seed: int) -> None:
     system = load(form)
     _, u, _ = points(system, seed, 3)
-    x = system.lift(u)
+    x = system.with_products(u)
     assert x.shape == (len(system.STATES), 3)
     np.testing.assert_array_equal(x[: len(u)], u)
     for k, (a, b) in enumerate(system.PRODUCTS, start=len(u)):
@@ -95,7 +96,7 @@ def test_arguments_broadcast(name: str) -> None:
 
 def test_lift_copies() -> None:
     u = np.ones(2)
-    load(lotka_volterra()).lift(u)[0] = 2.0
+    load(lotka_volterra()).with_products(u)[0] = 2.0
     assert u[0] == 1.0
 
 

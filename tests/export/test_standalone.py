@@ -272,10 +272,6 @@ def test_identical_bytes(tmp_path):
         assert target.read_bytes() == first
 
 
-def test_length():
-    assert standalone_source(compiled("lotka_volterra")).count("\n") <= 2500
-
-
 def test_header():
     source = standalone_source(compiled("lotka_volterra"))
     head = source[: source.index("import argparse")]

@@ -11,7 +11,7 @@ k in [0.5, 5]
 Terms: 1, grouped by their parameter factor
     group 0, factor k: 1 linear
 Factors of each coordinate, one included: t 1, k 2
-Operations: rhs 1, jacobian 0, lifted_jacobian 0
+Operations: rhs 1, jacobian 0, quadratic_jacobian 0
 """
 
 import numpy as np
@@ -22,6 +22,7 @@ PRODUCTS = ()
 PARAMETERS = ("k",)
 TIME = (0.0, 2.0)
 BOX = ((0.5, 5.0),)
+TERMS = ((-1.0, 0, (0, 1), (0,)),)
 SIGNATURES = ((1,),)
 INITIAL = ((1.0, 0, (0,)),)
 
@@ -92,12 +93,12 @@ def jacobian(t, u, p):
     return out
 
 
-def lift(u):
+def with_products(u):
     """Append the products: (1, ...) to (1, ...)."""
     return np.array(u, dtype=float)
 
 
-def lifted_jacobian(t, x, p):
+def quadratic_jacobian(t, x, p):
     """Jacobian of the quadratic system at x (1, ...): shape (1, 1, ...)."""
     shape = np.broadcast(t, *x, *p).shape
     (k,) = p

@@ -18,7 +18,7 @@ Terms: 8, grouped by their parameter factor
     group 1, factor exp(-lambda): 1 quadratic
     group 2, factor lambda: 1 linear, 1 quadratic
 Factors of each coordinate, one included: t 3, lambda 3, x_{0} 2
-Operations: rhs 19, jacobian 17, lifted_jacobian 14
+Operations: rhs 19, jacobian 17, quadratic_jacobian 14
 """
 
 import numpy as np
@@ -29,6 +29,14 @@ PRODUCTS = ((0, 0),)
 PARAMETERS = ("lambda", "x_{0}")
 TIME = (0.0, 2.0)
 BOX = ((1.0, 2.0), (0.0, 1.0))
+TERMS = (
+    (-1.0, 0, (0, 1, 0), (0, 0, 0)),
+    (0.5, 0, (1, 0, 0), (1,)),
+    (0.25, 0, (1, 0, 0), ()),
+    (1.0, 1, (2, 2, 0), (0, 0, 1)),
+    (-2.0, 1, (0, 0, 0), (1,)),
+    (0.3333333333333333, 1, (0, 2, 0), (0,)),
+)
 SIGNATURES = ((0, 0), (1, 0), (2, 0))
 INITIAL = ((1.0, 0, (0, 1)), (1.0, 1, (0, 0)))
 
@@ -232,7 +240,7 @@ def jacobian(t, u, p):
     return out
 
 
-def lift(u):
+def with_products(u):
     """Append the products: (2, ...) to (3, ...)."""
     u = np.asarray(u, dtype=float)
     x = np.empty((3, *u.shape[1:]))
@@ -241,7 +249,7 @@ def lift(u):
     return x
 
 
-def lifted_jacobian(t, x, p):
+def quadratic_jacobian(t, x, p):
     """Jacobian of the quadratic system at x (3, ...): shape (3, 3, ...)."""
     shape = np.broadcast(t, *x, *p).shape
     lambda_, _ = p

@@ -26,7 +26,7 @@ a5 in [0.5, 1]
 Terms: 13, grouped by their parameter factor
     group 0, factor 1: 1 constant, 12 quadratic
 Factors of each coordinate, one included: t 1, a0 2, a1 2, a2 2, a3 2, a4 2, a5 2
-Operations: rhs 31, jacobian 24, lifted_jacobian 24
+Operations: rhs 31, jacobian 24, quadratic_jacobian 24
 """
 
 import numpy as np
@@ -37,6 +37,21 @@ PRODUCTS = ()
 PARAMETERS = ("a0", "a1", "a2", "a3", "a4", "a5")
 TIME = (0.0, 3.0)
 BOX = ((0.5, 1.0), (0.5, 1.0), (0.5, 1.0), (0.5, 1.0), (0.5, 1.0), (0.5, 1.0))
+TERMS = (
+    (1.25, 0, (0, 0, 0, 0, 0, 0, 0), (1, 5)),
+    (-1.5, 0, (0, 0, 0, 0, 0, 0, 0), (2, 4)),
+    (1.2, 1, (0, 0, 0, 0, 0, 0, 0), (2, 3)),
+    (-0.8, 1, (0, 0, 0, 0, 0, 0, 0), (0, 5)),
+    (0.6666666666666666, 2, (0, 0, 0, 0, 0, 0, 0), (0, 4)),
+    (-0.8333333333333334, 2, (0, 0, 0, 0, 0, 0, 0), (1, 3)),
+    (-0.16666666666666666, 2, (0, 0, 0, 0, 0, 0, 0), ()),
+    (-0.7500000000000001, 3, (0, 0, 0, 0, 0, 0, 0), (4, 5)),
+    (-1.25, 3, (0, 0, 0, 0, 0, 0, 0), (1, 2)),
+    (0.8333333333333334, 4, (0, 0, 0, 0, 0, 0, 0), (3, 5)),
+    (1.6666666666666667, 4, (0, 0, 0, 0, 0, 0, 0), (0, 2)),
+    (-0.22222222222222215, 5, (0, 0, 0, 0, 0, 0, 0), (3, 4)),
+    (-0.5555555555555556, 5, (0, 0, 0, 0, 0, 0, 0), (0, 1)),
+)
 SIGNATURES = ((0, 0, 0, 0, 0, 0),)
 INITIAL = (
     (1.0, 0, (1, 0, 0, 0, 0, 0)),
@@ -248,12 +263,12 @@ def jacobian(t, u, p):
     return out
 
 
-def lift(u):
+def with_products(u):
     """Append the products: (6, ...) to (6, ...)."""
     return np.array(u, dtype=float)
 
 
-def lifted_jacobian(t, x, p):
+def quadratic_jacobian(t, x, p):
     """Jacobian of the quadratic system at x (6, ...): shape (6, 6, ...)."""
     shape = np.broadcast(t, *x, *p).shape
     v0, v1, v2, o0, o1, o2 = x

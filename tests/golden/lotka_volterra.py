@@ -14,7 +14,7 @@ y0 in [4, 6]
 Terms: 4, grouped by their parameter factor
     group 0, factor 1: 2 linear, 2 quadratic
 Factors of each coordinate, one included: t 1, x0 2, y0 2
-Operations: rhs 5, jacobian 2, lifted_jacobian 2
+Operations: rhs 5, jacobian 2, quadratic_jacobian 2
 """
 
 import numpy as np
@@ -25,6 +25,12 @@ PRODUCTS = ()
 PARAMETERS = ("x0", "y0")
 TIME = (0.0, 6.0)
 BOX = ((8.0, 12.0), (4.0, 6.0))
+TERMS = (
+    (1.5, 0, (0, 0, 0), (0,)),
+    (-1.0, 0, (0, 0, 0), (0, 1)),
+    (-3.0, 1, (0, 0, 0), (1,)),
+    (1.0, 1, (0, 0, 0), (0, 1)),
+)
 SIGNATURES = ((0, 0),)
 INITIAL = ((1.0, 0, (1, 0)), (1.0, 1, (0, 1)))
 
@@ -145,12 +151,12 @@ def jacobian(t, u, p):
     return out
 
 
-def lift(u):
+def with_products(u):
     """Append the products: (2, ...) to (2, ...)."""
     return np.array(u, dtype=float)
 
 
-def lifted_jacobian(t, x, p):
+def quadratic_jacobian(t, x, p):
     """Jacobian of the quadratic system at x (2, ...): shape (2, 2, ...)."""
     shape = np.broadcast(t, *x, *p).shape
     x, y = x

@@ -6,7 +6,7 @@ import hashlib
 import json
 import linecache
 import types
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import cast
 
 from rankone.codegen.grouping import Group, group_terms
@@ -17,7 +17,7 @@ from rankone.codegen.names import Names
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import common_subexpressions, plain_text
 from rankone.codegen.text import Nested, assignment, docstring, literal, table
-from rankone.ir import SeparatedForm
+from rankone.ir import SeparatedForm, Term
 from rankone.system import System
 
 __all__ = ["generate_source", "load_module"]
@@ -51,11 +51,11 @@ def generate_source(form: SeparatedForm, title: str | None = None) -> str:
     functions = [
         pointwise.rhs(),
         pointwise.jacobian(),
-        pointwise.lift(),
-        pointwise.lifted_jacobian(),
+        pointwise.with_products(),
+        pointwise.quadratic_jacobian(),
     ]
     blocks = [
-        constants(form, lowered, groups),
+        constants(form, f, lowered, groups),
         *coordinate_functions(form),
         *kernel_functions(form, lowered, groups),
         *functions,
@@ -86,11 +86,16 @@ def load_module(source: str, name: str) -> System:
     return cast(System, module)
 
 
-def constants(form: SeparatedForm, lowered: LoweredSystem, groups: tuple[Group, ...]) -> list[str]:
+def constants(
+    form: SeparatedForm, f: Sequence[Term], lowered: LoweredSystem, groups: tuple[Group, ...]
+) -> list[str]:
     """The tables that describe the system."""
     time, *parameters = form.coordinates
     initial = nested(
         (float(term.coefficient), term.equation, term.factors[1:]) for term in form.initial
+    )
+    terms = nested(
+        (float(term.coefficient), term.equation, term.factors, term.monomial) for term in f
     )
     return [
         *table("STATES", [quoted(name) for name in state_names(form, lowered)]),
@@ -99,6 +104,7 @@ def constants(form: SeparatedForm, lowered: LoweredSystem, groups: tuple[Group, 
         *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
         f"TIME = {literal((float(time.lower), float(time.upper)))}",
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
+        *table("TERMS", terms),
         *table("SIGNATURES", nested(group.signature for group in groups)),
         *table("INITIAL", initial),
     ]

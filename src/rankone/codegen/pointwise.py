@@ -23,7 +23,7 @@ Index = tuple[int, ...]
 
 
 class PointwiseWriter:
-    """Writes ``rhs``, ``jacobian``, ``lift`` and ``lifted_jacobian``.
+    """Writes ``rhs``, ``jacobian``, ``with_products`` and ``quadratic_jacobian``.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ class PointwiseWriter:
             *self.body("jacobian", "u", n, f"np.zeros(({n}, {n}, *shape))", derivatives(self.f)),
         ]
 
-    def lift(self) -> list[str]:
-        """Source lines of ``lift``."""
+    def with_products(self) -> list[str]:
+        """Source lines of ``with_products``."""
         n, total = self.lowered.n_differential, self.lowered.n_states
         lines = [
-            "def lift(u):",
+            "def with_products(u):",
             *docstring([f"Append the products: ({n}, ...) to ({total}, ...)."]),
         ]
         if not self.lowered.products:
@@ -80,17 +80,17 @@ class PointwiseWriter:
             lines.append(f"    x[{k}] = x[{a}] * x[{b}]")
         return [*lines, "    return x"]
 
-    def lifted_jacobian(self) -> list[str]:
-        """Source lines of ``lifted_jacobian``."""
+    def quadratic_jacobian(self) -> list[str]:
+        """Source lines of ``quadratic_jacobian``."""
         n = self.lowered.n_states
         entries = derivatives(self.lowered.terms)
         allocation = f"np.zeros(({n}, {n}, *shape))"
         return [
-            "def lifted_jacobian(t, x, p):",
+            "def quadratic_jacobian(t, x, p):",
             *docstring(
                 [f"Jacobian of the quadratic system at x ({n}, ...): shape ({n}, {n}, ...)."]
             ),
-            *self.body("lifted_jacobian", "x", n, allocation, entries),
+            *self.body("quadratic_jacobian", "x", n, allocation, entries),
         ]
 
     def body(

@@ -14,11 +14,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import NDArray
+
+from rankone.arrays import Array
 
 __all__ = ["BASES", "Basis1D", "ChebyshevBasis", "LegendreBasis", "legendre_values"]
-
-Array = NDArray[np.float64]
 
 
 def legendre_values(xi: Array, count: int) -> Array:

@@ -12,13 +12,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import legendre as npl
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization.basis import LegendreBasis, legendre_values
 
 __all__ = ["LagrangeElements", "lobatto_points"]
-
-Array = NDArray[np.float64]
 
 
 def lobatto_points(order: int) -> Array:

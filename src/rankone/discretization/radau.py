@@ -6,13 +6,11 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre as npl
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization.basis import legendre_values
 
 __all__ = ["RadauCollocation"]
-
-Array = NDArray[np.float64]
 
 
 class RadauCollocation:

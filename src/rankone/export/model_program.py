@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from rankone.arrays import Array
 
 __all__ = ["Model"]
-
-Array = NDArray[np.float64]
 
 _CHUNK = 1024
 """Points evaluated at once."""

@@ -8,16 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rankone.arrays import Array
 from rankone.errors import ExportError
 from rankone.solution import Solution
 from rankone.tensors.evaluator import TrainEvaluator
 
 __all__ = ["PackedCore", "PackedModel", "pack"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.discretization import BASES
 from rankone.errors import (
     ConvergenceError,
@@ -31,7 +32,7 @@ from rankone.solution import SolutionMetadata
 from rankone.solvers.outcome import Measured, Outcome, Status
 from rankone.solvers.request import checked_points, checked_rtol, raise_blow_up
 from rankone.storage import FORMAT, FORMAT_VERSION, free_target, slab_arrays, write_arrays
-from rankone.system import Array, System
+from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Solution", "load_solution", "run", "solve_system"]

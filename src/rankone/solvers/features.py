@@ -13,8 +13,9 @@ from functools import partial
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.discretization import ChebyshevBasis
-from rankone.system import Array, System
+from rankone.system import System
 
 __all__ = ["features", "system_features"]
 

@@ -15,9 +15,10 @@ import numpy as np
 import scipy.integrate
 import scipy.sparse
 
+from rankone.arrays import Array
 from rankone.errors import ConvergenceError
 from rankone.solvers.outcome import Measured
-from rankone.system import Array, System
+from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["INSET", "Reference", "check_points", "initial_values", "integrate_reference", "measure"]

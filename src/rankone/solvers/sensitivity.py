@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.solvers.reference import Reference
-from rankone.system import Array, System
+from rankone.system import System
 
 __all__ = ["amplification"]
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.solvers.features import system_features
 from rankone.solvers.outcome import Measured, Status
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
-from rankone.system import Array, System
+from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Attempt", "Yardstick"]
@@ -69,7 +70,9 @@ class Yardstick:
         Over the centre and the random interior points: values at corners of a box of many
         parameters may be larger by orders of magnitude and are seen by nobody.
         """
-        values = system.lift(self.reference(np.linspace(self.reference.start, self.end, 201)))
+        values = system.with_products(
+            self.reference(np.linspace(self.reference.start, self.end, 201))
+        )
         values = np.delete(values, np.s_[1 : 1 + self.corners], axis=1)
         sizes = np.abs(values).max(axis=(1, 2))
         return np.where(sizes > 0.0, sizes, 1.0)

@@ -11,13 +11,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.ir import Coordinate
 
 __all__ = ["defect", "sign", "zero"]
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 501
 _ZOOMS = 6

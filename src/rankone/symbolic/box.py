@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 
 from rankone.errors import ProblemError
-from rankone.symbolic.wording import quote
+from rankone.wording import quote
 
 __all__ = ["Box", "Time", "check_parameters", "check_time"]
 

@@ -9,7 +9,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
-from rankone.symbolic.wording import count, did_you_mean, listing, quote
+from rankone.wording import count, did_you_mean, listing, quote
 
 __all__ = [
     "check_equations",

@@ -19,7 +19,7 @@ from rankone.ir import Coordinate, State
 from rankone.symbolic.admissible import zero
 from rankone.symbolic.equations import highest_orders
 from rankone.symbolic.numbers import exact
-from rankone.symbolic.wording import listing, quote
+from rankone.wording import listing, quote
 
 __all__ = ["FirstOrderSystem", "first_order_states", "first_order_system"]
 

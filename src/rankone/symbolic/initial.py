@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 from rankone.errors import ProblemError
 from rankone.symbolic.box import Time
 from rankone.symbolic.equations import explain_symbol
-from rankone.symbolic.wording import did_you_mean, listing, quote
+from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["check_initial"]
 

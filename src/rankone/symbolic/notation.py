@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.symbolic.wording import clip
+from rankone.wording import clip
 
 __all__ = ["latex_of", "text_of"]
 

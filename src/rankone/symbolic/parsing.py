@@ -17,7 +17,7 @@ from typing import Any
 import sympy as sp
 
 from rankone.errors import ProblemError
-from rankone.symbolic.wording import did_you_mean, quote
+from rankone.wording import did_you_mean, quote
 
 __all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
 

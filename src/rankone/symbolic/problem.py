@@ -24,7 +24,7 @@ from rankone.symbolic.explicit import first_order_states, first_order_system
 from rankone.symbolic.initial import check_initial
 from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
-from rankone.symbolic.wording import count, did_you_mean, quote
+from rankone.wording import count, did_you_mean, quote
 
 __all__ = ["Problem"]
 

@@ -16,7 +16,7 @@ from rankone.ir import Coordinate, Factor, SeparatedForm, Term
 from rankone.symbolic.admissible import defect
 from rankone.symbolic.problem import Problem
 from rankone.symbolic.splitting import Indivisible, Product, Splitter, Sum, accumulate
-from rankone.symbolic.wording import listing, quote
+from rankone.wording import listing, quote
 
 __all__ = ["separate"]
 

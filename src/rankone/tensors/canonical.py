@@ -27,16 +27,16 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization import legendre_values
 from rankone.errors import EvaluationError, OptionError, RankoneWarning
-from rankone.evaluation import Coordinates, listing, name_of
+from rankone.evaluation import Coordinates, name_of
 from rankone.tensors.slab import SlabTrain
+from rankone.wording import listing
 
 __all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
 
-Array = NDArray[np.float64]
 Train = list[Array]
 """Cores (r_j, n_j, r_{j+1}) of scaled values; the first and the last rank are 1."""
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.tensors.rank_one_sums import RankOneSum
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import right_orthonormal
 
 __all__ = ["element_trains"]
-
-Array = NDArray[np.float64]
 
 
 def element_trains(

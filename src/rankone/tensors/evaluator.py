@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization import Basis1D, LegendreBasis
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["TrainEvaluator"]
 
-Array = NDArray[np.float64]
 Rows = slice | NDArray[np.intp]
 
 _BUFFER = 1 << 19

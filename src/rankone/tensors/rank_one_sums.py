@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from rankone.arrays import Array
 
 __all__ = ["RankOneSum"]
-
-Array = NDArray[np.float64]
 
 _STABLE = 120
 """Largest rank whose norm is found by orthogonalisation if there are more than two dimensions."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization import Basis1D, legendre_values
 
 __all__ = ["SlabTrain"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

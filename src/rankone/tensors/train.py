@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.tensors.truncation import independent
 
 __all__ = ["apply_to_modes", "right_orthonormal", "thinned", "widened"]
-
-Array = NDArray[np.float64]
 
 
 def right_orthonormal(cores: Sequence[Array], negligible: float = 1e-13) -> list[Array]:

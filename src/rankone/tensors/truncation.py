@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
+
+from rankone.arrays import Array
 
 __all__ = ["independent", "truncated_svd"]
-
-Array = NDArray[np.float64]
 
 _DIRECT = 48
 """Smaller sides than this are decomposed directly."""

@@ -74,11 +74,11 @@ def fixed_point(module, sweeper, bases, train):
     times = operator.times[:, None, None, None]
     m = module.N_DIFFERENTIAL
     lifted = np.zeros_like(states)
-    jac = module.lifted_jacobian(times, states, [g[None] for g in grids])
+    jac = module.quadratic_jacobian(times, states, [g[None] for g in grids])
     lifted[:m] = module.rhs(times, states[:m], [g[None] for g in grids]) if n == m else 0.0
     if n > m:  # f is quadratic in the lifted states: f = f(0) + (J(0) + J(x)) x / 2
         zero = np.zeros_like(states)
-        at_zero = module.lifted_jacobian(times, zero, [g[None] for g in grids])
+        at_zero = module.quadratic_jacobian(times, zero, [g[None] for g in grids])
         shape = (n, n, *states.shape[1:])
         mean = 0.5 * (np.broadcast_to(jac, shape) + np.broadcast_to(at_zero, shape))
         lifted = np.einsum("ab...,b...->a...", mean, states)

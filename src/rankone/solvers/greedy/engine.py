@@ -6,8 +6,8 @@ import time as clock
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.ir import SeparatedForm
 from rankone.solvers.greedy.history import GreedySlabRecord
@@ -22,8 +22,6 @@ from rankone.solvers.verification import Attempt, Yardstick
 from rankone.system import System
 
 __all__ = ["solve_greedy"]
-
-Array = NDArray[np.float64]
 
 _SHARE = 0.03
 """Tolerance of a slab relative to the error asked for, before the growth of errors."""

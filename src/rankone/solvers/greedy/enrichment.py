@@ -20,16 +20,14 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.solvers.greedy.history import ModeRecord
 from rankone.solvers.greedy.operators import Equation
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["Enriched", "Enrichment"]
-
-Array = NDArray[np.float64]
 
 _STALLED = {"all": 4, "time": 8, "amplitudes": 12}
 """Modes in a row without a better residual after which enrichment ends, by what is updated."""

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.solvers.greedy.enrichment import Enrichment
 from rankone.solvers.greedy.history import EquationRecord
 from rankone.solvers.greedy.operators import Equation, ShapeSpace, assemble
@@ -22,8 +22,6 @@ from rankone.solvers.greedy.terms import SourceTerm
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["LaggedSlab", "SlabResult", "compressed"]
-
-Array = NDArray[np.float64]
 
 _LARGEST_SOURCE = 4000
 """Rank above which a source is compressed before it is solved for."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import LaggedSlab, SlabResult, compressed
@@ -27,8 +27,6 @@ from rankone.tensors.rank_one_sums import RankOneSum
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["March", "MarchResult"]
-
-Array = NDArray[np.float64]
 
 _CONTRACTION = 3.0
 """Length of the first slab times the largest norm of the scaled Jacobian."""

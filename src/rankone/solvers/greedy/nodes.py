@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization import LegendreBasis
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.system import System
 
 __all__ = ["Nodes", "first_nodes"]
-
-Array = NDArray[np.float64]
 
 _MOST = 64
 _FINITE_ELEMENTS = 41

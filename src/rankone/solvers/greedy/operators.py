@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.terms import SourceTerm
@@ -26,8 +26,6 @@ from rankone.system import System
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["Equation", "ShapeSpace", "assemble", "named_matrices"]
-
-Array = NDArray[np.float64]
 
 
 class ShapeSpace:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.discretization import Basis1D
-from rankone.system import Array, System
+from rankone.system import System
 
 __all__ = ["CONSTANT", "LINEAR", "QUADRATIC", "Group", "Key", "ParameterOperators", "term_groups"]
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.reference import INSET, Reference
@@ -21,7 +22,7 @@ from rankone.solvers.train.nodes import FEW_PARAMETERS
 from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import SlabOperator
 from rankone.solvers.train.sweep import Sweeper
-from rankone.system import Array, System
+from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, widened
 
@@ -263,8 +264,8 @@ class March:
     def _operator(self, time: float, length: float) -> SlabOperator:
         times = time + length * (INSET + (1.0 - 2.0 * INSET) * self.collocation.nodes)
         centre = self.reference.points[0]
-        states = self.system.lift(self.reference(times)[:, 0])
-        jacobian = self.system.lifted_jacobian(times, states, centre[:, None])
+        states = self.system.with_products(self.reference(times)[:, 0])
+        jacobian = self.system.quadratic_jacobian(times, states, centre[:, None])
         n = self.scale.size
         jacobian = np.broadcast_to(jacobian, (n, n, times.size))
         return SlabOperator(self.system, self.collocation, time, length, self.scale, jacobian)

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
 from rankone.solvers.train.options import TrainOptions
-from rankone.system import Array, System
+from rankone.system import System
 
 __all__ = ["FEW_PARAMETERS", "first_bases"]
 

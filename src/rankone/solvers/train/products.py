@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.system import Array
+from rankone.arrays import Array
 
 __all__ = ["left_products", "multiplicity", "right_products", "unpack"]
 

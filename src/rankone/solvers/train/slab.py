@@ -14,10 +14,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
+from rankone.arrays import Array
 from rankone.discretization import RadauCollocation
 from rankone.solvers.reference import INSET
 from rankone.solvers.train.groups import CONSTANT, LINEAR, Group
-from rankone.system import Array, System
+from rankone.system import System
 
 __all__ = ["SlabOperator"]
 

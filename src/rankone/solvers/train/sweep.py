@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.solvers.train.groups import (
     CONSTANT,
     LINEAR,
@@ -27,7 +28,6 @@ from rankone.solvers.train.groups import (
 )
 from rankone.solvers.train.products import left_products, multiplicity, right_products, unpack
 from rankone.solvers.train.slab import SlabOperator
-from rankone.system import Array
 from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]

@@ -1,4 +1,4 @@
-"""How symbols and expressions are quoted in messages."""
+"""How names, symbols and expressions are quoted in messages."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def listing(things: Iterable[object]) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean `beta`?)"`` when a known name is close, else nothing."""
-    known = list(known)
-    lowered = {candidate.lower(): candidate for candidate in reversed(known)}
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    if not close and name.lower() in lowered:
-        close = [lowered[name.lower()]]
-    return f" (did you mean {quote(close[0])}?)" if close else ""
+    """Return ``" (did you mean `beta`?)"`` when a known name is close, else nothing.
+
+    Names that differ in case alone are the closest.
+    """
+    lowered = {candidate.lower(): candidate for candidate in reversed(list(known))}
+    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    return f" (did you mean {quote(lowered[close[0]])}?)" if close else ""
 
 
 def count(n: int, noun: str) -> str:

@@ -1,0 +1,11 @@
+"""The array type of the numeric modules."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Array"]
+
+Array = NDArray[np.float64]
+"""Real numbers."""
