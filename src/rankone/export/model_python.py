@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.codegen.module import nested, quoted
 from rankone.codegen.names import Names, is_identifier
-from rankone.codegen.text import WIDTH, docstring, table
+from rankone.codegen.text import WIDTH, docstring, nested, quoted, table
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.packing import PackedModel

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rankone.codegen.module import quoted
 from rankone.codegen.names import is_identifier
-from rankone.codegen.text import WIDTH, docstring, literal
+from rankone.codegen.text import WIDTH, docstring, literal, quoted
 from rankone.errors import OptionError
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
