@@ -18,7 +18,7 @@ from rankone.errors import ExportError, OptionError
 from rankone.export.carry import carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
-from rankone.solvers.greedy import GreedyOptions, solve_greedy
+from rankone.solvers.greedy import ENGINE
 from tests.export.solutions import compiled, points, solved
 from tests.problems import EXAMPLES
 
@@ -87,7 +87,7 @@ def test_the_classic_method_is_exported_as_well(name, tmp_path):
     problem = compiled(name)
     problem.export(tmp_path / "solver.py", method="greedy")
     with threadpool_limits(1, "blas"):
-        wanted = solve_greedy(problem.system, problem.separated, 1e-3, GreedyOptions(), 24)
+        wanted = ENGINE.run(problem.system, 1e-3)
     script = ALONE + (
         "s = solver.solve(rtol=1e-3)\n"
         "points = np.load('points.npy')\n"
@@ -138,7 +138,7 @@ def test_other_box_and_horizon(folder):
         (
             "solver.solve(rtl=1e-3)",
             "OptionError",
-            "unknown option 'rtl'; remedy: choose from basis",
+            "unknown option 'rtl' (did you mean `rtol`?); remedy: choose from basis",
         ),
         ("solver.solve(check=-1)", "OptionError", "check=-1"),
         ("solver.load('nothing.npz')", "StorageError", "nothing.npz"),

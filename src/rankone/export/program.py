@@ -10,17 +10,16 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import numbers
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import BASES
+from rankone.domain import Domain, check_factors
 from rankone.errors import (
     ConvergenceError,
     EvaluationError,
@@ -28,9 +27,11 @@ from rankone.errors import (
     RankoneError,
     StorageError,
 )
+from rankone.progress import quiet
 from rankone.solution import SolutionMetadata
+from rankone.solvers.engine import Engine
 from rankone.solvers.outcome import Measured, Outcome, Status
-from rankone.solvers.request import checked_points, checked_rtol, raise_blow_up
+from rankone.solvers.request import raise_blow_up
 from rankone.storage import FORMAT, FORMAT_VERSION, free_target, slab_arrays, write_arrays
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
@@ -43,9 +44,11 @@ _LARGEST_GRID = 20_000_000
 """Largest number of values on a grid of the command line."""
 
 
-def system_features(system: System) -> tuple[tuple[float, ...], list[list[float]]]:
+def system_breakpoints(
+    system: System, domain: Domain
+) -> tuple[tuple[float, ...], list[list[float]]]:
     """Nothing to cut at: every known function of this problem is a polynomial."""
-    return (), [[] for _ in system.BOX]
+    return (), [[] for _ in domain.box]
 
 
 class Solution:
@@ -153,41 +156,22 @@ def _frozen(value: Any) -> Any:
 def solve_system(
     system: System,
     metadata: SolutionMetadata,
-    engine: Callable[..., Outcome],
-    engine_options: Any,
+    engine: Engine[Any],
+    engine_options: Mapping[str, Any],
     rtol: float,
     parameters: Mapping[str, Sequence[float]] | None,
     t_final: float | None,
     check: bool | int,
 ) -> Solution:
     """Solve the system on its own box and horizon, or on others."""
-    rtol, check = checked_rtol(rtol), checked_points(check)
-    start, end = metadata.horizon
-    horizon = _interval("the horizon", (start, end if t_final is None else t_final))
-    box = dict(zip(metadata.parameters, metadata.box, strict=True))
-    for name, interval in (parameters or {}).items():
-        if name not in box:
-            raise OptionError(f"there is no parameter `{name}`", remedy=f"one of {[*box]}")
-        box[name] = _interval(f"the range of `{name}`", interval)
-    moved: Any = SimpleNamespace(**{**vars(system), "TIME": horizon, "BOX": tuple(box.values())})
-    for j, (name, (lower, upper)) in enumerate(box.items()):
-        with np.errstate(all="ignore"):
-            if not np.isfinite(system.parameter_factors(j, np.linspace(lower, upper, 257))).all():
-                raise OptionError(f"a coefficient is not finite for `{name}` in its range")
-    outcome = engine(moved, rtol, engine_options, check)
-    solution = Solution(outcome, replace(metadata, box=moved.BOX, horizon=horizon, rtol=rtol))
+    request = engine.request(rtol, check, engine_options)
+    domain = Domain.of(system).moved(metadata.parameters, parameters, t_final)
+    check_factors(system, domain)
+    outcome = engine.solve(system, domain, request, quiet)
+    changes = {"box": domain.box, "horizon": domain.horizon, "rtol": request.rtol}
+    solution = Solution(outcome, replace(metadata, **changes))  # type: ignore[arg-type]
     raise_blow_up(solution, outcome)  # type: ignore[arg-type]
     return solution
-
-
-def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:
-    try:
-        lower, upper = (float(value) for value in given if isinstance(value, numbers.Real))
-    except (TypeError, ValueError):
-        lower = upper = math.nan
-    if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
-        raise OptionError(f"{what} is {given!r}, not two numbers in ascending order")
-    return lower, upper
 
 
 def run(solve: Callable[..., Solution], load: Callable[[str], Solution], description: str) -> int:

@@ -9,67 +9,27 @@ from __future__ import annotations
 import ast
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rankone.codegen.names import is_identifier
 from rankone.codegen.text import WIDTH, docstring, literal, quoted
-from rankone.errors import OptionError
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
+from rankone.solvers.engine import Engine
+from rankone.solvers.registry import engine_named
 
 if TYPE_CHECKING:
     from rankone.compiled import CompiledProblem
-    from rankone.ir import SeparatedForm
     from rankone.solution import SolutionMetadata
 
-__all__ = ["ENGINES", "Engine", "standalone_source"]
+__all__ = ["standalone_source"]
 
 
-@dataclass(frozen=True)
-class Engine:
-    """Where an engine is found.
-
-    Attributes
-    ----------
-    module : str
-        Package of the engine.
-    solve : str
-        Its function ``(system, rtol, options, check) -> Outcome``.
-    options : str
-        The class of its options.
-    unused : tuple of str
-        Methods that only the library calls.
-    form : bool
-        Whether ``solve`` takes the separated form after the system.
-    """
-
-    module: str
-    solve: str
-    options: str
-    unused: tuple[str, ...] = ()
-    form: bool = False
-
-
-ENGINES = {
-    "train": Engine(
-        "rankone.solvers.train",
-        "solve_train",
-        "TrainOptions",
-        ("rankone.tensors.slab:SlabTrain.ranks",),
-    ),
-    "greedy": Engine(
-        "rankone.solvers.greedy",
-        "solve_greedy",
-        "GreedyOptions",
-        form=True,
-    ),
-}
-"""The engines that can be exported, by the name of the method."""
-
+_UNUSED = ("rankone.solvers.engine:Engine.run",)
+"""Methods that only the library calls."""
 _SYSTEM_TITLE = "The system: tables, factors and kernels, generated from the equations"
 _END_TITLE = "This solver: what was asked, solve, and the command line"
-_FEATURES = "rankone.solvers.features:system_features"
+_BREAKPOINTS = "rankone.solvers.breakpoints:system_breakpoints"
 _PROGRAM = "rankone.export.program"
 _TABLES = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
 _TITLES = {
@@ -81,7 +41,7 @@ _TITLES = {
 }
 """Titles of sections that hold only a part of their module."""
 _OWN_NAMES = (
-    *("System", "SYSTEM", "SeparatedForm", "FORM", "METADATA", "solve"),
+    *("System", "SYSTEM", "METADATA", "solve"),
     *("_contract", "_expand"),
 )
 
@@ -107,29 +67,23 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
     ExportError
         If a part of the library cannot be carried over.
     """
-    engine = ENGINES.get(method)
-    if engine is None:
-        raise OptionError(
-            f"method={method!r} cannot be exported", remedy=f"choose from {', '.join(ENGINES)}"
-        )
+    engine = engine_named(method)
     metadata = compiled._metadata(1e-6, method)
     system = _SystemText(compiled.source)
+    stand_in = {_BREAKPOINTS: f"{_PROGRAM}:system_breakpoints"}
     sections, imports = carry(
         [
-            f"{engine.module}:{engine.solve}",
-            f"{engine.module}:{engine.options}",
-            *(["rankone.ir:Term"] if engine.form else []),
+            f"rankone.solvers.{method}.engine:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
             *(f"{_PROGRAM}:Solution.{name}" for name in ("grid", "error")),
         ],
         reserved={*system.names, *_OWN_NAMES, "np", "os", "sys"},
         replaced={
             "rankone.system:System": "",
-            "rankone.ir:SeparatedForm": "",
             "rankone.solution:Solution": f"{_PROGRAM}:Solution",
-            **({_FEATURES: f"{_PROGRAM}:system_features"} if _only_polynomials(compiled) else {}),
+            **(stand_in if _only_polynomials(compiled) else {}),
         },
-        dropped=engine.unused,
+        dropped=_UNUSED,
         titles=_TITLES,
     )
     imports |= {Import("types", "SimpleNamespace", "SimpleNamespace")}
@@ -139,7 +93,7 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
         _head(compiled, method, imports) + f"\n\n{banner(_SYSTEM_TITLE)}\n\n{system.text}",
         _system_object(system),
         *(str(section) for section in sections),
-        f"{banner(_END_TITLE)}\n{_end(engine, metadata, compiled.separated)}",
+        f"{banner(_END_TITLE)}\n{_end(engine, metadata)}",
     ]
     return "\n\n\n".join(parts) + "\n"
 
@@ -265,54 +219,17 @@ def _entry(name: str, items: Sequence[str]) -> list[str]:
     ]
 
 
-def _end(engine: Engine, metadata: SolutionMetadata, form: SeparatedForm) -> str:
+def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
     """What ties the parts together: the metadata, ``solve`` and the command line."""
     values = {name: getattr(metadata, name) for name in _METADATA}
     table = [line for name, value in values.items() for line in _literal(name, value)]
-    text = _END.format(
-        metadata="\n".join(table),
-        call=f"{engine.solve}_form" if engine.form else engine.solve,
-        options=engine.options,
-    )
-    if not engine.form:
-        return f"\n{text.strip()}"
-    return f"{_form(engine, form)}\n\n\n{text.strip()}"
-
-
-def _form(engine: Engine, form: SeparatedForm) -> str:
-    """The separated terms as data, for an engine that takes them one by one."""
-    terms = (
-        (term.equation, float(term.coefficient), term.factors, term.monomial, term.derivative)
-        for term in form.terms
-    )
-    return _FORM.format(
-        terms="\n".join(f"        Term({', '.join(map(literal, term))})," for term in terms),
-        solve=engine.solve,
-        options=engine.options,
-    ).strip()
+    return "\n" + _END.format(metadata="\n".join(table), options=engine.options.__name__).strip()
 
 
 _METADATA = (
     *("unknowns", "states", "parameters", "box", "time", "horizon", "rtol", "method"),
     *("equations", "version"),
 )
-
-_FORM = '''
-class SeparatedForm(SimpleNamespace):
-    """The terms of the residual u\' - f: equation, coefficient, factors, states, derivative."""
-
-
-FORM = SeparatedForm(
-    terms=(
-{terms}
-    )
-)
-
-
-def {solve}_form(system: System, rtol: float, options: {options}, check: int) -> Outcome:
-    """Solve the system, whose terms are those of FORM."""
-    return {solve}(system, FORM, rtol, options, check)
-'''
 
 _END = '''
 METADATA = SolutionMetadata(
@@ -344,10 +261,7 @@ def solve(
     **options
         See `{options}`.
     """
-    engine_options = {options}.of(**options)
-    return solve_system(
-        SYSTEM, METADATA, {call}, engine_options, rtol, parameters, t_final, check
-    )
+    return solve_system(SYSTEM, METADATA, ENGINE, options, rtol, parameters, t_final, check)
 
 
 def load(path: str) -> Solution:

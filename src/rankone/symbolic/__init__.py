@@ -6,15 +6,25 @@
 :mod:`~.first_order`          orders reduced, masses inverted: the first-order system u' = f
 :mod:`~.weak_form`            residual times test function, integrated over every dimension
 :mod:`~.separation`           the separated form, by splitting every product (:mod:`~.splitting`)
-:mod:`~.admissible`           every factor is finite and real on its interval
+:mod:`~.admissible`           every factor is finite and real on its interval, also on that of a
+                              problem that is moved (:mod:`~.moving`)
 ============================  =====================================================================
 
 Only this package and :mod:`rankone.codegen` import SymPy.
 """
 
 from rankone.symbolic.first_order import FirstOrderSystem, first_order
+from rankone.symbolic.moving import check_moved
 from rankone.symbolic.problem import Problem
 from rankone.symbolic.separation import separate
 from rankone.symbolic.weak_form import WeakForm, weak_form
 
-__all__ = ["FirstOrderSystem", "Problem", "WeakForm", "first_order", "separate", "weak_form"]
+__all__ = [
+    "FirstOrderSystem",
+    "Problem",
+    "WeakForm",
+    "check_moved",
+    "first_order",
+    "separate",
+    "weak_form",
+]

@@ -14,7 +14,7 @@ import sympy as sp
 
 from rankone.errors import OptionError, ProblemError, SeparationError
 from rankone.ir import Coordinate, Factor, SeparatedForm, Term
-from rankone.symbolic.admissible import defect
+from rankone.symbolic.admissible import located_defect
 from rankone.symbolic.monomials import Monomial, MonomialSum
 from rankone.symbolic.problem import Problem
 from rankone.symbolic.splitting import Indivisible, Splitter
@@ -171,19 +171,17 @@ class _Separation:
     ) -> None:
         for j, (coordinate, distinct) in enumerate(zip(self.coordinates, factors, strict=True)):
             for factor in distinct:
-                wrong = defect(factor, coordinate)
+                wrong = located_defect(factor, coordinate, j)
                 if wrong is None:
                     continue
                 users = [
                     i for i, r in enumerate(residuals) if any(m.factors[j] == factor for m in r)
                 ]
-                interval = f"[{coordinate.lower:g}, {coordinate.upper:g}]"
-                kind = "the horizon" if j == 0 else f"the box of parameter {quote(coordinate.name)}"
                 where = "" if users else "in an initial value, "
                 if users and self._equation(users[0]) is None:
                     where = "after solving for the derivatives, "
                 raise ProblemError(
-                    f"{where}factor {quote(factor)} {wrong}, inside {kind} {interval}",
+                    where + wrong,
                     equation=self._equation(users[0]) if users else None,
                     term=factor,
                     remedy="change the interval so that the factor is finite and real on it",
