@@ -34,12 +34,9 @@ def check_moved(problem: Problem, form: SeparatedForm, domain: Domain) -> None:
             Problem(problem.equations, (t, *domain.horizon), box, problem.initial)
     except ProblemError as error:
         raise OptionError(str(error), term=error.term) from error
-    intervals = (domain.horizon, *domain.box)
-    for coordinate, interval, factors in zip(
-        form.coordinates, intervals, form.factors, strict=True
-    ):
-        moved = replace(coordinate, lower=interval[0], upper=interval[1])
-        for factor in factors:
+    for dimension, (lower, upper) in enumerate((domain.horizon, *domain.box)):
+        moved = replace(form.coordinates[dimension], lower=lower, upper=upper)
+        for factor in form.factors[dimension]:
             wrong = located_defect(factor.expression, moved, dimension)
             if wrong is not None:
                 raise OptionError(wrong, term=factor.expression, remedy=_REMEDY)
