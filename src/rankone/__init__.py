@@ -26,11 +26,10 @@ from rankone.errors import (
     StorageError,
 )
 from rankone.ir import SeparatedForm
-from rankone.solution import Solution
+from rankone.solution import Solution, load
 from rankone.solvers.greedy import GreedyOptions
 from rankone.solvers.outcome import Status
 from rankone.solvers.train import TrainOptions
-from rankone.storage import load
 from rankone.symbolic import Problem, WeakForm, separate, weak_form
 from rankone.version import __version__
 

@@ -30,10 +30,12 @@ from threadpoolctl import ThreadpoolController
 from rankone.codegen import equation_texts, generate_source, load_module
 from rankone.errors import ConvergenceError, OptionError
 from rankone.ir import SeparatedForm
+from rankone.metadata import SolutionMetadata
 from rankone.progress import Progress, ProgressEvent, resolve_progress
-from rankone.solution import Solution, SolutionMetadata
+from rankone.solution import Solution
+from rankone.solution_core import raise_blow_up
 from rankone.solvers.outcome import Outcome
-from rankone.solvers.request import checked_points, checked_rtol, raise_blow_up
+from rankone.solvers.request import checked_points, checked_rtol
 from rankone.solvers.train import TrainOptions, solve_train
 from rankone.symbolic import Problem, WeakForm, separate, weak_form
 from rankone.system import System
@@ -158,8 +160,8 @@ class CompiledProblem:
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        solution = Solution(replace(outcome, timings=timings), self._metadata(rtol, method))
-        raise_blow_up(solution, outcome)
+        solution = Solution(replace(outcome, timings=timings), self.metadata(rtol, method))
+        raise_blow_up(solution)
         if on_failure == "raise" and not solution.success:
             raise ConvergenceError(outcome.message, solution=solution)
         return solution
@@ -172,12 +174,13 @@ class CompiledProblem:
 
         return export_solver(self, path, method=method, overwrite=overwrite)
 
-    def _metadata(self, rtol: float, method: str) -> SolutionMetadata:
+    def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
+        """What a solution of the problem says was asked."""
         form = self.separated
         clock, *parameters = form.coordinates
         return SolutionMetadata(
-            unknowns=tuple(state.name for state in form.states if state.order == 0),
             states=tuple(state.name for state in form.states),
+            roles=tuple("derivative" if state.order else "unknown" for state in form.states),
             parameters=tuple(c.name for c in parameters),
             box=tuple((c.lower, c.upper) for c in parameters),
             time=clock.name,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import linecache
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import cast
 
 from rankone.codegen.grouping import Group, group_terms
@@ -16,7 +15,14 @@ from rankone.codegen.lowering import LoweredSystem, lower, right_hand_side, stat
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import common_subexpressions, plain_text
-from rankone.codegen.text import Nested, assignment, docstring, literal, table
+from rankone.codegen.text import (
+    assignment,
+    docstring,
+    literal,
+    nested,
+    quoted,
+    table,
+)
 from rankone.ir import SeparatedForm, Term
 from rankone.system import System
 
@@ -172,17 +178,3 @@ def kernel_functions(
     listing = [line for kernel in KERNELS for line in table(kernel.upper(), listed[kernel])]
     paired = table("PAIRED", nested(group.paired for group in groups))
     return [*blocks, [*listing, *paired]]
-
-
-def nested(items: Iterable[object]) -> list[Nested]:
-    """Text of nested tuples of numbers."""
-    return [nested(item) if isinstance(item, tuple) else literal(item) for item in items]
-
-
-def quoted(text: str) -> str:
-    r"""A string literal in double quotes.
-
-    >>> print(quoted("k'"), quoted(r"\alpha"))
-    "k'" "\\alpha"
-    """
-    return json.dumps(text, ensure_ascii=False)

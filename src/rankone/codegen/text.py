@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterable, Sequence
 from typing import TypeAlias
 
 __all__ = [
@@ -12,6 +13,8 @@ __all__ = [
     "commented",
     "docstring",
     "literal",
+    "nested",
+    "quoted",
     "statement",
     "table",
     "unpacking",
@@ -31,6 +34,20 @@ def literal(value: object) -> str:
     '(1e200, 0.5)'
     """
     return repr(value).replace("e+", "e")
+
+
+def quoted(text: str) -> str:
+    r"""A string literal in double quotes.
+
+    >>> print(quoted("k'"), quoted(r"\alpha"))
+    "k'" "\\alpha"
+    """
+    return json.dumps(text, ensure_ascii=False)
+
+
+def nested(items: Iterable[object]) -> list[Nested]:
+    """Text of nested tuples of numbers."""
+    return [nested(item) if isinstance(item, tuple) else literal(item) for item in items]
 
 
 def assignment(target: str, terms: Sequence[str]) -> list[str]:

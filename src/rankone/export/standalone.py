@@ -10,21 +10,34 @@ import ast
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-from rankone.codegen.module import quoted
 from rankone.codegen.names import is_identifier
-from rankone.codegen.text import WIDTH, docstring, literal
+from rankone.codegen.text import WIDTH, docstring, literal, quoted
 from rankone.errors import OptionError
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
+from rankone.metadata import SolutionMetadata
 
 if TYPE_CHECKING:
-    from rankone.compiled import CompiledProblem
     from rankone.ir import SeparatedForm
-    from rankone.solution import SolutionMetadata
 
-__all__ = ["ENGINES", "Engine", "standalone_source"]
+__all__ = ["ENGINES", "Compiled", "Engine", "standalone_source"]
+
+
+class Compiled(Protocol):
+    """What the exporter needs of a compiled problem."""
+
+    @property
+    def source(self) -> str:
+        """Text of the generated module."""
+
+    @property
+    def separated(self) -> object:
+        """The separated form, shown in the header."""
+
+    def metadata(self, rtol: float, method: str) -> SolutionMetadata:
+        """What a solution says was asked."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +100,12 @@ _OWN_NAMES = (
 )
 
 
-def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
+def standalone_source(compiled: Compiled, method: str = "train") -> str:
     """Text of the standalone solver of a problem.
 
     Parameters
     ----------
-    compiled : CompiledProblem
+    compiled : Compiled
     method : {"train", "greedy"}
         The engine.
 
@@ -173,7 +186,7 @@ class _SystemText:
         self.text = "\n".join(kept).strip("\n")
 
 
-def _only_polynomials(compiled: CompiledProblem) -> bool:
+def _only_polynomials(compiled: Compiled) -> bool:
     """Whether every factor is a polynomial of its coordinate: there is nothing to step over."""
     form = compiled.separated
     return all(
@@ -183,7 +196,7 @@ def _only_polynomials(compiled: CompiledProblem) -> bool:
     )
 
 
-def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:
+def _head(compiled: Compiled, method: str, imports: set[Import]) -> str:
     """The docstring and the imports."""
     from rankone.version import __version__
 

@@ -1,18 +1,14 @@
-"""What is asked of a solve, checked, and the error it may end with."""
+"""What is asked of a solve, checked."""
 
 from __future__ import annotations
 
 import math
 import numbers
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rankone.errors import BlowUpError, OptionError
-from rankone.solvers.outcome import Outcome, Status
+from rankone.errors import OptionError
 
-if TYPE_CHECKING:
-    from rankone.solution import Solution
-
-__all__ = ["checked_number", "checked_points", "checked_rtol", "raise_blow_up"]
+__all__ = ["checked_number", "checked_points", "checked_rtol"]
 
 _TIGHTEST, _LOOSEST = 1e-10, 0.1
 _CHECK_POINTS = 24
@@ -41,20 +37,3 @@ def checked_points(check: bool | int) -> int:
     if isinstance(check, bool):
         return _CHECK_POINTS if check else 0
     return int(checked_number("check", check, 0))
-
-
-def raise_blow_up(solution: Solution, outcome: Outcome) -> None:
-    """Raise a BlowUpError that carries the solution if a trajectory blew up."""
-    if outcome.status is Status.BLOW_UP and outcome.blow_up is not None:
-        when, values = outcome.blow_up
-        where = dict(zip(solution.parameters, values, strict=True))
-        at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
-        raise BlowUpError(
-            f"the solution blows up inside the horizon: near t = {when:.4g}"
-            + (f" at {at}" if at else ""),
-            time=when,
-            parameters=where,
-            solution=solution,
-            remedy=f"end the horizon before t = {when:.4g}, or narrow the box; the error carries "
-            f"the part up to t = {solution.time[1]:.4g} as .solution",
-        )
