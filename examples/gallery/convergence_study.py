@@ -29,7 +29,7 @@ UNSETTLED = 1e-3
 VARIANTS: dict[str, dict[str, Any]] = {
     "slides": {"preset": "slides"},
     "minimal residual": {"preset": "slides", "projection": "minimal-residual"},
-    "Volterra": {"preset": "slides", "weak_form": "volterra"},
+    "Volterra": {"preset": "slides", "formulation": "volterra"},
     "all modes": {},
 }
 

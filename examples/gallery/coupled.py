@@ -25,7 +25,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "Volterra form, amplitudes, 8 modes": {
         "preset": "slides",
         **LEGENDRE,
-        "weak_form": "volterra",
+        "formulation": "volterra",
         "max_modes": 8,
     },
     "defaults, 8 modes": {**LEGENDRE, "max_modes": 8},

@@ -31,7 +31,7 @@ TOLERANCE = 1e-5
 VARIANTS: dict[str, dict[str, Any]] = {
     "PGD, defaults": {},
     "PGD, linear elements": {"elements": "linear"},
-    "PGD, slides with Volterra form": {"preset": "slides", "weak_form": "volterra"},
+    "PGD, slides with Volterra form": {"preset": "slides", "formulation": "volterra"},
 }
 
 

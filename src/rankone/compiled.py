@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -28,15 +28,14 @@ from typing import Any, Literal
 from threadpoolctl import ThreadpoolController
 
 from rankone.codegen import equation_texts, generate_source, load_module
+from rankone.domain import Domain, check_factors
 from rankone.errors import ConvergenceError, OptionError
 from rankone.ir import SeparatedForm
 from rankone.metadata import SolutionMetadata
-from rankone.progress import Progress, ProgressEvent, resolve_progress
+from rankone.progress import Progress, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
-from rankone.solvers.outcome import Outcome
-from rankone.solvers.request import checked_points, checked_rtol
-from rankone.solvers.train import TrainOptions, solve_train
+from rankone.solvers.registry import engine_named
 from rankone.symbolic import Problem, WeakForm, separate, weak_form
 from rankone.system import System
 from rankone.version import __version__
@@ -44,9 +43,6 @@ from rankone.version import __version__
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
-
-Report = Callable[[float, float, int, int, int], None]
-Engine = Callable[[float, int, Report], Outcome]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +96,8 @@ class CompiledProblem:
         rtol: float = 1e-6,
         *,
         method: Literal["train", "greedy"] = "train",
+        parameters: Mapping[Any, Sequence[float]] | None = None,
+        t_final: float | None = None,
         progress: bool | Progress = False,
         check: bool | int = True,
         on_failure: Literal["return", "raise"] = "return",
@@ -115,6 +113,10 @@ class CompiledProblem:
         method : {"train", "greedy"}
             The engine: the tensor train on the preconditioned Volterra form, or the classic
             proper generalized decomposition with rank-one enrichments.
+        parameters : mapping, optional
+            Other intervals of parameters, by symbols or names; nothing is compiled again.
+        t_final : float, optional
+            Another end of the horizon.
         progress : bool or callable
             True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
         check : bool or int
@@ -138,29 +140,27 @@ class CompiledProblem:
         ConvergenceError
             Only with ``on_failure="raise"``.
         OptionError
-            An option is out of its range.
+            An option is unknown or out of its range, or there is no such domain.
         """
-        rtol = checked_rtol(rtol)
-        points = checked_points(check)
         if on_failure not in ("return", "raise"):
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
-        engine = _engine(self, method, options)
+        engine = engine_named(method)
+        request = engine.request(rtol, check, options)
+        domain = Domain.of(self.system)
+        if parameters or t_final is not None:
+            domain = domain.moved(self.system.PARAMETERS, parameters, t_final)
+            _check_moved(self, domain)
         began = time.perf_counter()
-        with resolve_progress(progress) as notify, _one_blas_thread():
-
-            def report(
-                reached: float, fraction: float, attempt: int, slabs: int, rank: int
-            ) -> None:
-                if notify is not None:
-                    notify(ProgressEvent(reached, fraction, attempt, slabs, rank))
-
-            outcome = engine(rtol, points, report)
+        with resolve_progress(progress) as report, _one_blas_thread():
+            outcome = engine.solve(self.system, domain, request, report)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        solution = Solution(replace(outcome, timings=timings), self.metadata(rtol, method))
+        metadata = self.metadata(request.rtol, method)
+        metadata = replace(metadata, horizon=domain.horizon, box=domain.box)
+        solution = Solution(replace(outcome, timings=timings), metadata)
         raise_blow_up(solution)
         if on_failure == "raise" and not solution.success:
             raise ConvergenceError(outcome.message, solution=solution)
@@ -258,18 +258,6 @@ def _one_blas_thread() -> Iterator[None]:
         yield
 
 
-def _engine(compiled: CompiledProblem, method: str, options: dict[str, Any]) -> Engine:
-    """The engine of a method with checked options, still to be given rtol, points and report."""
-    if method == "train":
-        chosen = TrainOptions.of(**options)
-        return lambda rtol, points, report: solve_train(
-            compiled.system, rtol, chosen, points, report
-        )
-    if method == "greedy":
-        from rankone.solvers.greedy import GreedyOptions, solve_greedy
-
-        classic = GreedyOptions.of(**options)
-        return lambda rtol, points, report: solve_greedy(
-            compiled.system, compiled.separated, rtol, classic, points, report
-        )
-    raise OptionError(f"method={method!r} is unknown", remedy="use 'train' or 'greedy'")
+def _check_moved(compiled: CompiledProblem, domain: Domain) -> None:
+    """Raise an OptionError if what was assumed of the problem does not hold on a moved domain."""
+    check_factors(compiled.system, domain)

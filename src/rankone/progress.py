@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self
 
 from rankone.errors import OptionError
 
-__all__ = ["Progress", "ProgressBar", "ProgressEvent", "resolve_progress"]
+__all__ = ["Progress", "ProgressBar", "ProgressEvent", "quiet", "resolve_progress"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,10 @@ class Progress(Protocol):
 
     def __call__(self, event: ProgressEvent, /) -> object:
         """Take notice of an event."""
+
+
+def quiet(event: ProgressEvent, /) -> None:
+    """Take no notice."""
 
 
 class ProgressBar:
@@ -80,8 +84,8 @@ class ProgressBar:
         self._bar.close()
 
 
-def resolve_progress(progress: bool | Progress) -> AbstractContextManager[Progress | None]:
-    """Turn the option ``progress`` into a context that gives a callback, or None.
+def resolve_progress(progress: bool | Progress) -> AbstractContextManager[Progress]:
+    """Turn the option ``progress`` into a context that gives a callback.
 
     Parameters
     ----------
@@ -102,7 +106,7 @@ def resolve_progress(progress: bool | Progress) -> AbstractContextManager[Progre
     if progress is True:
         return ProgressBar()
     if progress is False:
-        return nullcontext()
+        return nullcontext(quiet)
     if not callable(progress):
         raise OptionError(
             f"progress is {progress!r}",

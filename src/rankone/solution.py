@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from rankone.solution_core import SolutionCore
-from rankone.solvers.greedy import GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
+from rankone.solvers.registry import ENGINES
 from rankone.storage import read
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 
@@ -213,7 +213,7 @@ def load(path: str | PathLike[str]) -> Solution:
         If there is no such file, it is not a rankone solution, it is damaged, or a newer version
         of rankone wrote it.
     """
-    return Solution(*read(path, {"train": SlabRecord, "greedy": GreedySlabRecord}))
+    return Solution(*read(path, {name: engine.record for name, engine in ENGINES.items()}))
 
 
 def _some(texts: Iterable[str]) -> str:

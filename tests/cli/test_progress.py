@@ -13,14 +13,13 @@ EVENT = ProgressEvent(time=1.5, fraction=0.5, attempt=1, slabs=4, rank=9)
 def test_callbacks_are_handed_through() -> None:
     seen: list[ProgressEvent] = []
     with resolve_progress(seen.append) as report:
-        assert report is not None
         report(EVENT)
     assert seen == [EVENT]
 
 
 def test_nothing() -> None:
     with resolve_progress(False) as report:
-        assert report is None
+        report(EVENT)
 
 
 def test_bar(capsys: pytest.CaptureFixture[str]) -> None:

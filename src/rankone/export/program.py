@@ -9,23 +9,22 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import numbers
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.domain import Domain, check_factors
 from rankone.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.files import npz, write_files
 from rankone.metadata import SolutionMetadata
+from rankone.progress import quiet
 from rankone.solution_core import SolutionCore, raise_blow_up
-from rankone.solvers.outcome import Outcome
-from rankone.solvers.request import checked_points, checked_rtol
+from rankone.solvers.engine import Engine
+from rankone.solvers.outcome import SlabRecord
 from rankone.storage import read, target
 from rankone.system import System
 
@@ -36,63 +35,44 @@ _LARGEST_GRID = 20_000_000
 
 
 def solve_system(
+    engine: Engine[Any],
     system: System,
     metadata: SolutionMetadata,
-    engine: Callable[..., Outcome],
-    engine_options: Any,
     rtol: float,
     parameters: Mapping[str, Sequence[float]] | None,
     t_final: float | None,
     check: bool | int,
+    options: Mapping[str, Any],
 ) -> SolutionCore:
     """Solve the system on its own box and horizon, or on others."""
-    rtol, check = checked_rtol(rtol), checked_points(check)
-    start, end = metadata.horizon
-    horizon = _interval("the horizon", (start, end if t_final is None else t_final))
-    box = dict(zip(metadata.parameters, metadata.box, strict=True))
-    for name, interval in (parameters or {}).items():
-        if name not in box:
-            raise OptionError(f"there is no parameter `{name}`", remedy=f"one of {[*box]}")
-        box[name] = _interval(f"the range of `{name}`", interval)
-    moved: Any = SimpleNamespace(**{**vars(system), "TIME": horizon, "BOX": tuple(box.values())})
-    for j, (name, (lower, upper)) in enumerate(box.items()):
-        with np.errstate(all="ignore"):
-            if not np.isfinite(system.parameter_factors(j, np.linspace(lower, upper, 257))).all():
-                raise OptionError(f"a coefficient is not finite for `{name}` in its range")
-    outcome = engine(moved, rtol, engine_options, check)
-    solution = SolutionCore(outcome, replace(metadata, box=moved.BOX, horizon=horizon, rtol=rtol))
+    request = engine.request(rtol, check, options)
+    domain = Domain.of(system).moved(metadata.parameters, parameters, t_final)
+    check_factors(system, domain)
+    outcome = engine.solve(system, domain, request, quiet)
+    metadata = replace(metadata, box=domain.box, horizon=domain.horizon, rtol=request.rtol)
+    solution = SolutionCore(outcome, metadata)
     raise_blow_up(solution)
     return solution
 
 
-def _interval(what: str, given: Sequence[float]) -> tuple[float, float]:
-    try:
-        lower, upper = (float(value) for value in given if isinstance(value, numbers.Real))
-    except (TypeError, ValueError):
-        lower = upper = math.nan
-    if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
-        raise OptionError(f"{what} is {given!r}, not two numbers in ascending order")
-    return lower, upper
-
-
-def load_solution(path: str, expected: SolutionMetadata) -> SolutionCore:
+def load_solution(
+    path: str, expected: SolutionMetadata, records: Mapping[str, type[SlabRecord]]
+) -> SolutionCore:
     """Read a solution of the same equations."""
-    outcome, metadata = read(path, {})
+    outcome, metadata = read(path, records)
     if (metadata.equations, metadata.parameters) != (expected.equations, expected.parameters):
         raise StorageError(f"`{path}` holds the solution of other equations")
     return SolutionCore(outcome, metadata)
 
 
-def run(
-    solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore], description: str
-) -> int:
+def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore], about: str) -> int:
     """Run the command line.
 
     Parameters
     ----------
     solve, load : callable
         Those of the solver.
-    description : str
+    about : str
         What ``--help`` says first.
 
     Returns
@@ -100,7 +80,7 @@ def run(
     int
         The exit status: 0, 1 (tolerance not reached) or 2 (bad input).
     """
-    parser = _parser(description)
+    parser = _parser(about)
     given = parser.parse_args()
     asked = given.rtol, given.box, given.t_final, given.options
     if given.load is not None and any(value is not None for value in asked):

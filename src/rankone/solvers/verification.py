@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.solvers.features import system_features
+from rankone.domain import Domain
+from rankone.solvers.breakpoints import system_breakpoints
 from rankone.solvers.outcome import Measured, Status
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
 from rankone.system import System
@@ -29,7 +30,6 @@ class Yardstick:
 
     Attributes
     ----------
-    box : ndarray (d, 2)
     reference : Reference
         Trajectories at the centre, at corners and at random interior points.
     end : float
@@ -42,7 +42,6 @@ class Yardstick:
         Times at which the time factors jump, kink or are narrow.
     """
 
-    box: Array
     reference: Reference
     end: float
     corners: int
@@ -50,19 +49,18 @@ class Yardstick:
     cuts: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, system: System, rtol: float, check: int) -> Yardstick:
+    def of(cls, system: System, domain: Domain, rtol: float, check: int) -> Yardstick:
         """Integrate the reference for a solve to ``rtol`` with ``check`` random points."""
-        box = np.array(system.BOX, dtype=float).reshape(-1, 2)
-        start, horizon = system.TIME
-        cuts, special = system_features(system)
-        points = check_points(box, check, special=special if check else ())
+        cuts, special = system_breakpoints(system, domain)
+        points = check_points(domain.bounds, check, special=special if check else ())
         accuracy = max(1e-3 * rtol, 3e-13)
-        reference = integrate_reference(system, points, start, horizon, accuracy, cuts)
+        start = domain.horizon[0]
+        reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
         end = reference.end
         if reference.blown is not None:
             end = start + _BLOW_UP_FRACTION * (end - start)
-        corners = len(points) - 1 - check - sum(map(len, special)) if check and len(box) else 0
-        return cls(box, reference, end, corners, bool(check), cuts)
+        corners = len(points) - 1 - check - sum(map(len, special)) if check and domain.box else 0
+        return cls(reference, end, corners, bool(check), cuts)
 
     def sizes(self, system: System) -> Array:
         """Largest absolute value of each state, products included; one for a vanishing state.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rankone as ro
-from rankone.solvers.greedy import GreedyOptions, solve_greedy
+from rankone.solvers.greedy import ENGINE
 from rankone.solvers.outcome import Outcome
 
 Array = NDArray[np.float64]
@@ -17,9 +17,7 @@ Array = NDArray[np.float64]
 
 def solve(problem: ro.Problem, rtol: float, check: int = 24, **options: Any) -> Outcome:
     """The outcome for a problem; ``preset`` is among the options."""
-    compiled = ro.compile(problem)
-    chosen = GreedyOptions.of(**options)
-    return solve_greedy(compiled.system, compiled.separated, rtol, chosen, check)
+    return ENGINE.run(ro.compile(problem).system, rtol, check=check, **options)
 
 
 def l2_error(outcome: Outcome, exact: Callable[[Array, Array], Array], box: Array) -> float:

@@ -44,7 +44,7 @@ def test_the_slides_choice_has_order_two_on_the_linear_problem() -> None:
 
 @pytest.mark.parametrize(
     "choice",
-    [{"weak_form": "volterra"}, {"projection": "minimal-residual", "weak_form": "derivative"}],
+    [{"formulation": "volterra"}, {"projection": "minimal-residual", "formulation": "derivative"}],
     ids=["volterra", "minimal residual"],
 )
 def test_quadratic_elements_have_order_three(choice: dict[str, Any]) -> None:
@@ -54,7 +54,7 @@ def test_quadratic_elements_have_order_three(choice: dict[str, Any]) -> None:
 
 def test_quadratic_elements_lose_an_order_with_galerkin_on_the_derivative() -> None:
     """Continuous elements of even order are suboptimal for u' tested with the shape functions."""
-    orders = rates("decay", (21, 41, 81), elements="quadratic", weak_form="derivative")
+    orders = rates("decay", (21, 41, 81), elements="quadratic", formulation="derivative")
     assert orders == pytest.approx([2.0, 2.0], abs=0.1)
 
 

@@ -106,16 +106,16 @@ def test_finite_elements_give_one_slab_for_each_element(elements: Any) -> None:
 # --- history -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("weak_form", ["derivative", "volterra"])
+@pytest.mark.parametrize("formulation", ["derivative", "volterra"])
 @pytest.mark.parametrize("update", ["amplitudes", "time", "all"])
-def test_minimal_residuals_fall_with_every_mode(weak_form: str, update: str) -> None:
+def test_minimal_residuals_fall_with_every_mode(formulation: str, update: str) -> None:
     outcome = solve(
         REFERENCE["decay"](),
         1e-4,
         preset="slides",
         elements="legendre",
         projection="minimal-residual",
-        weak_form=weak_form,
+        formulation=formulation,
         update=update,
         time_nodes=14,
         parameter_nodes=14,
@@ -214,7 +214,8 @@ def test_a_blow_up_is_found() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"weak_form": "strong"},
+        {"formulation": "strong"},
+        {"weak_form": "volterra"},
         {"elements": "quadratic", "time_nodes": 10},
         {"parameter_nodes": 1},
         {"parameter_nodes": 5.0},
@@ -237,6 +238,11 @@ def test_a_blow_up_is_found() -> None:
 def test_wrong_options(wrong: dict[str, Any]) -> None:
     with pytest.raises(OptionError):
         GreedyOptions.of(**wrong)
+
+
+def test_the_option_of_before_is_named() -> None:
+    with pytest.raises(OptionError, match="'weak_form' is now called 'formulation'"):
+        GreedyOptions.of(weak_form="volterra")
 
 
 def test_numbers_of_other_kinds() -> None:

@@ -45,7 +45,7 @@ def test_the_matrices_of_the_slides_by_name(decay: ro.CompiledProblem) -> None:
 def test_the_operator_of_decay_is_that_of_the_slides(decay: ro.CompiledProblem) -> None:
     space = decay_space(decay)
     named = named_matrices(decay.system, space)
-    equation = assemble(space, source_terms(decay.separated), GreedyOptions.slides())
+    equation = assemble(space, source_terms(decay.system), GreedyOptions.slides())
     total = sum(
         np.kron(equation.matrices[0][i], equation.matrices[1][k])
         for i, k in zip(*equation.index, strict=True)
@@ -56,17 +56,17 @@ def test_the_operator_of_decay_is_that_of_the_slides(decay: ro.CompiledProblem) 
     assert total == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("weak_form", ["derivative", "volterra"])
+@pytest.mark.parametrize("formulation", ["derivative", "volterra"])
 @pytest.mark.parametrize("projection", ["galerkin", "minimal-residual"])
 @pytest.mark.parametrize("update", ["all", "time", "amplitudes"])
 def test_enrichment_finds_the_solution_of_the_full_system(
-    decay: ro.CompiledProblem, weak_form: str, projection: str, update: str
+    decay: ro.CompiledProblem, formulation: str, projection: str, update: str
 ) -> None:
     space = decay_space(decay, elements=5)
     options = GreedyOptions.slides(
-        weak_form=weak_form, projection=projection, update=update, max_modes=60
+        formulation=formulation, projection=projection, update=update, max_modes=60
     )
-    terms = source_terms(decay.separated)
+    terms = source_terms(decay.system)
     equation = assemble(space, terms, options)
     one = space.constant_in_time(RankOneSum((np.ones((1, 1)), np.ones((6, 1)))))
     source = RankOneSum.joined([space.product(term, [one]) for term in terms], space.counts)
@@ -89,7 +89,7 @@ def test_terms_that_share_their_parameter_factors_share_one_operator() -> None:
         LagrangeElements(0.0, 1.0, 1, 4),
         [LagrangeElements(8.0, 12.0, 1, 3), LagrangeElements(4.0, 6.0, 1, 3)],
     )
-    own = [t for t in source_terms(compiled.separated) if t.own and t.equation == 0]
+    own = [t for t in source_terms(compiled.system) if t.own and t.equation == 0]
     assert len(own) == 1
     assert assemble(space, own, GreedyOptions()).terms == 1
 

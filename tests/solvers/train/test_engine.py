@@ -240,7 +240,13 @@ def test_rtol_out_of_range(rtol):
         ({"check": -3}, "check=-3"),
         ({"check": 2.5}, "check=2.5"),
         ({"max_rank": 0}, "max_rank=0"),
-        ({"max_ranks": 5}, "unknown option 'max_ranks'"),
+        ({"max_ranks": 5}, r"'max_ranks' \(did you mean `max_rank`\?\); remedy: choose from basis"),
+        (
+            {"rtoll": 1e-3},
+            r"'rtoll' \(did you mean `rtol`\?\); .*; solve itself takes rtol, method",
+        ),
+        ({"method": "trian"}, r"method='trian' is unknown \(did you mean `train`\?\)"),
+        ({"method": ["train"]}, "is unknown"),
         ({"basis": "fourier"}, "basis='fourier'"),
         ({"basis": ["legendre"]}, "basis="),
         ({"time_nodes": 1}, "time_nodes=1"),
@@ -269,8 +275,8 @@ import sys
 import numpy as np
 import rankone as ro
 from examples import kirchhoff
-from rankone.solvers.train import solve_train
-slab = solve_train(ro.compile(kirchhoff.problem).system, 1e-4).slabs[-1]
+from rankone.solvers.train import ENGINE
+slab = ENGINE.run(ro.compile(kirchhoff.problem).system, 1e-4).slabs[-1]
 points = np.random.default_rng(0).uniform(0.5, 1.0, (6, 500))
 np.save(sys.argv[1], slab(np.linspace(slab.start, slab.end, 500), points))
 """

@@ -15,8 +15,15 @@ module                  subject
 ======================  ==========================================================================
 """
 
-from rankone.solvers.greedy.engine import solve_greedy
+from rankone.solvers.greedy.engine import ENGINE, solve_greedy
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord, ModeRecord
 from rankone.solvers.greedy.options import GreedyOptions
 
-__all__ = ["EquationRecord", "GreedyOptions", "GreedySlabRecord", "ModeRecord", "solve_greedy"]
+__all__ = [
+    "ENGINE",
+    "EquationRecord",
+    "GreedyOptions",
+    "GreedySlabRecord",
+    "ModeRecord",
+    "solve_greedy",
+]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
-from rankone.ir import SeparatedForm
+from rankone.domain import Domain
+from rankone.solvers.engine import Engine, Report, Request
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.march import March
 from rankone.solvers.greedy.nodes import first_nodes
@@ -21,7 +22,7 @@ from rankone.solvers.sensitivity import amplification
 from rankone.solvers.verification import Attempt, Yardstick
 from rankone.system import System
 
-__all__ = ["solve_greedy"]
+__all__ = ["ENGINE", "solve_greedy"]
 
 _SHARE = 0.03
 """Tolerance of a slab relative to the error asked for, before the growth of errors."""
@@ -30,19 +31,14 @@ _TAIL = 0.1
 _REMEDIES = {
     Status.RANK_LIMIT: "raise max_modes, loosen rtol or use method='train'",
     Status.SLAB_LIMIT: "raise max_slabs, shorten the horizon or use method='train'",
-    Status.NO_CONVERGENCE: "use more time_slabs, weak_form='volterra', update='all' or "
+    Status.NO_CONVERGENCE: "use more time_slabs, formulation='volterra', update='all' or "
     "method='train'",
     Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
 }
 
 
 def solve_greedy(
-    system: System,
-    form: SeparatedForm,
-    rtol: float,
-    options: GreedyOptions | None = None,
-    check: int = 24,
-    report: Callable[[float, float, int, int, int], None] | None = None,
+    system: System, domain: Domain, request: Request[GreedyOptions], report: Report
 ) -> Outcome:
     """Solve a generated system for the whole box by the classic method.
 
@@ -50,35 +46,29 @@ def solve_greedy(
     ----------
     system : System
         The generated module.
-    form : SeparatedForm
-        The separated form it was generated from.
-    rtol : float
-        Largest measured error asked for, relative to the size of each unknown.
-    options : GreedyOptions, optional
-    check : int
-        Number of random interior check points; 0 skips the check.
-    report : callable, optional
-        Called with (time, fraction of the horizon, attempt, slabs, rank) after each slab.
+    domain : Domain
+    request : Request
+    report : callable
+        Called with a ProgressEvent after each accepted slab.
 
     Returns
     -------
     Outcome
-        ``status`` is CONVERGED only if the measured error is within ``rtol``; ``history`` holds
-        :class:`~rankone.solvers.greedy.history.GreedySlabRecord`. Finite elements in time give
-        one slab for each element.
+        ``status`` is CONVERGED only if the measured error is within the tolerance asked. Finite
+        elements in time give one slab for each element.
     """
-    options = options or GreedyOptions()
+    rtol, options = request.rtol, request.options
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
     began = clock.perf_counter()
-    yardstick = Yardstick.of(system, rtol, check)
-    box, reference, end = yardstick.box, yardstick.reference, yardstick.end
+    yardstick = Yardstick.of(system, domain, rtol, request.points)
+    reference, end = yardstick.reference, yardstick.end
     sizes = yardstick.sizes(system)[: system.N_DIFFERENTIAL]
     stiffness = _stiffness(system, reference, sizes, end)
     growth = amplification(system, reference, sizes, end)
-    terms = source_terms(form)
+    terms = source_terms(system)
     timings["reference"] = clock.perf_counter() - began
 
-    nodes = first_nodes(system, box, rtol, options)
+    nodes = first_nodes(system, domain, rtol, options)
     share = _SHARE
     records: list[GreedySlabRecord] = []
     best: Attempt | None = None
@@ -94,12 +84,13 @@ def solve_greedy(
             return options.shape_functions(lower, upper, count)
 
         spaces = [
-            options.shape_functions(float(lower), float(upper), count)
-            for (lower, upper), count in zip(box, nodes.parameters, strict=True)
+            options.shape_functions(lower, upper, count)
+            for (lower, upper), count in zip(domain.box, nodes.parameters, strict=True)
         ]
         march = March(
             system,
             terms,
+            reference.start,
             end,
             sizes,
             stiffness,
@@ -121,7 +112,7 @@ def solve_greedy(
         stalled = best is not None and error > 0.7 * best.error
         if current.better_than(best):
             best, tried = current, result.records
-        if not check or result.stopped or error <= rtol:
+        if not request.points or result.stopped or error <= rtol:
             break
         finer = nodes.finer(result.tails > _TAIL * rtol, options)
         stuck = stalled or result.limits or options.tolerance is not None
@@ -163,3 +154,6 @@ def _unsettled(records: Sequence[GreedySlabRecord]) -> str:
         f"[{worst.start:.4g}, {worst.end:.4g}] the unknowns still change by "
         f"{worst.residuals[-1]:.1e} times their size"
     )
+
+
+ENGINE = Engine("greedy", GreedyOptions, GreedySlabRecord, solve_greedy)

@@ -106,7 +106,7 @@ class LaggedSlab:
         self._points = list(self._start)
         self.modes = [RankOneSum.zero(space.sizes) for _ in states]
         # a residual of the derivative form is a rate: over the slab it adds up to a state
-        per_time = 1.0 if options.weak_form == "volterra" else space.time.upper - space.time.lower
+        per_time = 1.0 if options.formulation == "volterra" else space.time.upper - space.time.lower
         self._norms = sizes * math.sqrt(space.volume)
         self._units = self._norms / per_time
         self._scale = [np.sqrt(weights) for weights in space.weights]
@@ -201,7 +201,7 @@ class LaggedSlab:
         parts = [self.space.product(term, self._points) for term in self._others[state]]
         parts += [self.space.product(term, self._start) for term in self._own[state]]
         source = RankOneSum.joined(parts, self.space.counts)
-        if self.options.weak_form == "volterra":
+        if self.options.formulation == "volterra":
             first = self.space.time.integrated(source.factors[0])
             source = RankOneSum((first, *source.factors[1:]))
         return source.merged()

@@ -15,6 +15,8 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
+from rankone.progress import ProgressEvent, quiet
+from rankone.solvers.engine import Report
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import LaggedSlab, SlabResult, compressed
 from rankone.solvers.greedy.operators import ShapeSpace
@@ -70,8 +72,8 @@ class March:
     system : System
     terms : sequence of SourceTerm
         The right-hand side.
-    end : float
-        Where to stop.
+    start, end : float
+        What is to be solved.
     sizes : ndarray (n,)
         Size of each state.
     stiffness : float
@@ -85,12 +87,13 @@ class March:
     options : GreedyOptions
     attempt : int
         Number of the attempt, for the records.
-    report : callable, optional
-        Called with (time, fraction of the horizon, attempt, slabs, rank) after each slab.
+    report : callable
+        Called with a ProgressEvent after each accepted slab.
     """
 
     system: System
     terms: Sequence[SourceTerm]
+    start: float
     end: float
     sizes: Array
     stiffness: float
@@ -99,14 +102,14 @@ class March:
     parameters: Sequence[LagrangeElements]
     options: GreedyOptions
     attempt: int = 0
-    report: Callable[[float, float, int, int, int], None] | None = None
+    report: Report = quiet
 
     def run(self) -> MarchResult:
         """March from the start of the horizon to ``end``."""
         options = self.options
         result = MarchResult(np.zeros(1 + len(self.parameters)))
         blocks = evaluation_order(self.terms, self.system.N_DIFFERENTIAL)
-        time = self.system.TIME[0]
+        time = self.start
         horizon = self.end - time
         values = self._initial()
         adaptive = options.time_slabs is None
@@ -151,9 +154,8 @@ class March:
             ]
             time = upper
             rank = max((max(train.ranks, default=1) for train in trains), default=1)
-            if self.report is not None:
-                fraction = (time - self.system.TIME[0]) / horizon
-                self.report(time, fraction, self.attempt, len(result.slabs), rank)
+            place = time, (time - self.start) / horizon, self.attempt, len(result.slabs)
+            self.report(ProgressEvent(*place, rank))
             if adaptive:
                 length *= _stretch(len(solved.changes), limited)
         return result

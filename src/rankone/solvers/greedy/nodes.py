@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
 from rankone.discretization import LegendreBasis
+from rankone.domain import Domain
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.system import System
 
@@ -39,7 +39,7 @@ class Nodes:
         return Nodes(time, parameters)
 
 
-def first_nodes(system: System, box: Array, rtol: float, options: GreedyOptions) -> Nodes:
+def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOptions) -> Nodes:
     """Nodes to begin with: as given, 41 for finite elements, else by the tolerance.
 
     Legendre elements have enough nodes for the known functions of each parameter: the factors of
@@ -50,23 +50,23 @@ def first_nodes(system: System, box: Array, rtol: float, options: GreedyOptions)
     OptionError
         If the number of nodes given does not fit the parameters.
     """
-    given = options.given_parameter_nodes(len(box))
+    given = options.given_parameter_nodes(len(domain.box))
     digits = -math.log10(rtol)
     if options.elements != "legendre":
         return Nodes(
-            options.time_nodes or _FINITE_ELEMENTS, given or (_FINITE_ELEMENTS,) * len(box)
+            options.time_nodes or _FINITE_ELEMENTS, given or (_FINITE_ELEMENTS,) * len(domain.box)
         )
     time = options.time_nodes or int(min(max(round(5.6 + 1.4 * digits), 6), 24))
     if given is not None:
         return Nodes(time, given)
-    few = len(box) <= _FEW_PARAMETERS
+    few = len(domain.box) <= _FEW_PARAMETERS
     common = max(round((4.0 if few else 2.0) + 1.2 * digits), 4)
     tolerance = 1e-13 if few else 0.01 * rtol
     return Nodes(
         time,
         tuple(
-            max(common, _resolving(system, j, float(lower), float(upper), tolerance))
-            for j, (lower, upper) in enumerate(box)
+            max(common, _resolving(system, j, lower, upper, tolerance))
+            for j, (lower, upper) in enumerate(domain.box)
         ),
     )
 

@@ -166,10 +166,10 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
     own : sequence of SourceTerm
         The terms f_own.
     options : GreedyOptions
-        Weak form and projection.
+        Formulation and projection.
     """
     table = space.tables[0]
-    derivative = options.weak_form == "derivative"
+    derivative = options.formulation == "derivative"
     one = (0,) * len(space.parameters)
     in_time = {one: space.time.derivatives[:, 1:] if derivative else table}
     for term in own:

@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.errors import OptionError
-from rankone.solvers.request import checked_number
+from rankone.options import Options, choice, integer, integers, number
 
 __all__ = ["GreedyOptions"]
 
-_CHOICES = {
-    "weak_form": ("derivative", "volterra"),
-    "projection": ("galerkin", "minimal-residual"),
-    "update": ("amplitudes", "time", "all"),
-    "elements": ("linear", "quadratic", "legendre"),
-}
-_NUMBERS: tuple[tuple[str, type, float, float], ...] = (
-    *((name, int, 1, math.inf) for name in ("max_modes", "max_fixed_point", "update_sweeps")),
-    *((name, int, 1, math.inf) for name in ("max_iterations", "max_slabs", "max_attempts")),
-    ("time_slabs", int, 1, math.inf),
-    *((name, float, 1e-16, 1.0) for name in ("fixed_point_tolerance", "tolerance")),
-)
-"""Name, kind, least and largest value."""
-_OPTIONAL = ("time_slabs", "tolerance")
 _SLIDES: dict[str, Any] = {
-    "weak_form": "derivative",
+    "formulation": "derivative",
     "projection": "galerkin",
     "update": "amplitudes",
     "elements": "linear",
@@ -39,8 +25,8 @@ _SLIDES: dict[str, Any] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class GreedyOptions:
+@dataclass(frozen=True)
+class GreedyOptions(Options):
     """What is solved, how it is projected, and the limits of ``method="greedy"``.
 
     The defaults are the best choice found over the reference problems, the same for all: the
@@ -49,7 +35,7 @@ class GreedyOptions:
 
     Attributes
     ----------
-    weak_form : {"volterra", "derivative"}
+    formulation : {"volterra", "derivative"}
         ``u = u_s + integral of f``, or ``u' = f``.
     projection : {"galerkin", "minimal-residual"}
         Test functions: the shape functions, or the operator applied to them.
@@ -84,60 +70,46 @@ class GreedyOptions:
         How often the solve may be repeated with a tighter tolerance or more nodes.
     """
 
-    weak_form: Literal["volterra", "derivative"] = "volterra"
-    projection: Literal["galerkin", "minimal-residual"] = "galerkin"
-    update: Literal["all", "time", "amplitudes"] = "all"
-    elements: Literal["legendre", "linear", "quadratic"] = "legendre"
-    time_nodes: int | None = None
-    parameter_nodes: int | tuple[int, ...] | None = None
-    time_slabs: int | None = None
-    max_modes: int = 40
-    max_fixed_point: int = 6
-    fixed_point_tolerance: float = 1e-2
-    update_sweeps: int = 2
-    max_iterations: int = 30
-    tolerance: float | None = None
-    max_slabs: int = 400
-    max_attempts: int = 4
+    renamed: ClassVar[Mapping[str, str]] = {"weak_form": "formulation"}
+
+    formulation: str = choice("volterra", ("derivative", "volterra"))
+    projection: str = choice("galerkin", ("galerkin", "minimal-residual"))
+    update: str = choice("all", ("amplitudes", "time", "all"))
+    elements: str = choice("legendre", ("linear", "quadratic", "legendre"))
+    time_nodes: int | None = integer(None, 2)
+    parameter_nodes: int | tuple[int, ...] | None = integers(None, 2)
+    time_slabs: int | None = integer(None)
+    max_modes: int = integer(40)
+    max_fixed_point: int = integer(6)
+    fixed_point_tolerance: float = number(1e-2, 1e-16, 1.0)
+    update_sweeps: int = integer(2)
+    max_iterations: int = integer(30)
+    tolerance: float | None = number(None, 1e-16, 1.0)
+    max_slabs: int = integer(400)
+    max_attempts: int = integer(4)
 
     def __post_init__(self) -> None:
-        for name, choices in _CHOICES.items():
-            value = getattr(self, name)
-            if value not in choices:
-                raise OptionError(
-                    f"{name}={value!r} is unknown", remedy=f"choose one of {', '.join(choices)}"
-                )
-        for name, kind, least, most in _NUMBERS:
-            value = getattr(self, name)
-            if value is not None or name not in _OPTIONAL:
-                object.__setattr__(self, name, checked_number(name, value, least, most, kind))
-        self._fit("time_nodes", self.time_nodes)
+        super().__post_init__()
         given = self.parameter_nodes
-        if isinstance(given, list | tuple):
-            counts = tuple(self._fit("parameter_nodes", count) for count in given)
-            object.__setattr__(self, "parameter_nodes", counts)
-        else:
-            self._fit("parameter_nodes", given)
+        self._fit("time_nodes", self.time_nodes)
+        self._fit("parameter_nodes", *(given if isinstance(given, tuple) else (given,)))
 
-    def _fit(self, name: str, nodes: Any) -> int | None:
-        """A number of nodes that is possible with the elements."""
-        if nodes is None:
-            return None
-        count = int(checked_number(name, nodes, 2))
-        if (count - 1) % self.order:
-            raise OptionError(
-                f"{name}={count} does not fit {self.elements} elements",
-                remedy="at least 3 and odd",
-            )
-        return count
+    def _fit(self, name: str, *counts: int | None) -> None:
+        """Refuse numbers of nodes that are not possible with the elements."""
+        for count in counts:
+            if count is not None and (count - 1) % self.order:
+                raise OptionError(
+                    f"{name}={count} does not fit {self.elements} elements",
+                    remedy="at least 3 and odd",
+                )
 
     @classmethod
-    def slides(cls, **changes: Any) -> GreedyOptions:
+    def slides(cls, **changes: Any) -> Self:
         """The choice of the slides: derivative form, Galerkin, amplitudes, linear elements."""
         return cls.of("slides", **changes)
 
     @classmethod
-    def of(cls, /, preset: Literal["slides"] | None = None, **changes: Any) -> GreedyOptions:
+    def of(cls, /, preset: Literal["slides"] | None = None, **changes: Any) -> Self:
         """Options from a preset and changes to it.
 
         Raises
@@ -147,13 +119,7 @@ class GreedyOptions:
         """
         if preset not in (None, "slides"):
             raise OptionError(f"preset={preset!r} is unknown", remedy="use preset='slides'")
-        known = sorted(cls.__dataclass_fields__)
-        for name in changes:
-            if name not in known:
-                raise OptionError(
-                    f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}"
-                )
-        return cls(**{**(_SLIDES if preset else {}), **changes})
+        return super().of(**{**(_SLIDES if preset else {}), **changes})
 
     @property
     def order(self) -> int:

@@ -1,4 +1,4 @@
-"""The right-hand side as a table of terms, read from the separated form.
+"""The right-hand side term by term, as the generated module lists it.
 
 The generated kernels group terms of all states, whereas the classic method solves one equation
 after the other and lags the terms of the others: it needs the terms one by one.
@@ -7,16 +7,15 @@ after the other and lags the terms of the others: it needs the terms one by one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from rankone.ir import SeparatedForm
+from rankone.system import System
 
 __all__ = ["SourceTerm", "evaluation_order", "source_terms"]
 
 
-@dataclass(frozen=True, slots=True)
-class SourceTerm:
-    """One term of f in ``u' = f``.
+class SourceTerm(NamedTuple):
+    """One term of f in ``u' = f``: a row of ``TERMS``.
 
     Attributes
     ----------
@@ -40,13 +39,9 @@ class SourceTerm:
         return self.monomial == (self.equation,)
 
 
-def source_terms(form: SeparatedForm) -> tuple[SourceTerm, ...]:
-    """Terms of f in ``u' = f``: the negated terms of the residual without a derivative."""
-    return tuple(
-        SourceTerm(-float(term.coefficient), term.equation, term.factors, term.monomial)
-        for term in form.terms
-        if term.derivative == 0
-    )
+def source_terms(system: System) -> tuple[SourceTerm, ...]:
+    """The terms of f in ``u' = f``."""
+    return tuple(SourceTerm(*row) for row in system.TERMS)
 
 
 def evaluation_order(terms: Sequence[SourceTerm], states: int) -> tuple[tuple[int, ...], ...]:

@@ -15,7 +15,7 @@ module                  subject
 ======================  ==========================================================================
 """
 
-from rankone.solvers.train.engine import solve_train
+from rankone.solvers.train.engine import ENGINE, solve_train
 from rankone.solvers.train.options import TrainOptions
 
-__all__ = ["TrainOptions", "solve_train"]
+__all__ = ["ENGINE", "TrainOptions", "solve_train"]

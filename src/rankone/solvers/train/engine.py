@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from rankone.discretization import RadauCollocation
+from rankone.domain import Domain
+from rankone.solvers.engine import Engine, Report, Request
 from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.solvers.sensitivity import amplification
 from rankone.solvers.train.march import Guess, March
@@ -14,7 +16,7 @@ from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.verification import Attempt, Yardstick
 from rankone.system import System
 
-__all__ = ["solve_train"]
+__all__ = ["ENGINE", "solve_train"]
 
 _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
 """Inner tolerance / rtol if corners count (d <= 3), if not."""
@@ -31,11 +33,7 @@ _REMEDIES = {
 
 
 def solve_train(
-    system: System,
-    rtol: float,
-    options: TrainOptions | None = None,
-    check: int = 24,
-    report: Callable[[float, float, int, int, int], None] | None = None,
+    system: System, domain: Domain, request: Request[TrainOptions], report: Report
 ) -> Outcome:
     """Solve a generated system for the whole box.
 
@@ -43,23 +41,20 @@ def solve_train(
     ----------
     system : System
         The generated module.
-    rtol : float
-        Largest measured error asked for, relative to the size of each unknown.
-    options : TrainOptions, optional
-    check : int
-        Number of random interior check points; 0 skips the check.
-    report : callable, optional
-        Called with (time, fraction of the horizon, attempt, slabs, rank) after each slab.
+    domain : Domain
+    request : Request
+    report : callable
+        Called with a ProgressEvent after each accepted slab.
 
     Returns
     -------
     Outcome
-        ``status`` is CONVERGED only if the measured error is within ``rtol``.
+        ``status`` is CONVERGED only if the measured error is within the tolerance asked.
     """
-    options = options or TrainOptions()
+    rtol, options = request.rtol, request.options
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
     began = clock.perf_counter()
-    yardstick = Yardstick.of(system, rtol, check)
+    yardstick = Yardstick.of(system, domain, rtol, request.points)
     reference, end = yardstick.reference, yardstick.end
     sizes = yardstick.sizes(system)
     states = sizes[: system.N_DIFFERENTIAL]
@@ -67,8 +62,8 @@ def solve_train(
     timings["reference"] = clock.perf_counter() - began
 
     collocation = RadauCollocation.of(options.nodes_in_time(rtol))
-    bases, floors = first_bases(system, yardstick.box, rtol, options)
-    inner = rtol * (_SHARE_FEW if len(yardstick.box) <= 3 else _SHARE_MANY)
+    bases, floors = first_bases(system, domain, rtol, options)
+    inner = rtol * (_SHARE_FEW if len(domain.box) <= 3 else _SHARE_MANY)
     records: list[SlabRecord] = []
     guesses: Sequence[Guess] = ()
     best: Attempt | None = None
@@ -104,7 +99,13 @@ def solve_train(
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         if attempt.better_than(best):
             best = attempt
-        if not check or attempt.stopped or attempt.error <= rtol or attempt.limits or stalls == 2:
+        if (
+            not request.points
+            or attempt.stopped
+            or attempt.error <= rtol
+            or attempt.limits
+            or stalls == 2
+        ):
             break
         inner *= min(max(0.4 * rtol / attempt.error, 1e-3), 0.03 if stalls else 0.4)
         guesses, bases = result.guesses, result.guesses[0].bases
@@ -113,3 +114,6 @@ def solve_train(
     message, slabs = best.message(status, rtol, _REMEDIES), tuple(best.slabs)
     history, blow_up = tuple(records), yardstick.blow_up
     return Outcome(slabs, status, message, best.measured, history, timings, blow_up)
+
+
+ENGINE = Engine("train", TrainOptions, SlabRecord, solve_train)

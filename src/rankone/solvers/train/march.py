@@ -14,6 +14,8 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D, RadauCollocation
+from rankone.progress import ProgressEvent, quiet
+from rankone.solvers.engine import Report
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.reference import INSET, Reference
 from rankone.solvers.train.convergence import Convergence
@@ -100,8 +102,8 @@ class March:
         Number of the attempt, for the records.
     guesses : sequence of Guess
         Slabs of the attempt before.
-    report : callable, optional
-        Called with (time, fraction of the horizon, attempt, slabs, rank) after each accepted slab.
+    report : callable
+        Called with a ProgressEvent after each accepted slab.
     """
 
     system: System
@@ -116,7 +118,7 @@ class March:
     cuts: Sequence[float] = ()
     attempt: int = 0
     guesses: Sequence[Guess] = ()
-    report: Callable[[float, float, int, int, int], None] | None = None
+    report: Report = quiet
 
     def __post_init__(self) -> None:
         self._groups = term_groups(self.system)
@@ -163,9 +165,8 @@ class March:
             self._accept(sweeper, time, length)
             source = self._end_of(sweeper)
             time = border if length == remaining else time + length
-            if self.report is not None:
-                place = time, (time - start) / horizon, self.attempt
-                self.report(*place, len(result.slabs), max(sweeper.ranks, default=1))
+            place = time, (time - start) / horizon, self.attempt, len(result.slabs)
+            self.report(ProgressEvent(*place, max(sweeper.ranks, default=1)))
             sweeps = len(record.residuals)
             length *= min(_GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0, stretch)
             ceiling *= _PATIENCE

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
+from rankone.domain import Domain
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import System
 
@@ -22,7 +22,7 @@ _UNRESOLVED = 1e-12
 
 
 def first_bases(
-    system: System, box: Array, rtol: float, options: TrainOptions
+    system: System, domain: Domain, rtol: float, options: TrainOptions
 ) -> tuple[tuple[Basis1D, ...], tuple[int, ...]]:
     """Bases to start the march with, and the degrees below which they must not be coarsened.
 
@@ -33,17 +33,17 @@ def first_bases(
     Parameters
     ----------
     system : System
-    box : ndarray (d, 2)
+    domain : Domain
     rtol : float
     options : TrainOptions
     """
     kind = BASES[options.basis]
     most = min(options.max_degree, options.max_nodes)
     common = min(max(round(2.0 + 1.2 * -math.log10(rtol)), 4), most)
-    tolerance = _ROUNDING if len(box) <= FEW_PARAMETERS else 0.01 * rtol
+    tolerance = _ROUNDING if len(domain.box) <= FEW_PARAMETERS else 0.01 * rtol
     bases, floors = [], []
-    for j, (lower, upper) in enumerate(box):
-        basis = kind(float(lower), float(upper), common)
+    for j, (lower, upper) in enumerate(domain.box):
+        basis = kind(lower, upper, common)
         needed = _resolving_degree(system, j, basis, tolerance, most)
         floors.append(needed)
         bases.append(replace(basis, degree=max(common, needed)))

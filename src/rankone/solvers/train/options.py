@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from rankone.discretization import BASES
-from rankone.errors import OptionError
-from rankone.solvers.request import checked_number
+from rankone.options import Options, choice, integer, number
 
 __all__ = ["TrainOptions"]
 
-_LEAST = {"time_nodes": 2, "max_degree": 4, "max_nodes": 4, "max_sweeps": 3}
-_MOST = {"time_nodes": 32}
-"""Ranges of the numbers; otherwise from one on."""
 
-
-@dataclass(frozen=True, slots=True)
-class TrainOptions:
+@dataclass(frozen=True)
+class TrainOptions(Options):
     """Limits and discretisation of ``method="train"``.
 
     Attributes
@@ -43,39 +37,15 @@ class TrainOptions:
         Largest estimated working memory in bytes.
     """
 
-    basis: str = "chebyshev"
-    time_nodes: int | None = None
-    max_rank: int = 250
-    max_degree: int = 64
-    max_nodes: int = 400
-    max_slabs: int = 2000
-    max_sweeps: int = 14
-    max_attempts: int = 5
-    max_memory: float = 4e9
-
-    def __post_init__(self) -> None:
-        if self.basis not in list(BASES):
-            raise OptionError(f"basis={self.basis!r} is unknown", remedy=f"one of {sorted(BASES)}")
-        for name in list(self.__dataclass_fields__)[1:]:
-            least, most = _LEAST.get(name, 1), _MOST.get(name, math.inf)
-            kind = float if name == "max_memory" else int
-            value = getattr(self, name)
-            if value is not None or name != "time_nodes":
-                object.__setattr__(self, name, checked_number(name, value, least, most, kind))
-
-    @classmethod
-    def of(cls, /, **changes: Any) -> TrainOptions:
-        """Options with changes.
-
-        Raises
-        ------
-        OptionError
-            If an option is unknown or out of its range.
-        """
-        known = sorted(cls.__dataclass_fields__)
-        for name in sorted(changes.keys() - known):
-            raise OptionError(f"unknown option {name!r}", remedy=f"choose from {', '.join(known)}")
-        return cls(**changes)
+    basis: str = choice("chebyshev", BASES)
+    time_nodes: int | None = integer(None, 2, 32)
+    max_rank: int = integer(250)
+    max_degree: int = integer(64, 4)
+    max_nodes: int = integer(400, 4)
+    max_slabs: int = integer(2000)
+    max_sweeps: int = integer(14, 3)
+    max_attempts: int = integer(5)
+    max_memory: float = number(4e9, 1)
 
     def nodes_in_time(self, rtol: float) -> int:
         """Radau nodes per slab: more for tighter tolerances, 9 at 1e-3 and 16 at 1e-8."""

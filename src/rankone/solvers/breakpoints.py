@@ -15,42 +15,45 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import ChebyshevBasis
+from rankone.domain import Domain
 from rankone.system import System
 
-__all__ = ["features", "system_features"]
+__all__ = ["breakpoints", "system_breakpoints"]
 
 _SAMPLES = 2**14
-"""Fine samples over the interval: narrower features may be missed."""
+"""Fine samples over the interval: narrower pieces may be missed."""
 _NODES = 14
 _TOLERANCE = 1e-7
 """Interpolation error that counts as resolved, relative to the largest value."""
 _NARROW = 1.0 / 64.0
 _RARE = 0.25
-"""Narrow pieces are features if they make up less than this part of the interval."""
+"""Narrow pieces count if they make up less than this part of the interval."""
 _DEEPEST = 13
 _MOST = 16
 """Most values returned for one parameter."""
 
 
-def system_features(system: System) -> tuple[tuple[float, ...], list[list[float]]]:
-    """Features of the time factors, and those of the factors of each parameter.
+def system_breakpoints(
+    system: System, domain: Domain
+) -> tuple[tuple[float, ...], list[list[float]]]:
+    """Breakpoints of the time factors, and those of the factors of each parameter.
 
     The first factor of every coordinate is one; where it is the only one there is no need to look.
     """
     cuts: list[float] = []
-    if len(system.time_factors(np.array(system.TIME))) > 1:
-        cuts = features(system.time_factors, *system.TIME)
+    if len(system.time_factors(np.array(domain.horizon))) > 1:
+        cuts = breakpoints(system.time_factors, *domain.horizon)
     special: list[list[float]] = []
-    for j, (lower, upper) in enumerate(system.BOX):
+    for j, (lower, upper) in enumerate(domain.box):
         special.append([])
         if len(system.parameter_factors(j, np.array([lower]))) > 1:
             factors = partial(system.parameter_factors, j)
-            found = features(factors, float(lower), float(upper))
+            found = breakpoints(factors, lower, upper)
             special[j] = found[:: max(1, -(-len(found) // _MOST))]
     return tuple(cuts), special
 
 
-def features(function: Callable[[Array], Array], lower: float, upper: float) -> list[float]:
+def breakpoints(function: Callable[[Array], Array], lower: float, upper: float) -> list[float]:
     """Points at which an interval is best cut for a vector of functions.
 
     Parameters

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.solvers.features import features
+from rankone.solvers.breakpoints import breakpoints
 
 
 def step(x):
@@ -11,7 +11,7 @@ def step(x):
 
 
 def found(function, lower, upper):
-    return features(lambda x: np.stack([np.ones_like(x), function(x)]), lower, upper)
+    return breakpoints(lambda x: np.stack([np.ones_like(x), function(x)]), lower, upper)
 
 
 @pytest.mark.parametrize(

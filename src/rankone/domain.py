@@ -1,0 +1,109 @@
+"""Where a system is solved: a horizon and a box of parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, SupportsFloat
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import OptionError
+from rankone.system import System
+from rankone.wording import did_you_mean, quote
+
+__all__ = ["Domain", "check_factors"]
+
+_SAMPLES = 257
+"""Points of an interval at which known functions are looked at."""
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A horizon in time, and an interval for each parameter.
+
+    Attributes
+    ----------
+    horizon : tuple of float
+        Start and end.
+    box : tuple of tuple of float
+        Lower and upper end for each parameter.
+    """
+
+    horizon: tuple[float, float]
+    box: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def of(cls, system: System) -> Domain:
+        """The domain a generated module was written for."""
+        box = tuple((float(lower), float(upper)) for lower, upper in system.BOX)
+        return cls((float(system.TIME[0]), float(system.TIME[1])), box)
+
+    @property
+    def bounds(self) -> Array:
+        """The box as an array (d, 2)."""
+        return np.array(self.box, dtype=float).reshape(-1, 2)
+
+    def moved(
+        self,
+        names: Sequence[str],
+        parameters: Mapping[Any, Sequence[float]] | None = None,
+        t_final: float | None = None,
+    ) -> Domain:
+        """The domain with other intervals of some parameters, or another end of the horizon.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of all parameters, in the order of the box.
+        parameters : mapping, optional
+            New intervals, by names or symbols.
+        t_final : float, optional
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or an interval is not two finite ascending numbers.
+        """
+        box = dict(zip(names, self.box, strict=True))
+        for key, interval in (parameters or {}).items():
+            name = str(getattr(key, "name", key))
+            if name not in box:
+                raise OptionError(
+                    f"there is no parameter {quote(name)}{did_you_mean(name, box)}",
+                    term=key,
+                    remedy=f"choose from {', '.join(box)}" if box else None,
+                )
+            box[name] = _interval(f"the range of {quote(name)}", interval)
+        start, end = self.horizon
+        horizon = _interval("the horizon", (start, end if t_final is None else t_final))
+        return Domain(horizon, tuple(box.values()))
+
+
+def _interval(what: str, given: Any) -> tuple[float, float]:
+    """Two finite numbers in ascending order, or an OptionError."""
+    try:
+        lower, upper = (float(value) for value in given if isinstance(value, SupportsFloat))
+    except (TypeError, ValueError):
+        lower = upper = math.nan
+    if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
+        raise OptionError(f"{what} is {given!r}, not two numbers in ascending order", term=given)
+    return lower, upper
+
+
+def check_factors(system: System, domain: Domain) -> None:
+    """Raise an OptionError if a known factor is not finite at a sample of a coordinate."""
+    coordinates = [("time", domain.horizon, system.time_factors)]
+    for j, (name, interval) in enumerate(zip(system.PARAMETERS, domain.box, strict=True)):
+        coordinates.append((quote(name), interval, partial(system.parameter_factors, j)))
+    for what, (lower, upper), factors in coordinates:
+        with np.errstate(all="ignore"):
+            finite = np.isfinite(factors(np.linspace(lower, upper, _SAMPLES))).all()
+        if not finite:
+            raise OptionError(
+                f"a coefficient is not finite for {what} in [{lower:g}, {upper:g}]",
+                remedy="choose a range on which all coefficients are finite",
+            )

@@ -1,0 +1,102 @@
+"""Options of the engines: what they may be is declared at the field and checked in one place."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self
+
+from rankone.errors import OptionError
+from rankone.wording import did_you_mean
+
+__all__ = ["Options", "checked_number", "choice", "integer", "integers", "number"]
+
+_KEYWORDS = ("rtol", "method", "parameters", "t_final", "check", "progress", "on_failure")
+"""What ``solve`` takes beside the options of an engine."""
+
+
+def checked_number(
+    name: str, value: Any, least: float, most: float = math.inf, kind: type = int
+) -> Any:
+    """The value as an int or float (``kind``) between two others, or an OptionError."""
+    kinds = numbers.Integral if kind is int else numbers.Real
+    valid = isinstance(value, kinds) and not isinstance(value, bool)
+    if not (valid and least <= value <= most):
+        what = "an integer" if kind is int else "a number"
+        where = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+        raise OptionError(f"{name}={value!r} is not valid", remedy=f"choose {what} {where}")
+    return kind(value)
+
+
+def integer(default: int | None, least: int = 1, most: float = math.inf) -> Any:
+    """Declare an integer between two others."""
+    return _declared(default, lambda name, value: checked_number(name, value, least, most))
+
+
+def number(default: float | None, least: float, most: float = math.inf) -> Any:
+    """Declare a real number between two others."""
+    return _declared(default, lambda name, value: checked_number(name, value, least, most, float))
+
+
+def integers(default: int | None, least: int = 1) -> Any:
+    """Declare an integer, or several of them, of at least another."""
+
+    def check(name: str, value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return tuple(checked_number(name, item, least) for item in value)
+        return checked_number(name, value, least)
+
+    return _declared(default, check)
+
+
+def choice(default: str, choices: Iterable[str]) -> Any:
+    """Declare one of several names."""
+    known = tuple(choices)
+
+    def check(name: str, value: Any) -> Any:
+        if value not in known:
+            remedy = f"choose one of {', '.join(known)}"
+            raise OptionError(f"{name}={value!r} is unknown", remedy=remedy)
+        return value
+
+    return _declared(default, check)
+
+
+def _declared(default: Any, check: Callable[[str, Any], Any]) -> Any:
+    return field(default=default, metadata={"check": check})
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of an engine, checked; None is possible where it is the default."""
+
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """New names of options by old ones."""
+
+    def __post_init__(self) -> None:
+        for option in fields(self):
+            value = getattr(self, option.name)
+            if value is not None or option.default is not None:
+                value = option.metadata["check"](option.name, value)
+                object.__setattr__(self, option.name, value)
+
+    @classmethod
+    def of(cls, /, **changes: Any) -> Self:
+        """Options with changes.
+
+        Raises
+        ------
+        OptionError
+            If an option is unknown or out of its range.
+        """
+        known = sorted(option.name for option in fields(cls))
+        for name in sorted(changes.keys() - known):
+            if name in cls.renamed:
+                raise OptionError(f"option {name!r} is now called {cls.renamed[name]!r}")
+            raise OptionError(
+                f"unknown option {name!r}{did_you_mean(name, [*known, *_KEYWORDS])}",
+                remedy=f"choose from {', '.join(known)}; solve itself takes {', '.join(_KEYWORDS)}",
+            )
+        return cls(**changes)

@@ -1,0 +1,94 @@
+"""What every engine offers, and what it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from rankone.domain import Domain
+from rankone.options import Options, checked_number
+from rankone.progress import ProgressEvent, quiet
+from rankone.solvers.outcome import Outcome, SlabRecord
+from rankone.system import System
+
+__all__ = ["Engine", "Report", "Request"]
+
+_TIGHTEST, _LOOSEST = 1e-10, 0.1
+_CHECK_POINTS = 24
+
+Report = Callable[[ProgressEvent], object]
+"""Called after each accepted slab; an exception stops the solve."""
+AnyOptions = TypeVar("AnyOptions", bound=Options)
+
+
+@dataclass(frozen=True)
+class Request(Generic[AnyOptions]):
+    """What is asked of a solve.
+
+    Attributes
+    ----------
+    rtol : float
+        Largest measured error asked for, relative to the size of each unknown.
+    points : int
+        Number of random interior check points; 0 skips the check.
+    options : Options
+        Limits and discretisation, those of the engine.
+    """
+
+    rtol: float
+    points: int
+    options: AnyOptions
+
+
+@dataclass(frozen=True)
+class Engine(Generic[AnyOptions]):
+    """A way to solve a generated system for a whole box.
+
+    Attributes
+    ----------
+    name : str
+        The ``method`` of ``solve``.
+    options : type
+        Its options.
+    record : type
+        What its history consists of.
+    solve : callable
+        From a system, a domain, a request and a report to an Outcome, whose ``status`` is
+        CONVERGED only if the measured error is within the tolerance asked.
+    """
+
+    name: str
+    options: type[AnyOptions]
+    record: type[SlabRecord]
+    solve: Callable[[System, Domain, Request[AnyOptions], Report], Outcome]
+
+    def request(
+        self, rtol: float, check: bool | int, options: Mapping[str, Any]
+    ) -> Request[AnyOptions]:
+        """What is asked, checked: 24 points for ``check=True``, none for False.
+
+        Raises
+        ------
+        OptionError
+            If an option is unknown or out of its range.
+        """
+        rtol = checked_number("rtol", rtol, _TIGHTEST, _LOOSEST, float)
+        points = (
+            _CHECK_POINTS * check if isinstance(check, bool) else checked_number("check", check, 0)
+        )
+        return Request(rtol, points, self.options.of(**options))
+
+    def run(
+        self,
+        system: System,
+        rtol: float = 1e-6,
+        *,
+        domain: Domain | None = None,
+        check: bool | int = True,
+        report: Report = quiet,
+        **options: Any,
+    ) -> Outcome:
+        """Solve a generated system directly, by default on the domain it was written for."""
+        request = self.request(rtol, check, options)
+        return self.solve(system, domain or Domain.of(system), request, report)

@@ -1,0 +1,30 @@
+"""The engines by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rankone.errors import OptionError
+from rankone.solvers import greedy, train
+from rankone.solvers.engine import Engine
+from rankone.wording import did_you_mean
+
+__all__ = ["ENGINES", "engine_named"]
+
+ENGINES: dict[str, Engine[Any]] = {engine.name: engine for engine in (train.ENGINE, greedy.ENGINE)}
+
+
+def engine_named(method: str) -> Engine[Any]:
+    """The engine of a method.
+
+    Raises
+    ------
+    OptionError
+        If there is none of that name.
+    """
+    if not isinstance(method, str) or method not in ENGINES:
+        raise OptionError(
+            f"method={method!r} is unknown{did_you_mean(str(method), ENGINES)}",
+            remedy=f"choose from {', '.join(ENGINES)}",
+        )
+    return ENGINES[method]

@@ -1,0 +1,65 @@
+"""Engines share one protocol."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+
+import pytest
+
+import rankone as ro
+from rankone.domain import Domain
+from rankone.errors import OptionError
+from rankone.options import Options
+from rankone.progress import ProgressEvent
+from rankone.solvers.greedy import GreedySlabRecord
+from rankone.solvers.outcome import SlabRecord
+from rankone.solvers.registry import ENGINES, engine_named
+from tests.problems import REFERENCE
+
+
+def test_engines_are_found_by_name() -> None:
+    assert list(ENGINES) == ["train", "greedy"]
+    assert all(engine_named(name).name == name for name in ENGINES)
+
+
+@pytest.mark.parametrize("name", ["gredy", "", None, 3, ["train"]])
+def test_other_names_are_refused(name: typing.Any) -> None:
+    with pytest.raises(OptionError, match=r"is unknown.*choose from train, greedy"):
+        engine_named(name)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_an_engine_solves_on_the_domain_it_is_given(name: str) -> None:
+    engine = ENGINES[name]
+    assert issubclass(engine.options, Options)
+    events: list[ProgressEvent] = []
+    domain = Domain((0.0, 1.0), ((2.0, 3.0),))
+    system = ro.compile(REFERENCE["decay"]()).system
+    outcome = engine.run(system, 1e-4, domain=domain, report=events.append)
+    assert outcome.status is ro.Status.CONVERGED
+    assert (outcome.slabs[0].start, outcome.slabs[-1].end) == domain.horizon
+    assert {(basis.lower, basis.upper) for slab in outcome.slabs for basis in slab.bases} == {
+        (2.0, 3.0)
+    }
+    assert events[-1].fraction == pytest.approx(1.0)
+    assert all(type(record) is engine.record for record in outcome.history)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_requests_are_checked(name: str) -> None:
+    engine = ENGINES[name]
+    assert engine.request(1e-3, True, {}).points == 24
+    assert engine.request(1e-3, False, {}).points == 0
+    for rtol, check, options in [(0.5, True, {}), (1e-3, -1, {}), (1e-3, True, {"max_slab": 1})]:
+        with pytest.raises(OptionError):
+            engine.request(rtol, check, options)
+
+
+@pytest.mark.parametrize("record", [SlabRecord, GreedySlabRecord])
+def test_records_are_plain_data_with_annotated_fields(record: type[SlabRecord]) -> None:
+    hints = typing.get_type_hints(record)
+    for field in dataclasses.fields(record):
+        kind = hints[field.name]
+        items = typing.get_args(kind)
+        assert items[1:] == (...,) if items else kind in (int, float, bool, str), field.name
