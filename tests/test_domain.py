@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.domain import Domain
+from rankone.domain import Domain, check_factors
 from tests.problems import EXAMPLES, REFERENCE
 
 DOMAIN = Domain((0.0, 6.0), ((8.0, 12.0), (4.0, 6.0)))
@@ -74,7 +74,12 @@ def test_known_functions_that_are_not_finite_are_refused():
     compiled = ro.compile(
         ro.Problem.from_strings({"x": "-x/k + log(3 - t)"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
     )
-    with pytest.raises(ro.OptionError, match=r"not finite for `k` in \[-1, 1\]"):
-        compiled.solve(parameters={"k": (-1, 1)})
-    with pytest.raises(ro.OptionError, match=r"not finite for time in \[0, 4\]"):
-        compiled.solve(t_final=4)
+    for moved, symbolic, numeric in (
+        ({"parameters": {"k": (-1, 1)}}, "`1/k` is not finite at k = 0", "for `k` in"),
+        ({"t_final": 4}, r"is not finite at t = 3", "for time in"),
+    ):
+        with pytest.raises(ro.OptionError, match=symbolic):
+            compiled.solve(**moved)
+        domain = Domain.of(compiled.system).moved(("k",), **moved)
+        with pytest.raises(ro.OptionError, match=numeric):
+            check_factors(compiled.system, domain)

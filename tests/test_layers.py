@@ -1,4 +1,7 @@
-"""Imports go one way: numeric modules never need SymPy or the front end."""
+"""Imports go one way: no circles, and numeric modules never need SymPy or the front end.
+
+Every import counts, also those inside functions and those for type checkers alone.
+"""
 
 import ast
 import subprocess
@@ -11,57 +14,109 @@ import rankone
 from tests.problems import REFERENCE
 
 SOURCE = Path(rankone.__file__).parent
-FRONT_END = {"symbolic", "codegen", "compiled.py", "problem_files.py", "cli.py", "__init__.py"}
-NUMERIC = sorted(
-    path
-    for path in SOURCE.rglob("*.py")
-    if path.relative_to(SOURCE).parts[0] not in FRONT_END | {"export"}
-)
 
 
-def imported(path):
-    """Modules imported at run time (not under TYPE_CHECKING)."""
-    tree = ast.parse(path.read_text())
-    skipped = {
-        id(child)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-        for child in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        if id(node) in skipped:
-            continue
+def module_name(path):
+    parts = ("rankone", *path.relative_to(SOURCE).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+PATHS = {module_name(path): path for path in sorted(SOURCE.rglob("*.py"))}
+
+
+def imported(name):
+    """What a module imports; ``from package import name`` is the submodule if there is one."""
+    for node in ast.walk(ast.parse(PATHS[name].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield node.module or ""
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in PATHS else node.module
 
 
-@pytest.mark.parametrize("path", NUMERIC, ids=lambda p: str(p.relative_to(SOURCE)))
-def test_numeric_modules_do_not_import_the_front_end(path):
-    for name in imported(path):
-        assert not name.startswith(("sympy", "rankone.symbolic", "rankone.codegen")), name
+GRAPH = {name: {other for other in imported(name) if other in PATHS} for name in PATHS}
+SYMPY = {name for name in PATHS if any(m.split(".")[0] == "sympy" for m in imported(name))}
 
 
-@pytest.mark.parametrize("path", sorted((SOURCE / "symbolic").rglob("*.py")), ids=lambda p: p.name)
-def test_the_front_end_does_not_import_code_generation_or_solvers(path):
-    for name in imported(path):
-        assert not name.startswith(("rankone.codegen", "rankone.solvers", "rankone.solution")), name
+def reached(graph, start):
+    """For each module on a path from the start the one before it."""
+    before, waiting = {}, [start]
+    while waiting:
+        name = waiting.pop()
+        for other in sorted(graph[name]):
+            if other not in before:
+                before[other] = name
+                waiting.append(other)
+    return before
 
 
-@pytest.mark.parametrize("path", sorted((SOURCE / "codegen").rglob("*.py")), ids=lambda p: p.name)
-def test_code_generation_does_not_import_the_front_end_or_solvers(path):
-    for name in imported(path):
-        assert not name.startswith(("rankone.symbolic", "rankone.solvers")), name
+def chain(before, start, end):
+    """The path from one module to another as text."""
+    path = [end]
+    while path[-1] != start or len(path) == 1:
+        path.append(before[path[-1]])
+    return " -> ".join(reversed(path))
+
+
+def circles(graph):
+    """One circle for every module that is in some."""
+    ways = {name: reached(graph, name) for name in graph}
+    return {name: chain(way, name, name) for name, way in ways.items() if name in way}
+
+
+def test_no_circles():
+    assert not circles(GRAPH), "\n".join(circles(GRAPH).values())
+
+
+def test_circles_are_found():
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set(), "e": {"e"}}
+    assert circles(graph) == {
+        "a": "a -> b -> c -> a",
+        "b": "b -> c -> a -> b",
+        "c": "c -> a -> b -> c",
+        "e": "e -> e",
+    }
+
+
+FRONT_END = ("symbolic", "ir", "lowering", "codegen", "compiled", "problem_files", "cli")
+"""What may reach SymPy, beside the package itself."""
+REST = [name for name in PATHS if "." in name and name.split(".")[1] not in FRONT_END]
+
+
+@pytest.mark.parametrize("name", REST)
+def test_only_the_front_end_reaches_sympy(name):
+    """Solvers, solutions, files and exported models can do without it."""
+    way = {name: name, **reached(GRAPH, name)}
+    found = sorted(SYMPY.intersection(way))
+    assert not found, chain(way, name, found[0])
+
+
+def within(*packages):
+    return [name for name in PATHS if name.split(".")[1:2] and name.split(".")[1] in packages]
+
+
+@pytest.mark.parametrize(
+    ("names", "forbidden"),
+    [
+        (within("symbolic"), ("codegen", "solvers", "solution", "compiled", "export")),
+        (within("codegen"), ("symbolic", "solvers", "solution", "compiled", "export")),
+        (within("solvers", "tensors"), ("solution", "solution_core", "storage", "export")),
+        (within("storage", "files", "metadata", "plain_data"), ("solution", "solution_core")),
+        (within("export"), ("solution", "compiled", "symbolic")),
+        (within("errors"), tuple(name.split(".")[1] for name in PATHS if "." in name)),
+    ],
+    ids=lambda value: value[0].split(".")[1] if "." in value[0] else "",
+)
+def test_layers(names, forbidden):
+    for name in names:
+        for other in GRAPH[name]:
+            assert other.split(".")[1] not in forbidden, f"{name} imports {other}"
 
 
 def test_only_the_printer_uses_sympy_printing():
-    users = {
-        path.relative_to(SOURCE).as_posix()
-        for path in SOURCE.rglob("*.py")
-        if any(name.startswith("sympy.printing") for name in imported(path))
-    }
-    assert users == {"codegen/printer.py"}
+    users = {n for n in PATHS if any(m.startswith("sympy.printing") for m in imported(n))}
+    assert users == {"rankone.codegen.printer"}
 
 
 def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):
@@ -74,7 +129,7 @@ def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):
         "sys.modules['sympy'] = None\n"
         f"package = types.ModuleType('rankone'); package.__path__ = [{str(SOURCE)!r}]\n"
         "sys.modules['rankone'] = package\n"
-        "from rankone.storage import load\n"
+        "from rankone.solution import load\n"
         f"print(float(load({str(path)!r})(t=1.0, k=2.0)[0]))\n"
     )
     done = subprocess.run(

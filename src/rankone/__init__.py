@@ -27,11 +27,10 @@ from rankone.errors import (
 )
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
-from rankone.solution import Solution
+from rankone.solution import Solution, load
 from rankone.solvers.greedy import GreedyOptions
 from rankone.solvers.outcome import Status
 from rankone.solvers.train import TrainOptions
-from rankone.storage import load
 from rankone.symbolic import (
     FirstOrderSystem,
     Problem,

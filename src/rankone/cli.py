@@ -173,10 +173,10 @@ def _solve(arguments: argparse.Namespace) -> int:
     import rankone
     from rankone.errors import ConvergenceError
     from rankone.problem_files import load_problem
-    from rankone.storage import free_target
+    from rankone.storage import target
 
     if arguments.save is not None:  # find out before the solve, not after it
-        free_target(arguments.save, arguments.overwrite)
+        target(arguments.save, arguments.overwrite)
 
     compiled = rankone.compile(load_problem(arguments.file))
     check = True if arguments.check is None else arguments.check or False
@@ -247,10 +247,10 @@ def _show(arguments: argparse.Namespace) -> int:
 def _export(arguments: argparse.Namespace) -> int:
     """Run ``rankone export``."""
     import rankone
+    from rankone.export import solver_target
     from rankone.problem_files import load_problem
-    from rankone.storage import free_target
 
-    free_target(arguments.output, arguments.overwrite)
+    solver_target(arguments.output, arguments.overwrite)
 
     compiled = rankone.compile(load_problem(arguments.file))
     compiled.export(arguments.output, method=arguments.method, overwrite=arguments.overwrite)

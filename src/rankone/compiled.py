@@ -33,12 +33,13 @@ from threadpoolctl import ThreadpoolController
 from rankone.codegen import equation_texts, generate_source, load_module
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError, OptionError
-from rankone.ir import QuadraticSystem, Role, SeparatedForm
+from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
+from rankone.metadata import SolutionMetadata
 from rankone.progress import Progress, resolve_progress
-from rankone.solution import Solution, SolutionMetadata
+from rankone.solution import Solution
+from rankone.solution_core import raise_blow_up
 from rankone.solvers.registry import engine_named
-from rankone.solvers.request import raise_blow_up
 from rankone.symbolic import (
     FirstOrderSystem,
     Problem,
@@ -173,10 +174,10 @@ class CompiledProblem:
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        metadata = self._metadata(request.rtol, method)
+        metadata = self.metadata(request.rtol, method)
         metadata = replace(metadata, horizon=domain.horizon, box=domain.box)
         solution = Solution(replace(outcome, timings=timings), metadata)
-        raise_blow_up(solution, outcome)
+        raise_blow_up(solution)
         if on_failure == "raise" and not solution.success:
             raise ConvergenceError(outcome.message, solution=solution)
         return solution
@@ -189,12 +190,13 @@ class CompiledProblem:
 
         return export_solver(self, path, method=method, overwrite=overwrite)
 
-    def _metadata(self, rtol: float, method: str) -> SolutionMetadata:
+    def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
+        """What a solution of the problem says was asked."""
         form = self.separated
         clock, *parameters = form.coordinates
         return SolutionMetadata(
-            unknowns=tuple(state.name for state in form.states if state.role is Role.UNKNOWN),
             states=tuple(state.name for state in form.states),
+            roles=tuple(state.role.value for state in form.states),
             parameters=tuple(c.name for c in parameters),
             box=tuple((c.lower, c.upper) for c in parameters),
             time=clock.name,

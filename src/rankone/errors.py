@@ -8,10 +8,9 @@ the term (``.term``) and a way out (``.remedy``); what is wrong with a problem a
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from rankone.solution import Solution
+import sys
+import warnings
+from typing import Any
 
 __all__ = [
     "BlowUpError",
@@ -24,6 +23,7 @@ __all__ = [
     "RankoneWarning",
     "SeparationError",
     "StorageError",
+    "warn",
 ]
 
 
@@ -87,7 +87,7 @@ class ExportError(RankoneError, ValueError):
 class ConvergenceError(RankoneError, RuntimeError):
     """The tolerance asked for was not reached; ``.solution`` holds what was reached."""
 
-    def __init__(self, message: str, *, solution: Solution | None = None, **where: Any) -> None:
+    def __init__(self, message: str, *, solution: Any = None, **where: Any) -> None:
         super().__init__(message, **where)
         self.solution = solution
 
@@ -114,3 +114,16 @@ class BlowUpError(ConvergenceError):
 
 class RankoneWarning(UserWarning):
     """Something is probably not what was meant, but the result is well defined."""
+
+
+def warn(message: str) -> None:
+    """Give a RankoneWarning at the line that called this package from outside."""
+    own = __name__.partition(".")[0]
+    level = depth = 1
+    frame = sys._getframe().f_back
+    while frame is not None:
+        depth += 1
+        if frame.f_globals.get("__name__", "").partition(".")[0] == own:
+            level = depth
+        frame = frame.f_back
+    warnings.warn(message, RankoneWarning, stacklevel=level + 1)

@@ -5,86 +5,31 @@ from __future__ import annotations
 import html
 import textwrap
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Literal
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import EvaluationError
-from rankone.evaluation import Coordinates, name_of
-from rankone.solvers.outcome import Outcome, SlabRecord, Status
-from rankone.tensors.evaluator import TrainEvaluator
-from rankone.wording import did_you_mean, listing
+from rankone.solution_core import SolutionCore
+from rankone.solvers.outcome import SlabRecord
+from rankone.solvers.registry import ENGINES
+from rankone.storage import read
+from rankone.tensors.canonical import CanonicalForms, canonical_form
 
-if TYPE_CHECKING:
-    from rankone.tensors.canonical import CanonicalForms
-
-__all__ = ["Solution", "SolutionMetadata", "UnknownView"]
+__all__ = ["Solution", "load"]
 
 _WIDTH = 96
 _MOST_NAMES = 8
 
 
-@dataclass(frozen=True, slots=True)
-class SolutionMetadata:
-    """What was asked, in plain data: a solution needs neither SymPy nor the problem.
-
-    Attributes
-    ----------
-    unknowns : tuple of str
-        Names of the unknowns.
-    states : tuple of str
-        The unknowns, then the derivatives that became states (``x_t``, ``x_tt``, ...), in the
-        order of the slabs' states.
-    parameters : tuple of str
-        Names of the parameters, in the order of the slabs' cores.
-    box : tuple of (float, float)
-        The interval of each parameter.
-    time : str
-        Name of time.
-    horizon : tuple of float
-        Start and end asked for; a partial solution ends earlier.
-    rtol : float
-        Relative tolerance asked for.
-    method : str
-        Name of the engine.
-    equations : tuple of str
-        The problem as text, one line for each equation and initial value.
-    version : str
-        Version of rankone that solved it.
-    source : str or None
-        Text of the generated module.
-    """
-
-    unknowns: tuple[str, ...]
-    states: tuple[str, ...]
-    parameters: tuple[str, ...]
-    box: tuple[tuple[float, float], ...]
-    time: str
-    horizon: tuple[float, float]
-    rtol: float
-    method: str = "train"
-    equations: tuple[str, ...] = ()
-    version: str = ""
-    source: str | None = None
-
-
-class Solution:
+class Solution(SolutionCore):
     """The unknowns as functions of time and of all parameters.
 
-    Call it with times and parameter values, or index it to get one unknown:
-
-    - ``solution(t=1.0, x0=9.0, y0=5.0)`` has the shape (unknowns,);
-    - ``solution(times, {x0: 9, y0: [4.5, 5.5]})`` broadcasts as NumPy does and has the shape
-      (unknowns, *broadcast shape); keys are symbols or names;
-    - ``solution[x](t=times, x0=9, y0=5)`` has the broadcast shape alone;
-    - ``solution.grid(t=times, x0=..., y0=...)`` evaluates every combination.
-
-    Values outside of the box or of the horizon are errors; nothing is extrapolated.
+    It is evaluated like :class:`~rankone.solution_core.SolutionCore`, whose methods it has:
+    ``solution(t=1.0, x0=9.0, y0=5.0)``, ``solution[x](...)``, ``solution.grid(...)``. Beside
+    that it says how it was found, and can be written in other forms.
 
     Parameters
     ----------
@@ -92,156 +37,15 @@ class Solution:
         What the engine returned.
     metadata : SolutionMetadata
         What was asked.
-
-    Attributes
-    ----------
-    outcome, metadata
-        As given.
     """
 
-    def __init__(self, outcome: Outcome, metadata: SolutionMetadata) -> None:
-        self.outcome = outcome
-        self.metadata = metadata
-        self._rows = {name: row for row, name in enumerate(metadata.states)}
-        self._unknowns = slice(0, len(metadata.unknowns))
-        self._coordinates = Coordinates(
-            (metadata.time, *metadata.parameters), (self.time, *metadata.box)
-        )
-
-    # --- evaluation ----------------------------------------------------------------------------
-
-    def __call__(self, time: Any = None, values: Any = None, /, **named: Any) -> Array:
-        """Evaluate all unknowns.
-
-        Parameters
-        ----------
-        time : array_like, optional
-            Times, or a mapping which holds them as well; they can also be given by name.
-        values : mapping, optional
-            From symbols or names to values.
-        **named
-            Values by name.
-
-        Returns
-        -------
-        ndarray (unknowns, *broadcast shape of the values)
-
-        Raises
-        ------
-        EvaluationError
-            If a coordinate is missing, unknown, given twice, not a real number, or outside of
-            the box or the horizon.
-        """
-        return self._evaluate(self._coordinates.gather(time, values, named), self._unknowns)
-
-    def grid(self, time: Any = None, values: Any = None, /, **named: Any) -> Array:
-        """Evaluate all unknowns for every combination of values, one axis per coordinate.
-
-        Arguments and errors are those of a call; each value is a number or one-dimensional.
-
-        Returns
-        -------
-        ndarray (unknowns, times, values of parameter 1, values of parameter 2, ...)
-        """
-        axes = self._coordinates.axes(self._coordinates.gather(time, values, named))
-        return self._evaluator.grid(axes, self._unknowns)
-
-    def __getitem__(self, unknown: Any) -> UnknownView:
-        """Return one unknown, or one derivative that is a state: ``solution[x.diff(t)]``."""
-        name = name_of(unknown, self.metadata.time)
-        if name not in self._rows:
-            raise EvaluationError(
-                f"no unknown `{name}`{did_you_mean(name, self.metadata.states)}; "
-                f"the solution holds {listing(self.metadata.states)}",
-                term=unknown,
-            )
-        return UnknownView(self, name)
-
-    def __iter__(self) -> Any:
-        raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
-
-    def _evaluate(self, given: list[Any], rows: slice) -> Array:
-        evaluator = self._evaluator
-        numbers = self._coordinates.numbers(given)
-        if numbers is not None:
-            return evaluator.one(numbers, rows)
-        points, shape = self._coordinates.broadcast(self._coordinates.arrays(given))
-        if shape == ():
-            return evaluator.one(points[:, 0].tolist(), rows)
-        return evaluator.many(points, rows).reshape(rows.stop - rows.start, *shape)
-
-    @cached_property
-    def _evaluator(self) -> TrainEvaluator:
-        if not self.outcome.slabs:
-            raise EvaluationError(f"nothing was solved: {self.message}")
-        return TrainEvaluator(self.outcome.slabs)
-
-    # --- what was asked and what came out ------------------------------------------------------
-
-    @property
-    def success(self) -> bool:
-        """Whether the measured error is within the tolerance asked; False if it is not known."""
-        return self.outcome.status is Status.CONVERGED
-
-    @property
-    def status(self) -> Status:
-        """How the solve ended."""
-        return self.outcome.status
-
-    @property
-    def message(self) -> str:
-        """How the solve ended, why, and what to do."""
-        return self.outcome.message
-
-    @property
-    def error(self) -> float:
-        """Largest measured error over all states, relative to each one's size; NaN if unchecked.
-
-        Derivatives that became states count as well.
-        """
-        return self._worst("interior")
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Measured error of each state, unknowns first; NaN if unchecked."""
-        measured = self.outcome.measured
-        if measured is None:
-            return dict.fromkeys(self.metadata.states, float("nan"))
-        return dict(zip(self.metadata.states, measured.interior, strict=True))
+    # --- how it was found ----------------------------------------------------------------------
 
     @property
     def corner_error(self) -> float:
         """Largest measured error at corners of the box; NaN if there are none or unchecked."""
-        return self._worst("corners")
-
-    def _worst(self, where: str) -> float:
         measured = self.outcome.measured
-        values = () if measured is None else getattr(measured, where)
-        return float(np.max(values)) if len(values) else float("nan")
-
-    @property
-    def rtol(self) -> float:
-        """Relative tolerance asked for."""
-        return self.metadata.rtol
-
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the unknowns, in the order of the values."""
-        return self.metadata.unknowns
-
-    @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """The box: the interval of each parameter."""
-        return dict(zip(self.metadata.parameters, self.metadata.box, strict=True))
-
-    @property
-    def time(self) -> tuple[float, float]:
-        """Start and end of what was solved."""
-        start, end = self.metadata.horizon
-        if not self.outcome.slabs:
-            return start, start
-        reached = self.outcome.slabs[-1].end
-        return start, end if abs(end - reached) <= 1e-10 * (end - start) else reached
+        return float(np.max(measured.corners)) if measured and measured.corners else float("nan")
 
     @property
     def ranks(self) -> tuple[tuple[int, ...], ...]:
@@ -294,7 +98,9 @@ class Solution:
         Returns
         -------
         CanonicalForms
-            A mapping from unknowns to :class:`~rankone.tensors.canonical.CanonicalForm`.
+            A mapping from unknowns to :class:`~rankone.tensors.canonical.CanonicalForm`. The form
+            of a derivative that is a state is computed when it is asked for:
+            ``forms[x.diff(t)]`` or ``forms["x_t"]``.
 
         Raises
         ------
@@ -306,56 +112,30 @@ class Solution:
         RankoneWarning
             If ``max_rank`` terms do not suffice; the form says the error reached.
         """
-        from rankone.tensors.canonical import CanonicalForms, canonical_form
-
         self._evaluator  # noqa: B018 - raises if nothing was solved
         names = (self.metadata.time, *self.metadata.parameters)
-        forms = {}
-        for row, name in enumerate(self.unknowns):
-            forms[name] = canonical_form(
-                self.outcome.slabs, row, names, rtol=rtol, max_rank=max_rank, label=name
-            )
-        return CanonicalForms(forms)
+        form = partial(canonical_form, self.outcome.slabs, names, rtol=rtol, max_rank=max_rank)
+        return CanonicalForms(form, self.states, self.unknowns)
 
     @cached_property
     def modes(self) -> CanonicalForms:
         """The canonical form of each unknown to 1e-3, for plots; see :meth:`to_canonical`."""
         return self.to_canonical(1e-3)
 
-    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the solution to a file in the open format of :mod:`rankone.storage`.
-
-        Parameters
-        ----------
-        path : path-like
-            Used as given; the usual suffix is ``.npz``.
-        overwrite : bool
-            Whether to replace an existing file.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        StorageError
-            If the file exists and is not to be replaced, or cannot be written. A file is either
-            complete or not there, also after an interrupt.
-        """
-        from rankone.storage import save
-
-        return save(self, path, overwrite=overwrite)
-
     def export(
-        self, path: str | PathLike[str], *, overwrite: bool = False, allow_failed: bool = False
+        self,
+        path: str | PathLike[str],
+        *,
+        states: Literal["unknowns", "all"] = "unknowns",
+        overwrite: bool = False,
+        allow_failed: bool = False,
     ) -> Path:
         """Write a solved model in Python or C99; see :func:`rankone.export.export_model`."""
         from rankone.export import export_model
 
-        return export_model(self, path, overwrite=overwrite, allow_failed=allow_failed)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.outcome, self.metadata)
+        return export_model(
+            self, path, states=states, overwrite=overwrite, allow_failed=allow_failed
+        )
 
     # --- display -------------------------------------------------------------------------------
 
@@ -413,45 +193,27 @@ class Solution:
         return f"<table><caption>Solution</caption><tbody>{rows}</tbody></table>"
 
 
-@dataclass(frozen=True, repr=False)
-class UnknownView:
-    """One unknown of a solution, as a function of time and the parameters.
+def load(path: str | PathLike[str]) -> Solution:
+    """Read a solution that was saved by :meth:`Solution.save`.
 
-    Attributes
+    Nothing in the file is executed.
+
+    Parameters
     ----------
-    solution : Solution
-    name : str
-        Name of the unknown, or of a derivative that is a state.
+    path : path-like
+
+    Returns
+    -------
+    Solution
+        Evaluates to exactly the same values as the one saved.
+
+    Raises
+    ------
+    StorageError
+        If there is no such file, it is not a rankone solution, it is damaged, or a newer version
+        of rankone wrote it.
     """
-
-    solution: Solution
-    name: str
-
-    @property
-    def _row(self) -> slice:
-        row = self.solution._rows[self.name]
-        return slice(row, row + 1)
-
-    def __call__(self, time: Any = None, values: Any = None, /, **named: Any) -> Any:
-        """Evaluate: arguments and errors as for a solution, shape of the result as broadcast."""
-        given = self.solution._coordinates.gather(time, values, named)
-        return self.solution._evaluate(given, self._row)[0]
-
-    def grid(self, time: Any = None, values: Any = None, /, **named: Any) -> Array:
-        """Evaluate for every combination of values: shape (times, values of parameter 1, ...)."""
-        coordinates = self.solution._coordinates
-        axes = coordinates.axes(coordinates.gather(time, values, named))
-        values_: Array = self.solution._evaluator.grid(axes, self._row)[0]
-        return values_
-
-    @property
-    def error(self) -> float:
-        """Measured error, relative to the unknown's size; NaN if unchecked."""
-        return self.solution.errors[self.name]
-
-    def __repr__(self) -> str:
-        coordinates = ", ".join(self.solution._coordinates.names)
-        return f"{self.name}({coordinates}) of a Solution, measured error {self.error:.2g}"
+    return Solution(*read(path, {name: engine.record for name, engine in ENGINES.items()}))
 
 
 def _some(texts: Iterable[str]) -> str:

@@ -7,7 +7,8 @@ and by any program that reads zip and npy:
     A text array without dimensions that holds JSON:
 
     - ``format``: ``"rankone-solution"``; ``format_version``: 1;
-    - ``metadata``: the fields of :class:`~rankone.solution.SolutionMetadata`;
+    - ``metadata``: the fields of :class:`~rankone.metadata.SolutionMetadata`, and ``unknowns``;
+      without ``roles`` the states behind the unknowns are derivatives;
     - ``status`` (name of a :class:`~rankone.solvers.outcome.Status`), ``message``, ``measured``
       (or null), ``history`` (one object for each slab tried), ``timings``, ``blow_up`` (time and
       list of parameter values, or null): as in :class:`~rankone.solvers.outcome.Outcome`;
@@ -26,49 +27,68 @@ and by any program that reads zip and npy:
     (Legendre) or arcsine (Chebyshev) probability measure of the whole interval. See
     :class:`~rankone.tensors.slab.SlabTrain`.
 
-Readers refuse versions newer than their own. The version grows when an old reader could
-misunderstand a file.
+Readers refuse versions newer than their own, and pass over entries they do not know. The version
+grows when an old reader could misunderstand a file.
 """
 
 from __future__ import annotations
 
 import json
-import math
-import os
-import secrets
 from collections.abc import Mapping
-from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile, ZipFile, is_zipfile
+from typing import Any, get_type_hints
+from zipfile import BadZipFile, is_zipfile
 from zlib import error as ZlibError
 
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
 from rankone.errors import StorageError
-from rankone.solution import Solution, SolutionMetadata
-from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.files import free_target, npz, write_files
+from rankone.metadata import SolutionMetadata
+from rankone.plain_data import plain, rebuilt
+from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["FORMAT", "FORMAT_VERSION", "load", "save"]
+__all__ = ["FORMAT", "FORMAT_VERSION", "read", "target", "write"]
 
 FORMAT = "rankone-solution"
 FORMAT_VERSION = 1
+_PLAIN = ("status", "message", "measured", "timings", "blow_up")
+"""Fields of an outcome that the header holds as they are."""
 
 
-def save(solution: Solution, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write a solution to a file.
+def target(path: str | PathLike[str], overwrite: bool) -> Path:
+    """The path of a file that a solution, or a table of values, can be written to.
 
-    The file is written beside its final place and moved there when it is complete, so that an
-    interrupt or a full disk leaves no half-written file and an older file stays as it was.
+    Raises
+    ------
+    StorageError
+        If its name does not end in ``.npz``, it exists and is not to be replaced, or it cannot be
+        written.
+    """
+    if Path(path).suffix != ".npz":
+        raise StorageError(
+            f"`{path}` is no name for an .npz file", term=path, remedy="end the name in .npz"
+        )
+    return free_target(path, overwrite, StorageError)
+
+
+def write(
+    path: str | PathLike[str],
+    outcome: Outcome,
+    metadata: SolutionMetadata,
+    overwrite: bool = False,
+) -> Path:
+    """Write what was solved to a file.
 
     Parameters
     ----------
-    solution : Solution
     path : path-like
-        Used as given; the usual suffix is ``.npz``.
+        Ends in ``.npz``.
+    outcome : Outcome
+    metadata : SolutionMetadata
     overwrite : bool
         Whether to replace an existing file.
 
@@ -79,62 +99,25 @@ def save(solution: Solution, path: str | PathLike[str], *, overwrite: bool = Fal
     Raises
     ------
     StorageError
-        If the file exists and is not to be replaced, or cannot be written.
+        As for :func:`target`. A file is either complete or not there, also after an interrupt.
     """
-    return write_arrays(path, slab_arrays(solution), overwrite)
+    place = target(path, overwrite)
+    write_files({place: npz(_arrays(outcome, metadata))}, overwrite, StorageError)
+    return place
 
 
-def free_target(path: str | PathLike[str], overwrite: bool) -> Path:
-    """The path of a file that can be written and need not stay as it is, or a StorageError."""
-    target = Path(path)
-    try:
-        exists, folder = target.exists(), target.is_dir() or not target.absolute().parent.is_dir()
-    except (OSError, ValueError) as error:
-        raise StorageError(f"`{target}` cannot be written: {error}", term=target) from error
-    if folder:
-        raise StorageError(f"`{target}` cannot be written: a directory, or in no directory")
-    if exists and not overwrite:
-        remedy = "choose another name, or overwrite=True (--overwrite on the command line)"
-        raise StorageError(f"`{target}` exists", term=target, remedy=remedy)
-    return target
-
-
-def write_arrays(
-    path: str | PathLike[str], arrays: Mapping[str, Any], overwrite: bool = False
-) -> Path:
-    """Write an .npz file, whatever the names; it is either complete or not there."""
-    given = free_target(path, overwrite)
-    target = Path(os.path.realpath(given))
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
-    try:
-        with partial.open("xb") as file:
-            with ZipFile(file, "w") as archive:
-                for name, array in arrays.items():
-                    with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                        np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(target)
-    except OSError as error:
-        raise StorageError(f"`{given}` cannot be written: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
-    return given
-
-
-def load(path: str | PathLike[str]) -> Solution:
-    """Read a solution from a file written by :func:`save`.
+def read(
+    path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
+) -> tuple[Outcome, SolutionMetadata]:
+    """Read what was solved from a file written by :func:`write`.
 
     Nothing in the file is executed.
 
     Parameters
     ----------
     path : path-like
-
-    Returns
-    -------
-    Solution
-        Evaluates to exactly the same values as the one saved.
+    records : mapping of str to type
+        For each method the class of the records of its history.
 
     Raises
     ------
@@ -150,8 +133,9 @@ def load(path: str | PathLike[str]) -> Solution:
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as arrays:
                 header = _header(arrays, given)
-                outcome = _outcome(header, arrays)
-        return Solution(outcome, _metadata(header["metadata"], outcome))
+                metadata = _metadata(header["metadata"])
+                outcome = _outcome(header, records.get(metadata.method, SlabRecord), arrays)
+        _check(outcome, metadata)
     except StorageError:
         raise
     except FileNotFoundError:
@@ -164,6 +148,7 @@ def load(path: str | PathLike[str]) -> Solution:
             term=given,
             remedy="restore it from a copy, or solve again",
         ) from error
+    return outcome, metadata
 
 
 def _not_a_solution(path: Path) -> StorageError:
@@ -177,9 +162,8 @@ def _not_a_solution(path: Path) -> StorageError:
 # --- writing -----------------------------------------------------------------------------------
 
 
-def slab_arrays(solution: Solution) -> dict[str, Any]:
+def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
     """The arrays of a file by name."""
-    outcome = solution.outcome
     bases: dict[Basis1D, int] = {}
     slabs = []
     for slab in outcome.slabs:
@@ -188,32 +172,17 @@ def slab_arrays(solution: Solution) -> dict[str, Any]:
     header = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "metadata": asdict(solution.metadata),
-        "status": outcome.status.name,
-        "message": outcome.message,
-        "measured": None if outcome.measured is None else asdict(outcome.measured),
-        "history": [asdict(record) for record in outcome.history],
-        "timings": outcome.timings,
-        "blow_up": outcome.blow_up,
-        "bases": [{"kind": basis.kind, **asdict(basis)} for basis in bases],
+        "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
+        **{name: getattr(outcome, name) for name in _PLAIN},
+        "history": outcome.history,
+        "bases": [{"kind": basis.kind, **plain(basis)} for basis in bases],
         "slabs": slabs,
     }
-    arrays = {"header": np.array(json.dumps(_plain(header), allow_nan=False))}
+    arrays = {"header": np.array(json.dumps(plain(header), allow_nan=False))}
     for i, slab in enumerate(outcome.slabs):
         for j, core in enumerate(slab.cores):
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
     return arrays
-
-
-def _plain(value: Any) -> Any:
-    """Turn NumPy numbers into Python numbers, and numbers that JSON lacks into text."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # --- reading -----------------------------------------------------------------------------------
@@ -237,69 +206,30 @@ def _header(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
     return header
 
 
-def _metadata(fields: Mapping[str, Any], outcome: Outcome) -> SolutionMetadata:
-    metadata = SolutionMetadata(
-        unknowns=_names(fields["unknowns"]),
-        states=_names(fields["states"]),
-        parameters=_names(fields["parameters"]),
-        box=tuple((float(lower), float(upper)) for lower, upper in fields["box"]),
-        time=str(fields["time"]),
-        horizon=(float(fields["horizon"][0]), float(fields["horizon"][1])),
-        rtol=float(fields["rtol"]),
-        method=str(fields["method"]),
-        equations=_names(fields["equations"]),
-        version=str(fields["version"]),
-        source=None if fields["source"] is None else str(fields["source"]),
-    )
-    n, d = len(metadata.states), len(metadata.parameters)
-    fits = metadata.states[: len(metadata.unknowns)] == metadata.unknowns
-    fits = fits and len(metadata.box) == d
-    if not fits or any(s.cores[0].shape[0] != n or len(s.bases) != d for s in outcome.slabs):
-        raise ValueError("the names do not fit the cores")
+def _metadata(fields: Mapping[str, Any]) -> SolutionMetadata:
+    """What was asked; without roles the states behind the unknowns are derivatives."""
+    unknowns, states = fields["unknowns"], fields["states"]
+    behind = ["derivative"] * (len(states) - len(unknowns))
+    roles = {"roles": ["unknown"] * len(unknowns) + behind}
+    metadata: SolutionMetadata = rebuilt(SolutionMetadata, roles | {**fields})
+    if len(metadata.roles) != len(states) or [*metadata.unknowns] != unknowns:
+        raise ValueError("the unknowns do not fit the states")
     return metadata
 
 
-def _outcome(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Outcome:
-    bases = [
-        BASES[fields["kind"]](
-            float(fields["lower"]),
-            float(fields["upper"]),
-            int(fields["degree"]),
-            int(fields["elements"]),
-        )
-        for fields in header["bases"]
+def _outcome(
+    header: Mapping[str, Any], record: type[SlabRecord], arrays: Mapping[str, Any]
+) -> Outcome:
+    hints = get_type_hints(Outcome)
+    bases = [rebuilt(BASES[fields["kind"]], fields) for fields in header["bases"]]
+    slabs = [
+        _slab(i, fields, tuple(bases[k] for k in fields["bases"]), arrays)
+        for i, fields in enumerate(header["slabs"])
     ]
-    measured, blow_up = header["measured"], header["blow_up"]
     return Outcome(
-        slabs=tuple(
-            _slab(i, fields, tuple(bases[k] for k in fields["bases"]), arrays)
-            for i, fields in enumerate(header["slabs"])
-        ),
-        status=Status[header["status"]],
-        message=str(header["message"]),
-        measured=None
-        if measured is None
-        else Measured(
-            interior=_floats(measured["interior"]),
-            corners=_floats(measured["corners"]),
-            points=int(measured["points"]),
-            method=str(measured["method"]),
-        ),
-        history=tuple(
-            SlabRecord(
-                attempt=int(record["attempt"]),
-                start=float(record["start"]),
-                end=float(record["end"]),
-                accepted=bool(record["accepted"]),
-                tolerance=float(record["tolerance"]),
-                residuals=_floats(record["residuals"]),
-                ranks=tuple(int(rank) for rank in record["ranks"]),
-                nodes=tuple(int(count) for count in record["nodes"]),
-            )
-            for record in header["history"]
-        ),
-        timings={str(stage): float(seconds) for stage, seconds in header["timings"].items()},
-        blow_up=None if blow_up is None else (float(blow_up[0]), _floats(blow_up[1])),
+        slabs=tuple(slabs),
+        history=tuple(rebuilt(record, entry) for entry in header["history"]),
+        **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
     )
 
 
@@ -314,12 +244,16 @@ def _slab(
             raise ValueError(f"the cores of slab {index} do not fit together")
     if any(core.shape[1] != basis.size for core, basis in zip(cores[1:], bases, strict=True)):
         raise ValueError(f"the cores of slab {index} do not fit their bases")
-    return SlabTrain(float(fields["start"]), float(fields["end"]), cores, bases)
+    return SlabTrain(rebuilt(float, fields["start"]), rebuilt(float, fields["end"]), cores, bases)
 
 
-def _names(values: Any) -> tuple[str, ...]:
-    return tuple(str(value) for value in values)
-
-
-def _floats(values: Any) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
+def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
+    """The names have to fit the cores and what was measured."""
+    states, parameters = len(metadata.states), len(metadata.parameters)
+    fits = len(metadata.box) == parameters
+    for slab in outcome.slabs:
+        fits = fits and len(slab.cores[0]) == states and len(slab.bases) == parameters
+    if outcome.measured is not None:
+        fits = fits and len(outcome.measured.interior) == states
+    if not fits:
+        raise ValueError("the names do not fit the cores")

@@ -15,9 +15,8 @@ import rankone
 from rankone.cli import main
 from rankone.errors import BlowUpError, OptionError, RankoneWarning
 from rankone.problem_files import TOML_LAYOUT
-from rankone.solution import Solution
+from rankone.solution import Solution, load
 from rankone.solvers.outcome import Status
-from rankone.storage import load
 from tests.solution.functions import two_unknowns
 
 SOLVED = two_unknowns().solution
@@ -193,13 +192,18 @@ def test_bad_targets_are_found_before_the_solve(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     solver(raising(AssertionError("solved")))
-    for target in (file, str(tmp_path), str(tmp_path / "missing" / "a.npz")):
-        assert main(["solve", file, "--save", target]) == 2
-    solver(returning(SOLVED))
     old = tmp_path / "old.npz"
     old.touch()
+    for target, message in (
+        (file, "end the name in .npz"),
+        (str(tmp_path), "end the name in .npz"),
+        (str(tmp_path / "missing" / "a.npz"), "there is no directory"),
+        (str(old), "exists; remedy"),
+    ):
+        assert main(["solve", file, "--save", target]) == 2
+        assert message in capsys.readouterr().err
+    solver(returning(SOLVED))
     assert main(["solve", file, "--save", str(old), "--overwrite"]) == 0
-    assert "exists; remedy" in capsys.readouterr().err
 
 
 def test_bad_input_has_no_traceback(

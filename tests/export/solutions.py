@@ -8,7 +8,7 @@ import numpy as np
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis, LegendreBasis
-from rankone.solution import SolutionMetadata
+from rankone.metadata import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
@@ -57,8 +57,8 @@ def synthetic(status: Status = Status.CONVERGED) -> ro.Solution:
         )
         slabs.append(SlabTrain(start, end, cores, bases))
     metadata = SolutionMetadata(
-        unknowns=("x", "int"),
         states=("x", "int", "x_t"),
+        roles=("unknown", "unknown", "derivative"),
         parameters=("lambda", "x_{0}", "α"),
         box=((-2.0, 3.0), (0.1, 0.7), (1.0, 2.0)),
         time="t",

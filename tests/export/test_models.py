@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.errors import ExportError
+from rankone.errors import ExportError, OptionError
 from rankone.export.model_c import c_identifier
 from rankone.export.model_python import keywords
 from rankone.solvers.outcome import Status
@@ -214,6 +215,41 @@ def test_models_say_the_equations(tmp_path):
         solution.export((tmp_path / file).with_suffix(".py" if file[-1] == "y" else ".c"))
         text = (tmp_path / file).read_text()
         assert all(line in text for line in lines)
+
+
+def with_derivatives():
+    """Two unknowns in a second-order equation and a first-order one."""
+    problem = ro.Problem.from_strings(
+        rhs={"x": "v", "v": "-k*x"}, initial={"x": 1, "v": 0}, parameters={"k": (1, 2)}, time=(0, 1)
+    )
+    solution = ro.solve(problem, rtol=1e-6)
+    metadata = replace(solution.metadata, states=("x", "x_t"), roles=("unknown", "derivative"))
+    return ro.Solution(solution.outcome, metadata)
+
+
+def test_python_states(tmp_path):
+    solution = with_derivatives()
+    assert imported(solution.export(tmp_path / "few.py")).UNKNOWNS == ("x",)
+    model = imported(solution.export(tmp_path / "all.py", states="all"))
+    assert model.UNKNOWNS == solution.states == ("x", "x_t")
+    where = points(solution, 100)
+    wanted = np.array([solution[name](where) for name in model.UNKNOWNS])
+    np.testing.assert_allclose(model.value(where), wanted, atol=1e-12)
+    np.testing.assert_allclose(model.gradient(where)[0, 0], wanted[1], atol=1e-5)
+    with pytest.raises(OptionError, match="states='some' is unknown"):
+        solution.export(tmp_path / "some.py", states="some")
+
+
+@needs_compiler
+def test_c_states(tmp_path):
+    solution = with_derivatives()
+    solution.export(tmp_path / "model.c", states="all")
+    assert "#define MODEL_U_x_t 1\n" in (tmp_path / "model.h").read_text()
+    where = points(solution, 100)
+    states = replace(solution.metadata, roles=("unknown", "unknown"))
+    both = ro.Solution(solution.outcome, states)
+    values, _, _ = run_driver(compiled_driver(tmp_path, "-O2"), both, where)
+    np.testing.assert_allclose(values, both(where), atol=1e-12)
 
 
 # --- C -----------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from rankone.errors import ExportError, OptionError
 from rankone.export.carry import carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
+from rankone.metadata import SolutionMetadata
 from rankone.solvers.greedy import ENGINE
 from tests.export.solutions import compiled, points, solved
 from tests.problems import EXAMPLES
@@ -68,6 +70,13 @@ def test_the_library_and_the_solver_agree(name, tmp_path):
         f"s = solver.solve(rtol={wanted.rtol!r})\n"
         "where = dict(np.load('points.npz'))\n"
         "np.save('values.npy', s(where))\n"
+        "time, *rest = where.values()\n"
+        "names = [*where][1:]\n"
+        "assert np.array_equal(s(time, dict(zip(names, rest))), s(where))\n"
+        "first = s[s.unknowns[0]](where)\n"
+        "assert np.abs(first - s(where)[0]).max() <= 1e-13 * np.abs(first).max()\n"
+        "again = solver.load(s.save('history.npz'))\n"
+        "assert again.outcome.history == s.outcome.history\n"
         "s.save('solution.npz')\n"
         "assert np.array_equal(solver.load('solution.npz')(where), s(where))\n"
         "assert s.success and s.error <= s.metadata.rtol, s.message\n"
@@ -134,7 +143,10 @@ def test_other_box_and_horizon(folder):
         ("solver.solve(rtol=2)", "OptionError", "rtol"),
         ("solver.solve(rtol=1e-3)(t=7, x0=9, y0=5)", "EvaluationError", "[0, 6]"),
         ("solver.solve(rtol=1e-3)(t=float('nan'), x0=9, y0=5)", "EvaluationError", "`t`"),
-        ("solver.solve(rtol=1e-3)(t=1, x0=9)", "EvaluationError", "t, x0, y0"),
+        ("solver.solve(rtol=1e-3)(t=1, x0=9)", "EvaluationError", "no value for `y0`"),
+        ("solver.solve(rtol=1e-3)(1, 9, 5)", "EvaluationError", "solution(t=3, x0=10, y0=5)"),
+        ("solver.solve(rtol=1e-3)['z']", "EvaluationError", "no unknown `z`"),
+        ("solver.solve(rtol=1e-3).save('values.txt')", "StorageError", "end the name in .npz"),
         (
             "solver.solve(rtl=1e-3)",
             "OptionError",
@@ -172,6 +184,7 @@ def test_program(folder):
     shown = alone(folder, "--help").stdout
     assert "x' = 1.5*x - x*y" in shown
     assert alone(folder, "--options", "max_rank=2", "--rtol", "1e-8").returncode == 1
+    (folder / "folder.npz").mkdir()
     for wrong, message in (
         (["--at", "t"], "--at: 't' has no name"),
         (["--at", "t=a"], "--at: 't=a' cannot be read"),
@@ -179,10 +192,11 @@ def test_program(folder):
         (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read"),
         (["--rtol", "1e-3", "--grid", "0", "--save", "zero.npz"], "--grid 0"),
         (["--save", "values.npz"], "exists"),
-        (["--save", "nowhere/values.npz"], "cannot be written: a directory, or in no directory"),
-        (["--save", ".", "--overwrite"], "cannot be written: a directory, or in no directory"),
-        (["--save", "", "--overwrite"], "cannot be written: a directory, or in no directory"),
-        (["--save", "x" * 300], "cannot be written"),
+        (["--save", "nowhere/values.npz"], "cannot be written: there is no directory `nowhere`"),
+        (["--save", ".", "--overwrite"], "end the name in .npz"),
+        (["--save", "", "--overwrite"], "end the name in .npz"),
+        (["--save", "folder.npz", "--overwrite"], "cannot be written: it is a directory"),
+        (["--save", f"{'x' * 300}.npz"], "cannot be written"),
         (["--load", ""], "cannot be read"),
         (["--options", "rtol=1"], "no options of the engine"),
         (["--options", "cls=1"], "unknown option 'cls'"),
@@ -216,7 +230,7 @@ def test_saved_by_the_program(folder):
         (folder / "damaged.npz").write_bytes(damaged)
         run = alone(folder, "--load", "damaged.npz")
         assert run.returncode == 2
-        assert "damaged.npz` cannot be read" in run.stderr
+        assert "damaged.npz` is" in run.stderr
     solved("decay").save(folder / "decay.npz")
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
@@ -272,6 +286,33 @@ def test_identical_bytes(tmp_path):
         assert target.read_bytes() == first
 
 
+@pytest.mark.parametrize("method", ["train", "greedy"])
+def test_reads_from_top_to_bottom(method):
+    """Parts in order, no marks for linters or cross references, documented parameters."""
+    source = standalone_source(compiled("kirchhoff"), method)
+    parts = [
+        f"# {part}\n# ===" for part in ("System", "Engine", "Evaluation", "Files", "Command line")
+    ]
+    places = [source.index(part) for part in parts]
+    assert places == sorted(places)
+    assert source.index("METADATA = ") > source.index("class Solution:") > places[2]
+    for mark in ("# noqa", "type: ignore", ":class:", ":func:", "SolutionCore"):
+        assert mark not in source
+    assert "max_attempts : int" in source
+    assert "Largest error asked for, relative to the size of each unknown" in source
+
+
+def test_long_texts_are_wrapped():
+    terms = " + ".join(f"{k}*a**{k}*x" for k in range(1, 20))
+    problem = ro.Problem.from_strings({"x": terms}, {"x": 1}, {"a": (0, 0.1)}, (0, 1))
+    source = standalone_source(ro.compile(problem))
+    assert max(map(len, source.splitlines())) <= 100
+    metadata = source[source.index("METADATA = ") :]
+    given = {"SolutionMetadata": SolutionMetadata}
+    exec(metadata[: metadata.index("\n)\n") + 3], given)
+    assert given["METADATA"] == replace(ro.compile(problem).metadata(), source=None)
+
+
 def test_header():
     source = standalone_source(compiled("lotka_volterra"))
     head = source[: source.index("import argparse")]
@@ -315,7 +356,7 @@ def test_paths(tmp_path):
     with pytest.raises(OptionError, match="method='magic'"):
         problem.export(tmp_path / "other.py", method="magic")
     (tmp_path / "folder.py").mkdir()
-    with pytest.raises(ExportError, match="exists"):
+    with pytest.raises(ExportError, match="it is a directory"):
         problem.export(tmp_path / "folder.py", overwrite=True)
     assert {path.name for path in tmp_path.iterdir()} == {"solver.py", "folder.py"}
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
-from rankone.solution import Solution, SolutionMetadata
+from rankone.metadata import SolutionMetadata
+from rankone.solution import Solution
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 
@@ -104,8 +105,8 @@ def known(
         timings={"reference": 0.01, "march": 0.25, "check": 0.125},
     )
     metadata = SolutionMetadata(
-        unknowns=tuple(names[:count]),
         states=tuple(names),
+        roles=("unknown",) * count + ("derivative",) * (len(names) - count),
         parameters=tuple(parameters),
         box=tuple(parameters.values()),
         time=time,

@@ -11,6 +11,7 @@ import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rankone.coordinates import Coordinates
 from rankone.errors import EvaluationError
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
@@ -163,6 +164,20 @@ def test_bad_calls() -> None:
         SOLUTION(1, 0.5)
     with pytest.raises(EvaluationError, match="`3` is not a name"):
         SOLUTION(1, {3: 0})
+
+
+@pytest.mark.parametrize("callee", [SOLUTION, SOLUTION["x"], SOLUTION.modes["x"]])
+def test_too_many_positions(callee: Any) -> None:
+    remedy = r"remedy: give parameters by name: solution\(t=1\.5, x0=0, y0=2\.5\)"
+    for call in (callee, getattr(callee, "grid", callee)):
+        with pytest.raises(EvaluationError, match=f"4 arguments were given by position.*{remedy}"):
+            call(1, 1, 0.2, 4)
+
+
+def test_the_example_of_a_call_can_be_copied() -> None:
+    function = Coordinates(["t", "x_{0}"], [(0, 2), (1, 3)])
+    with pytest.raises(EvaluationError, match=r"solution\(\{'t': 1, 'x_\{0\}': 2\}\)"):
+        function.gather((1, 2), {})
 
 
 @pytest.mark.parametrize("key", ["z", 0, x(0), x(s), sp.Symbol("x") + 1, None, x(t).diff(t)])

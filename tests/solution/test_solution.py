@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from rankone.errors import EvaluationError
+from rankone.errors import EvaluationError, RankoneWarning
 from rankone.solution import Solution
 from rankone.solvers.outcome import Status
 from tests.solution.functions import decay, oscillator, two_unknowns
@@ -134,6 +134,34 @@ def test_canonical_of_a_single_unknown() -> None:
     forms = oscillator().solution.to_canonical(1e-10)
     assert forms.amplitudes.shape == (1,)
     assert set(forms.factors) == set(forms.nodes) == {"s", "k"}
+
+
+def test_derivatives_have_the_same_names_everywhere() -> None:
+    solution = oscillator().solution
+    s = sp.Symbol("s")
+    velocity = sp.Function("x")(s).diff(s)
+    assert solution.unknowns == ("x",)
+    assert solution.states == tuple(solution.errors) == ("x", "x_t")
+    assert list(solution.modes) == ["x"]
+    form = solution.modes["x_t"]
+    assert form is solution.modes[velocity]
+    assert form.name == solution[velocity].name == "x_t"
+    times = np.linspace(0, 3, 7)
+    np.testing.assert_allclose(form(times, k=1.5), np.cos(times), atol=5e-3)
+    with pytest.raises(KeyError):
+        solution.modes["x_tt"]
+
+
+def test_warnings_are_at_the_line_of_the_user() -> None:
+    """Also through properties that are computed once."""
+    solution = Solution(SOLUTION.outcome, SOLUTION.metadata)
+    for call in (
+        lambda: solution.to_canonical(1e-9, max_rank=1),
+        lambda: solution.to_canonical(1e-9, max_rank=1)["x"],
+    ):
+        with pytest.warns(RankoneWarning, match="canonical form of x: 1 terms") as caught:
+            call()
+        assert {warning.filename for warning in caught} == {__file__}
 
 
 def test_numerics_do_not_import_sympy() -> None:

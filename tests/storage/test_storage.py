@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rankone import storage
+import rankone as ro
 from rankone.errors import StorageError
-from rankone.solution import Solution
+from rankone.solution import Solution, load
 from rankone.solvers.outcome import Status
+from tests.problems import REFERENCE
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 SOLUTION = two_unknowns(2).solution
@@ -26,7 +27,7 @@ def test_round_trip_is_exact(known: Known, tmp_path: Path) -> None:
     solution = known.solution
     path = solution.save(tmp_path / "solution.npz")
     assert path == tmp_path / "solution.npz"
-    again = storage.load(str(path))
+    again = load(str(path))
     rng = np.random.default_rng(0)
     coordinates = {
         name: rng.uniform(*interval, 50)
@@ -48,13 +49,13 @@ def test_partial_and_unchecked(tmp_path: Path) -> None:
         measured=None,
         blow_up=(1.1, (0.5, 2.5)),
     )
-    again = storage.load(Solution(outcome, SOLUTION.metadata).save(tmp_path / "a.npz"))
+    again = load(Solution(outcome, SOLUTION.metadata).save(tmp_path / "a.npz"))
     assert again.status is Status.BLOW_UP
     assert again.outcome.measured is None
     assert again.outcome.blow_up == (1.1, (0.5, 2.5))
     assert again.time == (0.0, 1.0)
     empty = Solution(replace(outcome, slabs=()), SOLUTION.metadata)
-    assert storage.load(empty.save(tmp_path / "b.npz")).rank == 0
+    assert load(empty.save(tmp_path / "b.npz")).rank == 0
 
 
 def test_the_format_is_open(tmp_path: Path) -> None:
@@ -64,7 +65,8 @@ def test_the_format_is_open(tmp_path: Path) -> None:
         assert header["format"] == "rankone-solution"
         assert header["format_version"] == 1
         assert header["metadata"]["unknowns"] == ["x", "y"]
-        assert header["metadata"] == json.loads(json.dumps(asdict(SOLUTION.metadata)))
+        asked = {"unknowns": ["x", "y"], **asdict(SOLUTION.metadata)}
+        assert header["metadata"] == json.loads(json.dumps(asked))
         assert file["core_0_0"].shape == (2, 14, 3)
         basis = header["bases"][header["slabs"][2]["bases"][1]]
         assert file["core_2_1"].dtype == np.float64
@@ -78,7 +80,7 @@ def test_existing_files_are_kept(tmp_path: Path) -> None:
         SOLUTION.save(path)
     assert path.read_text() == "precious"
     SOLUTION.save(path, overwrite=True)
-    assert storage.load(path).unknowns == ("x", "y")
+    assert load(path).unknowns == ("x", "y")
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, MemoryError])
@@ -101,10 +103,18 @@ def test_an_interrupt_leaves_nothing(
 
 
 def test_places_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="cannot be written"):
+    with pytest.raises(StorageError, match=r"cannot be written: there is no directory `.*missing`"):
         SOLUTION.save(tmp_path / "missing" / "solution.npz")
-    with pytest.raises(StorageError, match="cannot be written"):
-        SOLUTION.save(tmp_path, overwrite=True)
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(StorageError, match="cannot be written: it is a directory"):
+        SOLUTION.save(tmp_path / "folder.npz", overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.npz"]
+
+
+@pytest.mark.parametrize("name", ["x.txt", "x", "x.npz.gz", ".npz", ""])
+def test_other_suffixes_are_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"remedy: end the name in \.npz"):
+        SOLUTION.save(tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 
@@ -118,9 +128,9 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
 
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"there is no file `.*nothing\.npz`"):
-        storage.load(tmp_path / "nothing.npz")
+        load(tmp_path / "nothing.npz")
     with pytest.raises(StorageError, match="cannot be read"):
-        storage.load(tmp_path)
+        load(tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"text", b"\x80\x04pickle", b"PK\x03\x04broken"])
@@ -128,20 +138,20 @@ def test_foreign_file(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "foreign.npz"
     path.write_bytes(content)
     with pytest.raises(StorageError, match=r"foreign\.npz` is not a rankone solution"):
-        storage.load(path)
+        load(path)
 
 
 def test_foreign_archive(tmp_path: Path) -> None:
     path = tmp_path / "foreign.npz"
     np.savez(path, a=np.ones(3))
     with pytest.raises(StorageError, match="not a rankone solution"):
-        storage.load(path)
+        load(path)
     np.savez(path, header=np.array('{"format": "another"}'))
     with pytest.raises(StorageError, match="not a rankone solution"):
-        storage.load(path)
+        load(path)
     np.savez(path, header=np.array([{"an": "object"}], dtype=object))
     with pytest.raises(StorageError, match="damaged"):
-        storage.load(path)
+        load(path)
 
 
 def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
@@ -160,6 +170,16 @@ def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object])
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
+        (lambda header, _: header["metadata"].update(unknowns=["y"]), "unknowns do not fit"),
+        (lambda header, _: header["metadata"].update(roles=["unknown"] * 3), "do not fit"),
+        (lambda header, _: header["metadata"].update(roles=["unknown", "king"]), "'king' is not"),
+        (lambda header, _: header["metadata"].update(rtol="1e-6"), "'1e-6' is not of the kind"),
+        (lambda header, _: header["metadata"].update(horizon=[0, 1, 2]), "damaged"),
+        (lambda header, _: header["measured"].update(interior=[0.1]), "do not fit"),
+        (lambda header, _: header["measured"].update(points=1.5), "1.5 is not of the kind"),
+        (lambda header, _: header["history"][0].update(accepted=1), "1 is not of the kind"),
+        (lambda header, _: header["history"][0].update(residuals=0.5), "0.5 is not"),
+        (lambda header, _: header["history"][0].pop("ranks"), "damaged .*ranks"),
         (lambda header, _: header.update(status="FINE"), "damaged"),
         (lambda header, _: header["slabs"][0].update(bases=[0, 99]), "damaged"),
         (lambda header, _: header["bases"][0].update(degree=5), "do not fit their bases"),
@@ -172,7 +192,7 @@ def test_damaged_file(edit: Any, message: str, tmp_path: Path) -> None:
     path = SOLUTION.save(tmp_path / "solution.npz")
     edited(path, edit)
     with pytest.raises(StorageError, match=rf"solution\.npz`.*{message}"):
-        storage.load(path)
+        load(path)
 
 
 def test_every_truncation_is_noticed(tmp_path: Path) -> None:
@@ -181,13 +201,44 @@ def test_every_truncation_is_noticed(tmp_path: Path) -> None:
     for size in range(0, len(content), len(content) // 25):
         path.write_bytes(content[:size])
         with pytest.raises(StorageError):
-            storage.load(path)
+            load(path)
 
 
 def test_flipped_bytes_are_noticed(tmp_path: Path) -> None:
     path = SOLUTION.save(tmp_path / "solution.npz")
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    path.write_bytes(content)
-    with pytest.raises(StorageError, match="damaged"):
-        storage.load(path)
+    content = path.read_bytes()
+    header = "rankone-solution".encode("utf-32-le")
+    for data in (header, *(core.tobytes() for core in SOLUTION.outcome.slabs[1].cores)):
+        flipped = bytearray(content)
+        flipped[content.index(data) + len(data) // 2] ^= 0xFF
+        path.write_bytes(flipped)
+        with pytest.raises(StorageError, match="damaged"):
+            load(path)
+
+
+@pytest.mark.parametrize("method", ["train", "greedy"])
+def test_history_is_loaded_as_it_was(method: str, tmp_path: Path) -> None:
+    solution = ro.solve(REFERENCE["coupled"](), rtol=1e-2, method=method)
+    again = load(solution.save(tmp_path / "solution.npz"))
+    assert again.history == solution.history
+    assert {type(record) for record in again.history} == {type(solution.history[0])}
+    assert replace(again.outcome, slabs=()) == replace(solution.outcome, slabs=())
+
+
+def test_files_without_roles(tmp_path: Path) -> None:
+    """Earlier versions wrote none: states behind the unknowns are derivatives."""
+    path = oscillator().solution.save(tmp_path / "solution.npz")
+    edited(path, lambda header, _: header["metadata"].pop("roles"))
+    assert load(path).metadata.roles == ("unknown", "derivative")
+    assert load(path).metadata == oscillator().solution.metadata
+
+
+def test_unknowns_are_asked_for_by_role(tmp_path: Path) -> None:
+    """Neither the order of the states nor a prefix says which are unknowns."""
+    metadata = replace(SOLUTION.metadata, states=("w", "x_t"), roles=("auxiliary", "unknown"))
+    solution = load(Solution(SOLUTION.outcome, metadata).save(tmp_path / "solution.npz"))
+    assert solution.unknowns == ("x_t",)
+    at = {"t": 1.0, "x0": 0.5, "y0": 2.5}
+    np.testing.assert_allclose(solution(**at), SOLUTION(**at)[1:], rtol=1e-14)
+    np.testing.assert_allclose(solution.grid(**at), SOLUTION.grid(**at)[1:], rtol=1e-14)
+    assert list(solution.modes) == ["x_t"]

@@ -84,6 +84,9 @@ def test_unused_parameter_warns():
     with pytest.warns(RankoneWarning, match="parameter `m` appears nowhere") as caught:
         problem(parameters={k: (1, 2), m: (0, 1)})
     assert caught[0].filename == __file__
+    with pytest.warns(RankoneWarning, match="parameter `q` appears nowhere") as caught:
+        Problem.from_strings({"x": "-x"}, {"x": 1}, {"q": (1, 2)}, (0, 1))
+    assert caught[0].filename == __file__
 
 
 def test_parameter_of_the_initial_values_is_used(recwarn):

@@ -17,7 +17,7 @@ from tests.solution.functions import TIME_MODES, Array, Known, known, one, slab_
 def form_of(example: Known, rtol: float, state: int = 0, max_rank: int = 500) -> CanonicalForm:
     solution = example.solution
     names = (solution.metadata.time, *solution.metadata.parameters)
-    return canonical_form(solution.outcome.slabs, state, names, rtol=rtol, max_rank=max_rank)
+    return canonical_form(solution.outcome.slabs, names, state, "u", rtol=rtol, max_rank=max_rank)
 
 
 def heat(t: Array, p: Array, q: Array) -> Array:
@@ -100,7 +100,7 @@ def test_zero() -> None:
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-7])
 def test_error_is_honest(rtol: float, slabs: int) -> None:
     trains = interpolated(slabs, 12)
-    form = canonical_form(trains, 0, ("t", "p", "q"), rtol=rtol)
+    form = canonical_form(trains, ("t", "p", "q"), 0, "u", rtol=rtol)
     assert form.success
     grid = np.meshgrid(*form.nodes.values(), indexing="ij")
     weights = np.prod(np.meshgrid(*form.weights.values(), indexing="ij"), axis=0)
@@ -128,7 +128,7 @@ def test_least_squares_need_fewer_terms() -> None:
 
 def test_too_few_terms_are_reported() -> None:
     with pytest.warns(RankoneWarning, match=r"2 terms leave a relative error of .*max_rank"):
-        form = canonical_form(interpolated(1, 12), 0, ("t", "p", "q"), rtol=1e-7, max_rank=2)
+        form = canonical_form(interpolated(1, 12), ("t", "p", "q"), 0, "u", rtol=1e-7, max_rank=2)
     assert not form.success
     assert form.rank == 2
     assert 1e-5 < form.error < 0.1
@@ -144,6 +144,6 @@ def test_bad_options(options: dict[str, float]) -> None:
 
 def test_tensors_of_the_same_slab_by_hand() -> None:
     slab = slab_train([[(np.sin, np.exp)]], 0.0, 2.0, [LegendreBasis(0.0, 1.0, 14)])
-    form = canonical_form([slab], 0, ("t", "p"), rtol=1e-9, label="u")
+    form = canonical_form([slab], ("t", "p"), 0, "u", rtol=1e-9)
     assert form(1.0, p=0.5) == pytest.approx(math.sin(1.0) * math.exp(0.5), rel=1e-9)
     assert repr(form).startswith("CanonicalForm of u: 1 terms over t (14 nodes), p (14 nodes)")

@@ -11,27 +11,26 @@ module              subject
 ``model_program``   evaluation of the solved model in Python
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
-``files``           writing: all files or none
 ==================  ===================================================================
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from rankone.export.files import target, write_all
+from rankone.errors import ExportError
+from rankone.export.packing import States, pack
+from rankone.export.standalone import Compiled, standalone_source
+from rankone.files import free_target, write_files
+from rankone.solution_core import SolutionCore
 
-if TYPE_CHECKING:
-    from rankone.compiled import CompiledProblem
-    from rankone.solution import Solution
-
-__all__ = ["export_model", "export_solver"]
+__all__ = ["export_model", "export_solver", "solver_target"]
 
 
 def export_solver(
-    compiled: CompiledProblem,
+    compiled: Compiled,
     path: str | PathLike[str],
     *,
     method: str = "train",
@@ -42,6 +41,7 @@ def export_solver(
     Parameters
     ----------
     compiled : CompiledProblem
+        Anything with the ``source`` of a generated module, the ``separated`` form and ``metadata``.
     path : path-like
         Ends in ``.py``.
     method : {"train", "greedy"}
@@ -60,17 +60,21 @@ def export_solver(
     OptionError
         If there is no such method.
     """
-    from rankone.export.standalone import standalone_source
+    target = solver_target(path, overwrite)
+    write_files({target: standalone_source(compiled, method)}, overwrite, ExportError)
+    return target
 
-    given = target(path, {".py": "standalone solver"})
-    write_all({given: standalone_source(compiled, method)}, overwrite=overwrite)
-    return given
+
+def solver_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
+    """The path of a file that a standalone solver can be written to, or an ExportError."""
+    return free_target(_named(path, {".py": "standalone solver"}), overwrite, ExportError)
 
 
 def export_model(
-    solution: Solution,
+    solution: SolutionCore,
     path: str | PathLike[str],
     *,
+    states: States = "unknowns",
     overwrite: bool = False,
     allow_failed: bool = False,
 ) -> Path:
@@ -82,6 +86,8 @@ def export_model(
     path : path-like
         ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
         are many coefficients; ``.c`` writes C99 source and its header ``.h``.
+    states : {"unknowns", "all"}
+        Whether the model evaluates the unknowns alone or derivatives that are states as well.
     overwrite : bool
         Whether to replace existing files.
     allow_failed : bool
@@ -99,10 +105,22 @@ def export_model(
     """
     from rankone.export.model_c import c_model
     from rankone.export.model_python import python_model
-    from rankone.export.packing import pack
 
-    given = target(path, {".py": "model in Python", ".c": "model in C99"})
-    model = pack(solution, allow_failed=allow_failed)
-    files = (python_model if given.suffix == ".py" else c_model)(model, given)
-    write_all(files, overwrite=overwrite)
+    target = _named(path, {".py": "model in Python", ".c": "model in C99"})
+    model = pack(solution, states=states, allow_failed=allow_failed)
+    files = (python_model if target.suffix == ".py" else c_model)(model, target)
+    write_files(files, overwrite, ExportError)
+    return target
+
+
+def _named(path: str | PathLike[str], kinds: Mapping[str, str]) -> Path:
+    """The path, if its suffix names something that can be exported, or an ExportError."""
+    given = Path(path)
+    if given.suffix not in kinds:
+        choices = ", ".join(f"{suffix} ({what})" for suffix, what in kinds.items())
+        raise ExportError(
+            f"`{given}`: the suffix {given.suffix!r} names no target of this export",
+            term=given,
+            remedy=f"choose one of {choices}",
+        )
     return given

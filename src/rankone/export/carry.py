@@ -2,21 +2,20 @@
 
 Starting from a few roots, everything they reach is selected: functions, classes, constants and,
 within classes, the methods whose names occur in what was selected so far. The text is taken as it
-stands, with its comments. What changes is little: imports from the library go, module docstrings
-become the titles of sections, docstrings keep their summary, and a name that two modules use for
-different things gets the name of its module in front.
+stands, with its comments and docstrings. What changes is little: imports from the library, markup
+of cross references and marks for linters go, module docstrings become the titles of sections, and a
+name that two modules use for different things gets the name of its module in front.
 """
 
 from __future__ import annotations
 
 import ast
 import builtins
-import itertools
 import re
 import sys
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from rankone.errors import ExportError
 from rankone.export.modules import Import, SourceModule, Statement, imported, read_module, resolve
@@ -27,6 +26,7 @@ Key = tuple[str, str]
 """(module, name) of a definition."""
 
 _ROLE = re.compile(r":(?:class|func|meth|mod|attr|data):`~?(?:[\w.]*\.)?(\w+)`")
+_MARK = re.compile(r"  # (?:noqa|type: ignore)\b.*")
 _HEADING = re.compile(r" *# -- .* --+$")
 _WIDTH = 100
 
@@ -67,8 +67,8 @@ def carry(
     roots: Iterable[str],
     *,
     reserved: Collection[str] = (),
-    replaced: Mapping[str, str] | None = None,
-    dropped: Collection[str] = (),
+    renamed: Mapping[str, str] | None = None,
+    order: Callable[[str], int] = lambda module: 0,
     titles: Mapping[str, str] | None = None,
 ) -> tuple[list[Section], set[Import]]:
     """Select what the roots need and write it as sections, each after those it needs.
@@ -76,14 +76,14 @@ def carry(
     Parameters
     ----------
     roots : iterable of str
-        ``"module:name"``, or ``"module:Class.method"`` for a method that nothing calls.
+        ``"module:name"``, or ``"module:Class.method"`` for a method that nothing calls, or
+        ``"module:Class.*"`` for all methods.
     reserved : collection of str
         Names that are taken by the text the sections will stand beside.
-    replaced : mapping of str to str
-        Definitions, ``"module:name"``, that others stand in for (of the same name), or ``""`` for
-        a name among those reserved.
-    dropped : collection of str
-        Methods, ``"module:Class.method"``, that are left behind.
+    renamed : mapping of str to str
+        New names, which are not used otherwise, of some definitions, ``"module:name"``.
+    order : callable
+        From the name of a module to a number: modules of a smaller one come first.
     titles : mapping of str to str
         For modules of which only a part is carried over, the titles of their sections.
 
@@ -98,17 +98,26 @@ def carry(
     ExportError
         If a definition cannot be carried over.
     """
-    selection = _Selection(replaced or {}, dropped)
+    selection = _Selection()
     selection.take(roots)
-    order = selection.order()
-    names = _new_names(selection, order, reserved)
+    modules = sorted(selection.order(), key=lambda module: order(module.name))
+    names = _new_names(selection, modules, reserved)
+    asked = {_key(old)[1]: new for old, new in (renamed or {}).items()}
     sections = []
     written: dict[str, str] = {}
-    for module in order:
+    for module in modules:
         text = _ModuleText(module, selection, names).write(written)
         if text:
-            sections.append(_section(module, text, (titles or {}).get(module.name)))
+            section = _section(module, text, (titles or {}).get(module.name))
+            sections.append(replace(section, text=_words(section.text, asked)))
     return sections, selection.imports
+
+
+def _words(text: str, changes: Mapping[str, str]) -> str:
+    """Text with whole words replaced, in code and documentation alike."""
+    for old, new in changes.items():
+        text = re.sub(rf"\b{old}\b", new, text)
+    return text
 
 
 def _section(module: SourceModule, text: str, title: str | None) -> Section:
@@ -172,9 +181,7 @@ def _member_order(name: str) -> tuple[int, str]:
 class _Selection:
     """What is carried over: top-level names, and the methods of classes."""
 
-    def __init__(self, replaced: Mapping[str, str], dropped: Collection[str]) -> None:
-        self.replaced = {_key(old): new for old, new in replaced.items()}
-        self.dropped = set(dropped)
+    def __init__(self) -> None:
         self.names: dict[str, set[str]] = {}
         self.methods: set[tuple[str, str, str]] = set()
         self.imports: set[Import] = set()
@@ -197,12 +204,12 @@ class _Selection:
         while grown:
             grown = False
             for key in list(self._waiting):
-                if key in asked or key[2] in self._attributes:
+                if {key, (*key[:2], "*")} & asked or key[2] in self._attributes:
                     node = self._waiting.pop(key)
                     self.methods.add(key)
                     self._take_node(read_module(key[0]), node)
                     grown = True
-        if unknown := asked - self.methods:
+        if unknown := {key for key in asked if key[2] != "*"} - self.methods:
             raise ExportError(f"no such methods: {sorted(unknown)}")
 
     def order(self) -> list[SourceModule]:
@@ -223,22 +230,8 @@ class _Selection:
             visit(name)
         return [read_module(name) for name in done if name in self.names]
 
-    def target(self, module: SourceModule, name: str) -> tuple[SourceModule, str] | Import | None:
-        """What a name stands for, after replacement; None also for a reserved stand-in."""
-        found = resolve(module, name)
-        if not isinstance(found, tuple):
-            return found
-        owner, own_name = found
-        stand_in = self.replaced.get((owner.name, own_name))
-        if stand_in is None:
-            return found
-        if not stand_in:
-            return None
-        other, other_name = _key(stand_in)
-        return read_module(other), other_name
-
     def _take_name(self, module: SourceModule, name: str) -> None:
-        found = self.target(module, name)
+        found = resolve(module, name)
         if found is None:
             return
         if isinstance(found, Import):
@@ -263,8 +256,6 @@ class _Selection:
                 self._take_node(owner, member)
                 continue
             key = owner.name, node.name, member.name
-            if f"{owner.name}:{node.name}.{member.name}" in self.dropped:
-                continue
             if re.fullmatch("__.*__", member.name):
                 self.methods.add(key)
                 self._take_node(owner, member)
@@ -376,9 +367,7 @@ class _ModuleText:
         if isinstance(statement.node, ast.ClassDef):
             self._drop_methods(statement.node)
         for inner in ast.walk(statement.node):
-            if isinstance(inner, ast.FunctionDef | ast.ClassDef):
-                self._shorten_docstring(inner)
-            elif isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone"):
+            if isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone"):
                 self._drop(inner.lineno, (inner.end_lineno or 0), and_blank=True)
         rows = [row for row in self.lines[statement.first - 1 : statement.last] if row is not None]
         text = [line for row in rows for line in row.split("\n")]
@@ -386,13 +375,13 @@ class _ModuleText:
             text = _tidy_class(text)
         elif statement.last > (end := statement.node.end_lineno or 0):
             text = _beside(text, end - statement.last)
-        return "\n".join(_plain(line) for line in text)
+        return "\n".join(_plain(_MARK.sub("", line)) for line in text)
 
     def _local_names(self, renamed: Mapping[Key, str]) -> dict[str, str]:
         """Names of this module that have to be written differently."""
         local = {}
         for name in {*self.module.definitions, *self.module.imports}:
-            found = self.selection.target(self.module, name)
+            found = resolve(self.module, name)
             if isinstance(found, tuple) and (found[0].name, found[1]) in renamed:
                 local[name] = renamed[found[0].name, found[1]]
         return local
@@ -431,25 +420,6 @@ class _ModuleText:
                     start = previous + 1
                     self._drop(start, member.end_lineno or 0)
             previous = member.end_lineno or 0
-
-    def _shorten_docstring(self, node: ast.FunctionDef | ast.ClassDef) -> None:
-        """Keep the summary: the annotations and the section's prose say the rest."""
-        if ast.get_docstring(node) is None:
-            return
-        text = node.body[0]
-        first, last = text.lineno, text.end_lineno or 0
-        if self.lines[first - 1] is None or first == last:
-            return
-        lines = [line or "" for line in self.lines[first - 1 : last]]
-        closing = lines.pop().strip()
-        if closing != '"""':
-            lines.append(closing.removesuffix('"""'))
-        kept = list(itertools.takewhile(str.strip, lines))
-        if len(kept) == 1:
-            kept[0] += '"""'
-        else:
-            kept.append(" " * text.col_offset + '"""')
-        self.lines[first - 1 : last] = [*kept, *[None] * (last - first + 1 - len(kept))]
 
 
 def _tidy_class(lines: Sequence[str]) -> list[str]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rankone.errors import ExportError
 from rankone.export.packing import PackedModel
+from rankone.files import Content
 from rankone.version import __version__
 
 __all__ = ["c_identifier", "c_model"]
@@ -30,7 +31,7 @@ template."""
 _TEMPLATES = Path(__file__).parent
 
 
-def c_model(model: PackedModel, path: Path) -> dict[Path, str | bytes]:
+def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     """Source and header of a model; the names start with the stem of the path.
 
     Parameters

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.coordinates import round_off
 
 __all__ = ["Model"]
 
@@ -79,7 +80,7 @@ class Model:
         arrays = []
         for name, (lower, upper) in zip(self.coordinates, self.intervals, strict=True):
             array = np.asarray(named[name], dtype=float)
-            slack = max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper))))
+            slack = round_off(lower, upper)
             outside = array[~((array >= lower - slack) & (array <= upper + slack))]
             if outside.size:
                 raise ValueError(f"{name} is {outside[0]:.12g}, not in [{lower!r}, {upper!r}]")

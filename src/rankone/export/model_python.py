@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import base64
-import io
 import textwrap
-import zipfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.codegen.names import Names, is_identifier
 from rankone.codegen.text import WIDTH, docstring, nested, quoted, table
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.packing import PackedModel
+from rankone.files import Content, npz
 from rankone.version import __version__
 
 __all__ = ["python_model"]
@@ -24,7 +22,7 @@ _LARGEST_TEXT = 200_000
 """Characters of coefficients up to which they are part of the file."""
 
 
-def python_model(model: PackedModel, path: Path) -> dict[Path, str | bytes]:
+def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     """The files of a model: the module and, when there are many coefficients, an .npz beside it.
 
     Parameters
@@ -35,7 +33,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, str | bytes]:
     """
     coefficients = np.concatenate([c.tensor.ravel() for slab in model.slabs for c in slab])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
-    files: dict[Path, str | bytes] = {}
+    files: dict[Path, Content] = {}
     imports = {Import("numpy", None, "np")}
     if len(text) <= _LARGEST_TEXT:
         imports.add(Import("base64", None, "base64"))
@@ -43,7 +41,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, str | bytes]:
         data = ['DATA = """', *rows, '"""', "", *_LOAD_TEXT]
     else:
         imports.add(Import("pathlib", "Path", "Path"))
-        files[path.with_suffix(".npz")] = _archive(coefficients)
+        files[path.with_suffix(".npz")] = npz({"coefficients": coefficients.astype("<f8")})
         data = _LOAD_FILE
     sections, more = carry(
         ["rankone.export.model_program:Model", *_METHODS], reserved={"np", *_OWN_NAMES}
@@ -135,12 +133,3 @@ def _tables(model: PackedModel) -> list[str]:
         "# shape (elements, left rank, polynomials, right rank) of its coefficients",
         *table("SLABS", nested(layout)),
     ]
-
-
-def _archive(coefficients: NDArray[np.float64]) -> bytes:
-    """An .npz file that has the same bytes every time."""
-    array, archive = io.BytesIO(), io.BytesIO()
-    np.save(array, coefficients.astype("<f8"), allow_pickle=False)
-    with zipfile.ZipFile(archive, "w") as file:
-        file.writestr(zipfile.ZipInfo("coefficients.npy"), array.getvalue())
-    return archive.getvalue()

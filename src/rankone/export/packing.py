@@ -7,13 +7,17 @@ of the solve was, so that a model needs one recurrence and one contraction.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from rankone.arrays import Array
-from rankone.errors import ExportError
-from rankone.solution import Solution
+from rankone.errors import ExportError, OptionError
+from rankone.solution_core import SolutionCore
 from rankone.tensors.evaluator import TrainEvaluator
 
-__all__ = ["PackedCore", "PackedModel", "pack"]
+__all__ = ["PackedCore", "PackedModel", "States", "pack"]
+
+States = Literal["unknowns", "all"]
+"""What a model evaluates: the unknowns, or every state."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,7 @@ class PackedModel:
     Attributes
     ----------
     unknowns : tuple of str
+        What is evaluated.
     coordinates : tuple of str
         Time, then the parameters.
     intervals : tuple of (float, float)
@@ -67,14 +72,20 @@ class PackedModel:
         return sum(core.tensor.size for slab in self.slabs for core in slab)
 
 
-def pack(solution: Solution, *, allow_failed: bool = False) -> PackedModel:
+def pack(
+    solution: SolutionCore, *, states: States = "unknowns", allow_failed: bool = False
+) -> PackedModel:
     """Turn a solution into plain tables.
 
     Raises
     ------
+    OptionError
+        If there is no such choice of states.
     ExportError
         If nothing was solved, or the solution is not a success and ``allow_failed`` is False.
     """
+    if states not in ("unknowns", "all"):
+        raise OptionError(f"states={states!r} is unknown", remedy="use 'unknowns' or 'all'")
     if not solution.outcome.slabs:
         raise ExportError(f"there is nothing to export: {solution.message}")
     if not solution.success and not allow_failed:
@@ -82,15 +93,15 @@ def pack(solution: Solution, *, allow_failed: bool = False) -> PackedModel:
             f"the solution is not a success: {solution.message}",
             remedy="solve again, or pass allow_failed=True to export it as it is",
         )
-    count = len(solution.unknowns)
-    slabs = []
-    for slab in TrainEvaluator(solution.outcome.slabs)._slabs:
-        cores = [PackedCore(float(d.lower), float(d.scale), d.tensor) for d in slab.dimensions]
-        cores[0] = PackedCore(cores[0].lower, cores[0].scale, cores[0].tensor[:, :count])
-        slabs.append(tuple(cores))
     metadata = solution.metadata
+    rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
+    slabs = []
+    for slab in TrainEvaluator(solution.outcome.slabs).slabs:
+        cores = [PackedCore(float(d.lower), float(d.scale), d.tensor) for d in slab.dimensions]
+        cores[0] = PackedCore(cores[0].lower, cores[0].scale, cores[0].tensor[:, list(rows)])
+        slabs.append(tuple(cores))
     return PackedModel(
-        unknowns=solution.unknowns,
+        unknowns=tuple(solution.states[row] for row in rows),
         coordinates=(metadata.time, *metadata.parameters),
         intervals=tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box)),
         starts=tuple(float(slab.start) for slab in solution.outcome.slabs),
@@ -99,7 +110,7 @@ def pack(solution: Solution, *, allow_failed: bool = False) -> PackedModel:
     )
 
 
-def _summary(solution: Solution) -> tuple[str, ...]:
+def _summary(solution: SolutionCore) -> tuple[str, ...]:
     """Lines that say what the model is and how good it is."""
     metadata = solution.metadata
     coordinates = {metadata.time: solution.time, **solution.parameters}

@@ -1,58 +1,85 @@
 """The standalone solver: one file that needs only NumPy and SciPy.
 
 A file is made of the generated module of the problem, the engine and what it needs, carried over
-from the library (:mod:`rankone.export.carry`), and a short end that ties them together.
+from the library (:mod:`rankone.export.carry`), and a short end that ties them together. It reads
+from top to bottom: equations, system, engine, evaluation, files, command line.
 """
 
 from __future__ import annotations
 
 import ast
+import itertools
 import textwrap
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol
 
 from rankone.codegen.names import is_identifier
 from rankone.codegen.text import WIDTH, docstring, literal, quoted
-from rankone.export.carry import banner, carry, import_lines
-from rankone.export.modules import Import
+from rankone.export.carry import Section, banner, carry, import_lines
+from rankone.export.modules import Import, bound_names
+from rankone.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engine_named
+from rankone.system import System
+from rankone.version import __version__
 
-if TYPE_CHECKING:
-    from rankone.compiled import CompiledProblem
-    from rankone.solution import SolutionMetadata
-
-__all__ = ["standalone_source"]
+__all__ = ["Compiled", "standalone_source"]
 
 
-_UNUSED = ("rankone.solvers.engine:Engine.run",)
-"""Methods that only the library calls."""
-_SYSTEM_TITLE = "The system: tables, factors and kernels, generated from the equations"
-_END_TITLE = "This solver: what was asked, solve, and the command line"
-_BREAKPOINTS = "rankone.solvers.breakpoints:system_breakpoints"
+class Named(Protocol):
+    """A problem, as far as the exporter needs it."""
+
+    @property
+    def name(self) -> str | None:
+        """What the problem is called."""
+
+
+class Compiled(Protocol):
+    """A compiled problem, as far as the exporter needs it."""
+
+    @property
+    def problem(self) -> Named:
+        """The problem."""
+
+    @property
+    def separated(self) -> object:
+        """The separated form, shown in the header."""
+
+    @property
+    def source(self) -> str:
+        """Text of the generated module."""
+
+    def metadata(self, rtol: float, method: str) -> SolutionMetadata:
+        """What a solution says was asked."""
+
+
 _PROGRAM = "rankone.export.program"
-_TABLES = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
+_CORE = "rankone.solution_core:SolutionCore"
+_PARTS: dict[str, tuple[str, ...]] = {
+    "Engine": (),
+    "Evaluation": ("tensors.evaluator", "coordinates", "metadata", "solution_core"),
+    "Files": ("files", "plain_data", "storage"),
+    "Command line": ("export.program",),
+}
+"""Modules in each part of the file; the first part has all that are in no other."""
 _TITLES = {
     "rankone.errors": "Errors: what was given, what was expected, what to do",
-    "rankone.compiled": "Checks of what was asked, and delivery of what came out",
-    "rankone.solution": "What was asked, in plain data",
-    "rankone.storage": "Solutions as named arrays, in the open format of rankone",
-    _PROGRAM: "Solution, files and command line",
+    "rankone.progress": "Progress",
+    "rankone.solution_core": "Solutions: evaluation, how good they are, saving",
+    _PROGRAM: "Solve, load and the command line",
 }
-"""Titles of sections that hold only a part of their module."""
-_OWN_NAMES = (
-    *("System", "SYSTEM", "METADATA", "solve"),
-    *("_contract", "_expand"),
-)
+"""Titles of sections whose module says more than the part of it that is carried over."""
+_KERNELS = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
+_OWN_NAMES = ("SYSTEM", "METADATA", "Solution", "solve", "load", "np", "os", "sys")
 
 
-def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
+def standalone_source(compiled: Compiled, method: str = "train") -> str:
     """Text of the standalone solver of a problem.
 
     Parameters
     ----------
     compiled : CompiledProblem
-    method : {"train", "greedy"}
+    method : str
         The engine.
 
     Returns
@@ -68,116 +95,96 @@ def standalone_source(compiled: CompiledProblem, method: str = "train") -> str:
         If a part of the library cannot be carried over.
     """
     engine = engine_named(method)
-    metadata = compiled._metadata(1e-6, method)
-    system = _SystemText(compiled.source)
-    stand_in = {_BREAKPOINTS: f"{_PROGRAM}:system_breakpoints"}
+    metadata = compiled.metadata(1e-6, method)
+    module = _GeneratedModule(compiled.source)
     sections, imports = carry(
         [
-            f"rankone.solvers.{method}.engine:ENGINE",
+            f"{engine.solve.__module__}:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
-            *(f"{_PROGRAM}:Solution.{name}" for name in ("grid", "error")),
+            f"{_CORE}.*",
+            "rankone.solution_core:UnknownView.*",
         ],
-        reserved={*system.names, *_OWN_NAMES, "np", "os", "sys"},
-        replaced={
-            "rankone.system:System": "",
-            "rankone.solution:Solution": f"{_PROGRAM}:Solution",
-            **(stand_in if _only_polynomials(compiled) else {}),
-        },
-        dropped=_UNUSED,
+        reserved={*module.names, *_OWN_NAMES},
+        renamed={_CORE: "Solution"},
+        order=_part,
         titles=_TITLES,
     )
-    imports |= {Import("types", "SimpleNamespace", "SimpleNamespace")}
-    imports |= {Import("sys", None, "sys")}
-    imports |= {Import("numpy", None, "np")}
-    parts = [
-        _head(compiled, method, imports) + f"\n\n{banner(_SYSTEM_TITLE)}\n\n{system.text}",
-        _system_object(system),
-        *(str(section) for section in sections),
-        f"{banner(_END_TITLE)}\n{_end(engine, metadata)}",
+    imports |= {
+        Import("types", "SimpleNamespace", "SimpleNamespace"),
+        Import("sys", None, "sys"),
+        Import("numpy", None, "np"),
+    }
+    blocks = [
+        f"{_head(compiled, metadata, module, imports)}\n\n{_heading('System')}\n\n{module.text}",
+        _system_object(module),
+        *_engine_to_command_line(sections),
+        _end(engine, metadata),
     ]
-    return "\n\n\n".join(parts) + "\n"
+    return "\n\n\n".join(blocks) + "\n"
 
 
-class _SystemText:
+class _GeneratedModule:
     """The generated module without its docstring, its imports and the tables of kernels."""
 
     def __init__(self, source: str) -> None:
         tree = ast.parse(source)
         lines = source.splitlines()
+        body = [node for node in tree.body if not isinstance(node, ast.Expr | ast.Import)]
         self.docstring = (ast.get_docstring(tree) or "").splitlines()
-        self.tables: dict[str, list[str]] = {}
+        self.kernels: dict[str, list[str]] = {}
         self.names: set[str] = set()
-        first = 0
-        dropped: set[int] = set()
-        for node in tree.body:
-            span = range(node.lineno - 1, node.end_lineno or 0)
-            if isinstance(node, ast.FunctionDef):
-                self.names.add(node.name)
-            elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-                name = node.targets[0].id
-                if name in _TABLES and isinstance(node.value, ast.Tuple):
-                    self.tables[name] = [ast.unparse(item) for item in node.value.elts]
-                    dropped.update(span)
-                else:
-                    self.names.add(name)
+        for node in reversed(body):
+            names = [*bound_names(node)]
+            if isinstance(node, ast.Assign) and names[0] in _KERNELS:
+                items = node.value.elts if isinstance(node.value, ast.Tuple) else []
+                self.kernels[names[0]] = [ast.unparse(item) for item in items]
+                del lines[node.lineno - 1 : node.end_lineno]
             else:
-                first = max(first, node.end_lineno or 0)
-        kept = [line for k, line in enumerate(lines) if k >= first and k not in dropped]
-        self.text = "\n".join(kept).strip("\n")
+                self.names.update(names)
+        self.text = "\n".join(lines[body[0].lineno - 1 :]).strip()
 
 
-def _only_polynomials(compiled: CompiledProblem) -> bool:
-    """Whether every factor is a polynomial of its coordinate: there is nothing to step over."""
-    form = compiled.separated
-    return all(
-        factor.expression.is_polynomial(coordinate.symbol)
-        for coordinate, factors in zip(form.coordinates, form.factors, strict=True)
-        for factor in factors
-    )
+def _part(module: str) -> int:
+    """Position of the part of the file that a module of the library belongs to."""
+    own = module.removeprefix("rankone.")
+    return next((k for k, modules in enumerate(_PARTS.values()) if own in modules), 0)
 
 
-def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:
+def _engine_to_command_line(sections: Iterable[Section]) -> Iterable[str]:
+    """The sections, with a heading before the first of each part."""
+    titles = list(_PARTS)
+    for part, found in itertools.groupby(sections, lambda section: _part(section.module)):
+        yield f"{_heading(titles[part])}\n\n" + "\n\n\n".join(map(str, found))
+
+
+def _heading(title: str) -> str:
+    """A comment that opens a part of the file."""
+    line = f"# {'=' * (WIDTH - 3)}"
+    return f"{line}\n# {title}\n{line}"
+
+
+def _head(
+    compiled: Compiled,
+    metadata: SolutionMetadata,
+    module: _GeneratedModule,
+    imports: set[Import],
+) -> str:
     """The docstring and the imports."""
-    from rankone.version import __version__
-
-    generated = _SystemText(compiled.source).docstring
-    body = generated[3:]
-    while body and not body[0]:
-        body.pop(0)
-    unknowns = ", ".join(compiled._metadata(1e-6, method).unknowns)
-    separated = [line.rstrip() for line in str(compiled.separated).splitlines()]
-    middle = {c.name: f"{0.5 * (c.lower + c.upper):g}" for c in compiled.separated.coordinates}
-    at = " ".join(f"{name}={value}" for name, value in middle.items())
-    if all(map(is_identifier, middle)):
-        example = at.replace(" ", ", ")
-    else:
-        pairs = (f"{quoted(name)}: {value}" for name, value in middle.items())
-        example = f"{{{', '.join(pairs)}}}"
+    separated = (line.rstrip() for line in str(compiled.separated).splitlines())
     lines = [
-        f"{compiled.problem.name or unknowns}: a solver for every parameter value at once.",
+        f"{compiled.problem.name or ', '.join(metadata.unknowns)}: a solver for every parameter "
+        "value at once.",
         "",
         *textwrap.wrap(
-            f'Generated by rankone {__version__} (method="{method}"). Needs Python 3.11 or newer, '
-            "NumPy and SciPy.",
+            f'Generated by rankone {__version__} (method="{metadata.method}"). Needs Python 3.11 '
+            "or newer, NumPy and SciPy.",
             WIDTH,
         ),
-        "",
-        *body,
+        *module.docstring[3:],
         "",
         *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in separated),
         "",
-        "As a module, in a file solver.py:",
-        "",
-        "    import solver",
-        "    solution = solver.solve(rtol=1e-6)",
-        *textwrap.wrap(f"    solution({example})", WIDTH, subsequent_indent=" " * 13),
-        "",
-        "As a program (--help shows all options):",
-        "",
-        *textwrap.wrap(
-            f"    python solver.py --rtol 1e-6 --at {at} --json", WIDTH, subsequent_indent=" " * 8
-        ),
-        "    python solver.py --grid 20 --save values.npz",
+        *_usage(metadata),
     ]
     return "\n".join(
         [
@@ -194,42 +201,50 @@ def _head(compiled: CompiledProblem, method: str, imports: set[Import]) -> str:
     )
 
 
-def _system_object(system: _SystemText) -> str:
-    """The generated names as one object, and what the solutions carry along."""
-    lines = [
-        "System = SimpleNamespace  # the names above as one object, so that they can be replaced",
-        "SYSTEM = System(",
-        "    **globals(),",
-    ]
-    for name in _TABLES:
-        lines += _entry(name, system.tables[name])
-    return "\n".join([*lines, ")"])
-
-
-def _entry(name: str, items: Sequence[str]) -> list[str]:
-    """A tuple as a keyword argument, one line for each item if it is too long for one."""
-    line = f"    {name}=({', '.join(items)}{',' if len(items) == 1 else ''}),"
-    if len(line) <= WIDTH:
-        return [line]
-    lines = (f"        {item}," for item in items)
+def _usage(metadata: SolutionMetadata) -> list[str]:
+    """How the file is used, with values in the middle of the box."""
+    names = (metadata.time, *metadata.parameters)
+    intervals = (metadata.horizon, *metadata.box)
+    middle = [f"{0.5 * (lower + upper):g}" for lower, upper in intervals]
+    at = " ".join(f"{name}={value}" for name, value in zip(names, middle, strict=True))
+    example = at.replace(" ", ", ")
+    if not all(map(is_identifier, names)):
+        pairs = zip(map(quoted, names), middle, strict=True)
+        example = f"{{{', '.join(f'{name}: {value}' for name, value in pairs)}}}"
     return [
-        f"    {name}=(",
-        *(line if len(line) <= WIDTH else f"{line}  # noqa: E501" for line in lines),
-        "    ),",
+        "As a module, in a file solver.py:",
+        "",
+        "    import solver",
+        "    solution = solver.solve(rtol=1e-6)",
+        *textwrap.wrap(f"    solution({example})", WIDTH, subsequent_indent=" " * 13),
+        "",
+        "As a program (--help shows all options):",
+        "",
+        *textwrap.wrap(
+            f"    python solver.py --rtol 1e-6 --at {at} --json", WIDTH, subsequent_indent=" " * 8
+        ),
+        "    python solver.py --grid 20 --save values.npz",
     ]
+
+
+def _system_object(module: _GeneratedModule) -> str:
+    """The names that engines ask for as one object."""
+    methods = (name for name, item in vars(System).items() if isinstance(item, staticmethod))
+    entries = [
+        line
+        for name in (*System.__annotations__, *methods)
+        for line in _argument(name, module.kernels.get(name, name))
+    ]
+    return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
 
 
 def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
-    """What ties the parts together: the metadata, ``solve`` and the command line."""
-    values = {name: getattr(metadata, name) for name in _METADATA}
-    table = [line for name, value in values.items() for line in _literal(name, value)]
-    return "\n" + _END.format(metadata="\n".join(table), options=engine.options.__name__).strip()
+    """What ties the parts together: the metadata, ``solve`` and ``load``."""
+    fields = (name for name in type(metadata).__slots__ if name != "source")
+    entries = [line for name in fields for line in _argument(name, _text(getattr(metadata, name)))]
+    text = _END.format(metadata="\n".join(entries), options=engine.options.__name__)
+    return f"{banner('This solver: what was asked, solve and load')}\n\n{text.strip()}"
 
-
-_METADATA = (
-    *("unknowns", "states", "parameters", "box", "time", "horizon", "rtol", "method"),
-    *("equations", "version"),
-)
 
 _END = '''
 METADATA = SolutionMetadata(
@@ -260,13 +275,24 @@ def solve(
         Number of random check points, 24 for True; without any the error is not known.
     **options
         See `{options}`.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    BlowUpError
+        A trajectory blows up inside the horizon. `.solution` holds the part up to there.
+    OptionError
+        An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    return solve_system(SYSTEM, METADATA, ENGINE, options, rtol, parameters, t_final, check)
+    return solve_system(ENGINE, SYSTEM, METADATA, rtol, parameters, t_final, check, options)
 
 
 def load(path: str) -> Solution:
     """Read a solution of this problem that was saved by this file or by rankone."""
-    return load_solution(path, METADATA)
+    return load_solution(path, METADATA, {{ENGINE.name: ENGINE.record}})
 
 
 if __name__ == "__main__":
@@ -274,12 +300,30 @@ if __name__ == "__main__":
 '''
 
 
-def _literal(name: str, value: object) -> list[str]:
-    """A keyword argument with a text, a number or a tuple of them."""
+def _argument(name: str, text: str | Sequence[str]) -> list[str]:
+    """A keyword argument, one line for each item of a tuple that is too long for one line."""
+    if isinstance(text, str):
+        return [f"    {name}={text},"]
+    line = f"    {name}=({', '.join(text)}{',' if len(text) == 1 else ''}),"
+    if len(line) <= WIDTH and "\n" not in line:
+        return [line]
+    return [f"    {name}=(", *(f"        {item}," for item in text), "    ),"]
+
+
+def _text(value: object) -> str | list[str]:
+    """A value as Python text; a tuple item by item."""
     if isinstance(value, tuple):
-        return _entry(name, [_text(item) for item in value])
-    return [f"    {name}={_text(value)},"]
-
-
-def _text(value: object) -> str:
+        return [_wrapped(item) if isinstance(item, str) else literal(item) for item in value]
     return quoted(value) if isinstance(value, str) else literal(value)
+
+
+def _wrapped(text: str) -> str:
+    """A string literal; a long one in several lines, cut at spaces."""
+    pieces: list[str] = []
+    for word in text.split(" "):
+        longer = f"{pieces[-1]} {word}" if pieces else word
+        if pieces and len(quoted(longer)) > WIDTH - 12:
+            pieces.append(f" {word}")
+        else:
+            pieces[-1:] = [longer]
+    return "\n        ".join(map(quoted, pieces))

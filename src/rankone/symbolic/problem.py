@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numbers
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -12,7 +11,7 @@ from typing import Any
 import sympy as sp
 
 from rankone.display import aligned_equations
-from rankone.errors import ProblemError, RankoneWarning
+from rankone.errors import ProblemError, warn
 from rankone.ir import Coordinate
 from rankone.symbolic.box import check_parameters, check_time
 from rankone.symbolic.equations import (
@@ -105,11 +104,9 @@ class Problem:
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
         for symbol in _unused(box, [*residuals, *initial.values()]):
-            warnings.warn(
+            warn(
                 f"parameter {quote(symbol)} appears nowhere in the problem; "
-                "remedy: remove it from `parameters`",
-                RankoneWarning,
-                stacklevel=3,
+                "remedy: remove it from `parameters`"
             )
         values = {
             "equations": equations,

@@ -19,8 +19,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -29,9 +28,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from rankone.arrays import Array
+from rankone.coordinates import Coordinates, name_of
 from rankone.discretization import legendre_values
-from rankone.errors import EvaluationError, OptionError, RankoneWarning
-from rankone.evaluation import Coordinates, name_of
+from rankone.errors import EvaluationError, OptionError, warn
 from rankone.tensors.slab import SlabTrain
 from rankone.wording import listing
 
@@ -151,13 +150,13 @@ class CanonicalForm:
         """For time and each parameter the weights (N,) of the mean, of sum one."""
         return {axis.name: axis.weights for axis in self.axes}
 
-    def __call__(self, time: Any = None, values: Any = None, /, **named: Any) -> Array:
+    def __call__(self, *at: Any, **named: Any) -> Array:
         """Evaluate as a solution does: the result has the broadcast shape of the values."""
         coordinates = Coordinates(
             [axis.name for axis in self.axes],
             [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes],
         )
-        given = coordinates.gather(time, values, named)
+        given = coordinates.gather(at, named)
         points, shape = coordinates.broadcast(coordinates.arrays(given))
         products = np.ones((points.shape[1], self.rank))
         for axis, row in zip(self.axes, points, strict=True):
@@ -177,14 +176,36 @@ class CanonicalForm:
 class CanonicalForms(Mapping[str, CanonicalForm]):
     """The canonical form of each unknown, by name or symbol, in the order of the unknowns.
 
-    With a single unknown, ``amplitudes``, ``factors`` and ``nodes`` are those of its form.
+    Forms of other states, such as ``forms["x_t"]``, are computed when they are asked for. With a
+    single unknown, ``amplitudes``, ``factors`` and ``nodes`` are those of its form.
+
+    Parameters
+    ----------
+    form : callable
+        From the row and the label of a state to its form.
+    states : sequence of str
+        Names of all states.
+    unknowns : sequence of str
+        Those whose form is wanted in any case.
     """
 
-    def __init__(self, forms: Mapping[str, CanonicalForm]) -> None:
-        self._forms = dict(forms)
+    def __init__(
+        self,
+        form: Callable[[int, str], CanonicalForm],
+        states: Sequence[str],
+        unknowns: Sequence[str],
+    ) -> None:
+        self._form, self._states = form, tuple(states)
+        self._forms = {name: form(self._states.index(name), name) for name in unknowns}
+        self._others: dict[str, CanonicalForm] = {}
 
-    def __getitem__(self, unknown: Any) -> CanonicalForm:
-        return self._forms[name_of(unknown)]
+    def __getitem__(self, state: Any) -> CanonicalForm:
+        name = name_of(state)
+        if name in self._forms or name not in self._states:
+            return self._forms[name]
+        if name not in self._others:
+            self._others[name] = self._form(self._states.index(name), name)
+        return self._others[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._forms)
@@ -231,28 +252,28 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
 
 def canonical_form(
     slabs: Sequence[SlabTrain],
-    state: int,
     names: Sequence[str],
+    row: int,
+    label: str,
     *,
     rtol: float = 1e-6,
     max_rank: int = 500,
-    label: str = "",
 ) -> CanonicalForm:
     """Write one state of consecutive slabs in canonical form.
 
     Parameters
     ----------
     slabs : sequence of SlabTrain
-    state : int
-        Row of the state.
     names : sequence of str
         Time, then the parameters.
+    row : int
+        Position of the state.
+    label : str
+        Name of the state.
     rtol : float
         Tolerance in the mean square, relative to the state's mean square; at least 1e-13.
     max_rank : int
         Most terms.
-    label : str
-        Name of the state.
 
     Raises
     ------
@@ -269,7 +290,7 @@ def canonical_form(
     if max_rank != int(max_rank) or max_rank < 1:
         raise OptionError(f"max_rank is {max_rank!r}", term=max_rank, remedy="choose 1 or more")
     axes = _common_axes(slabs, names)
-    train, norm, rounding = _horizon_train(slabs, state, axes, _ROUNDING_SHARE * rtol)
+    train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)
     if norm == 0.0:
         factors = [np.ones((axis.nodes.size, 0)) for axis in axes]
         return CanonicalForm(
@@ -282,12 +303,9 @@ def canonical_form(
         amplitudes, modes, error = _shortened(train, amplitudes, modes, error, tolerance, norm)
     relative = error / norm + rounding
     if relative > rtol:
-        warnings.warn(
-            f"canonical form of {label or 'the state'}: {len(amplitudes)} terms leave a relative "
-            f"error of {relative:.2g}, more than rtol = {rtol:g}; "
-            "remedy: a larger max_rank or rtol",
-            RankoneWarning,
-            stacklevel=3,
+        warn(
+            f"canonical form of {label}: {len(amplitudes)} terms leave a relative error of "
+            f"{relative:.2g}, more than rtol = {rtol:g}; remedy: a larger max_rank or rtol"
         )
     amplitudes, modes = _standard(amplitudes, modes)
     factors = [

@@ -19,7 +19,7 @@ from rankone.arrays import Array
 from rankone.discretization import Basis1D, LegendreBasis
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["TrainEvaluator"]
+__all__ = ["Rows", "TrainEvaluator"]
 
 Rows = slice | NDArray[np.intp]
 
@@ -187,7 +187,7 @@ class TrainEvaluator:
     """
 
     def __init__(self, slabs: Sequence[SlabTrain]) -> None:
-        self._slabs = tuple(_SlabEvaluator(slab) for slab in slabs)
+        self.slabs = tuple(_SlabEvaluator(slab) for slab in slabs)
         self._breaks = np.array([slab.start for slab in slabs[1:]])
 
     def many(self, points: Array, rows: Rows) -> Array:
@@ -205,17 +205,17 @@ class TrainEvaluator:
         ndarray (rows, N)
         """
         count = points.shape[1]
-        result = np.empty((len(self._slabs[0].dimensions[0].matrices[0][rows]), count))
-        if len(self._slabs) == 1:
-            self._fill(result, points, self._slabs[0], rows)
+        result = np.empty((len(self.slabs[0].dimensions[0].matrices[0][rows]), count))
+        if len(self.slabs) == 1:
+            self._fill(result, points, self.slabs[0], rows)
             return result
         # the stable sort of 16-bit integers is a radix sort
-        small = np.min_scalar_type(len(self._slabs))
+        small = np.min_scalar_type(len(self.slabs))
         owner = np.searchsorted(self._breaks, points[0], side="right").astype(small)
         order = np.argsort(owner, kind="stable")
-        ends = np.cumsum(np.bincount(owner, minlength=len(self._slabs)))
+        ends = np.cumsum(np.bincount(owner, minlength=len(self.slabs)))
         begin = 0
-        for slab, end in zip(self._slabs, ends, strict=True):
+        for slab, end in zip(self.slabs, ends, strict=True):
             here = order[begin:end]
             if here.size:
                 part = np.empty((len(result), here.size))
@@ -232,9 +232,9 @@ class TrainEvaluator:
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """Evaluate at one point, 1 + d numbers: shape (rows,); much less overhead than `many`."""
-        if len(self._slabs) == 1:
-            return self._slabs[0].one(point, rows)
-        return self._slabs[int(self._breaks.searchsorted(point[0], side="right"))].one(point, rows)
+        if len(self.slabs) == 1:
+            return self.slabs[0].one(point, rows)
+        return self.slabs[int(self._breaks.searchsorted(point[0], side="right"))].one(point, rows)
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid.
@@ -251,9 +251,9 @@ class TrainEvaluator:
         ndarray (rows, *sizes of the axes)
         """
         owner = np.searchsorted(self._breaks, axes[0], side="right")
-        count = len(self._slabs[0].dimensions[0].matrices[0][rows])
+        count = len(self.slabs[0].dimensions[0].matrices[0][rows])
         result = np.empty((count, *(axis.size for axis in axes)))
         for index in np.unique(owner):
             here = np.flatnonzero(owner == index)
-            result[:, here] = self._slabs[index].grid([axes[0][here], *axes[1:]], rows)
+            result[:, here] = self.slabs[index].grid([axes[0][here], *axes[1:]], rows)
         return result

@@ -7,6 +7,7 @@ work without SymPy.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from keyword import iskeyword
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from rankone.arrays import Array
 from rankone.errors import EvaluationError
 from rankone.wording import did_you_mean, listing
 
-__all__ = ["Coordinates", "name_of"]
-
-_TOLERANCE = 1e-12
-"""How far outside, relative to the width of the interval, a value counts as round-off."""
+__all__ = ["Coordinates", "name_of", "round_off"]
 
 _MISSING = object()
+
+
+def round_off(lower: float, upper: float) -> float:
+    """How far outside of an interval a value still counts as its end."""
+    return float(max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper)))))
 
 
 def name_of(key: object, time: str | None = None) -> str:
@@ -76,36 +79,31 @@ class Coordinates:
         self.names = tuple(names)
         self.intervals = tuple((float(lower), float(upper)) for lower, upper in intervals)
         self._index = {name: i for i, name in enumerate(self.names)}
-        self._slack = [
-            max(_TOLERANCE * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper))))
-            for lower, upper in self.intervals
-        ]
 
-    def gather(self, time: object, values: object, named: Mapping[str, Any]) -> list[Any]:
+    def gather(self, at: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
         """Put what was given in order: one entry for each coordinate.
 
         Parameters
         ----------
-        time : object
-            Time, None, or a mapping from names or symbols to values.
-        values : mapping or None
-            From names or symbols to values.
+        at : sequence
+            Positional arguments: times, or a mapping from names or symbols to values, or both in
+            this order; None counts as not given.
         named : mapping of str
             Keyword arguments.
 
         Raises
         ------
         EvaluationError
-            If a coordinate is missing, unknown or given twice.
+            If a coordinate is missing, unknown or given twice, or there are more arguments.
         """
         # the usual call: everything by keyword and nothing wrong
-        if time is None and values is None and len(named) == len(self.names):
+        if not at and len(named) == len(self.names):
             try:
                 return [named[name] for name in self.names]
             except KeyError:
                 pass
         found: list[Any] = [_MISSING] * len(self.names)
-        for key, value in self._pairs(time, values, named):
+        for key, value in self._pairs(at, named):
             name = name_of(key, self.names[0])
             index = self._index.get(name)
             if index is None:
@@ -126,10 +124,13 @@ class Coordinates:
             )
         return found
 
-    def _pairs(
-        self, time: object, values: object, named: Mapping[str, Any]
-    ) -> Iterator[tuple[object, Any]]:
-        for position, given in enumerate((time, values)):
+    def _pairs(self, at: Sequence[Any], named: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
+        if len(at) > 2:
+            raise EvaluationError(
+                f"{len(at)} arguments were given by position; these can be times and a mapping",
+                remedy=f"give parameters by name: {self._example()}",
+            )
+        for position, given in enumerate(at):
             if isinstance(given, Mapping):
                 yield from given.items()
             elif given is not None and position == 0:
@@ -143,11 +144,11 @@ class Coordinates:
         yield from named.items()
 
     def _example(self) -> str:
-        values = ", ".join(
-            f"{name}={0.5 * (lower + upper):g}"
-            for name, (lower, upper) in zip(self.names, self.intervals, strict=True)
-        )
-        return f"solution({values})"
+        middle = [f"{0.5 * (lower + upper):g}" for lower, upper in self.intervals]
+        values = zip(self.names, middle, strict=True)
+        if all(name.isidentifier() and not iskeyword(name) for name in self.names):
+            return f"solution({', '.join(f'{name}={value}' for name, value in values)})"
+        return f"solution({{{', '.join(f'{name!r}: {value}' for name, value in values)}}})"
 
     def numbers(self, given: Sequence[Any]) -> list[float] | None:
         """Return plain numbers inside the intervals, or None if the slower way has to decide."""
@@ -178,7 +179,7 @@ class Coordinates:
         smallest, largest = array.min(), array.max()
         if smallest >= lower and largest <= upper:
             return array
-        slack = self._slack[index]
+        slack = round_off(lower, upper)
         if smallest >= lower - slack and largest <= upper + slack:
             return np.clip(array, lower, upper)
         interval = f"[{lower:.12g}, {upper:.12g}]"

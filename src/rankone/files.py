@@ -1,0 +1,122 @@
+"""Files: whether a place is free, and several written together, all of them or none."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import IO, Any
+from zipfile import ZipFile
+
+import numpy as np
+
+from rankone.errors import RankoneError
+
+__all__ = ["Content", "free_target", "npz", "write_files"]
+
+Content = str | bytes | Callable[[IO[bytes]], object]
+"""Text, bytes, or a function that writes to a binary stream."""
+
+
+def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
+    """The path of a file that can be written and need not stay as it is.
+
+    Parameters
+    ----------
+    path : path-like
+    overwrite : bool
+        Whether an existing file may be replaced.
+    error : type
+        What is raised otherwise.
+    """
+    target = Path(path)
+    try:
+        place = Path(os.path.realpath(target))
+        exists, folder, inside = place.exists(), place.is_dir(), place.parent.is_dir()
+    except (OSError, ValueError) as reason:  # no permission, too long, a null character
+        raise error(f"`{target}` cannot be written: {reason}", term=target) from reason
+    if folder:
+        raise error(f"`{target}` cannot be written: it is a directory", term=target)
+    if not inside:
+        missing = f"there is no directory `{target.parent}`"
+        raise error(f"`{target}` cannot be written: {missing}", term=target)
+    if exists and not overwrite:
+        remedy = "choose another name, or overwrite=True (--overwrite on the command line)"
+        raise error(f"`{target}` exists", term=target, remedy=remedy)
+    return target
+
+
+def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[RankoneError]) -> None:
+    """Write files that belong together.
+
+    Each is written beside its place and moved there when all are complete, so that an interrupt or
+    a full disk leaves no half-written file and older files stay as they were.
+
+    Parameters
+    ----------
+    files : mapping of Path to str, bytes or function
+        Content by path; see :data:`Content`.
+    overwrite : bool
+        Whether existing files may be replaced.
+    error : type
+        What is raised if a file is not to be replaced or cannot be written.
+    """
+    places = {path: Path(os.path.realpath(free_target(path, overwrite, error))) for path in files}
+    if len({*places.values()}) < len(places):
+        raise error(f"{' and '.join(f'`{path}`' for path in files)} are one file")
+    beside = {
+        path: place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+        for path, place in places.items()
+    }
+    moved: dict[Path, bytes | None] = {}
+    try:
+        for path, content in files.items():
+            _write(beside[path], content)
+        for number, (path, place) in enumerate(places.items(), 1):
+            keep = number < len(places) and place.exists()  # nothing can fail after the last
+            old = place.read_bytes() if keep else None
+            beside[path].replace(place)
+            moved[place] = old
+    except BaseException as reason:
+        _undo(moved)
+        if not isinstance(reason, OSError):
+            raise
+        why = reason.strerror or reason
+        raise error(f"`{path}` cannot be written: {why}", term=path) from reason
+    finally:
+        for left in beside.values():
+            left.unlink(missing_ok=True)
+
+
+def npz(arrays: Mapping[str, Any]) -> Callable[[IO[bytes]], None]:
+    """Content of an .npz file, whatever the names; the same arrays give the same bytes."""
+
+    def write(stream: IO[bytes]) -> None:
+        with ZipFile(stream, "w") as archive:
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
+
+    return write
+
+
+def _write(path: Path, content: Content) -> None:
+    """Write a new file to the disk itself."""
+    with path.open("xb") as stream:
+        if callable(content):
+            content(stream)
+        else:
+            stream.write(content.encode() if isinstance(content, str) else content)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _undo(moved: Mapping[Path, bytes | None]) -> None:
+    """Put back what files replaced before one of them failed."""
+    for place, old in moved.items():
+        if old is None:
+            place.unlink(missing_ok=True)
+        else:
+            place.write_bytes(old)

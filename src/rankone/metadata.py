@@ -1,0 +1,65 @@
+"""What was asked of a solve, in plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["Role", "SolutionMetadata"]
+
+Role = Literal["unknown", "derivative", "auxiliary"]
+"""What a state is: an unknown of the problem, a derivative of one, or what lifting adds."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionMetadata:
+    """What was asked, in plain data: a solution needs neither SymPy nor the problem.
+
+    Attributes
+    ----------
+    states : tuple of str
+        Names of all states in the order of the slabs' states; derivatives that became states are
+        called ``x_t``, ``x_tt``, ...
+    roles : tuple of {"unknown", "derivative", "auxiliary"}
+        What each state is.
+    parameters : tuple of str
+        Names of the parameters, in the order of the slabs' cores.
+    box : tuple of (float, float)
+        The interval of each parameter.
+    time : str
+        Name of time.
+    horizon : (float, float)
+        Start and end asked for; a partial solution ends earlier.
+    rtol : float
+        Relative tolerance asked for.
+    method : str
+        Name of the engine.
+    equations : tuple of str
+        The problem as text, one line for each equation and initial value.
+    version : str
+        Version of rankone that solved it.
+    source : str or None
+        Text of the generated module.
+    """
+
+    states: tuple[str, ...]
+    roles: tuple[Role, ...]
+    parameters: tuple[str, ...]
+    box: tuple[tuple[float, float], ...]
+    time: str
+    horizon: tuple[float, float]
+    rtol: float
+    method: str = "train"
+    equations: tuple[str, ...] = ()
+    version: str = ""
+    source: str | None = None
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(self.states[row] for row in self.unknown_rows)
+
+    @property
+    def unknown_rows(self) -> tuple[int, ...]:
+        """Positions of the unknowns among the states."""
+        return tuple(row for row, role in enumerate(self.roles) if role == "unknown")

@@ -1,0 +1,104 @@
+"""Frozen dataclasses as plain data, and rebuilt from it by their annotations.
+
+Plain data is what JSON holds: texts, numbers, booleans, null, lists and objects. Numbers that JSON
+lacks become the texts ``"nan"``, ``"inf"`` and ``"-inf"``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
+from functools import cache
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+__all__ = ["plain", "rebuilt"]
+
+_NOT_FINITE = ("nan", "inf", "-inf")
+
+
+def plain(value: Any) -> Any:
+    """Turn dataclasses, mappings, tuples, enumerations and NumPy numbers into plain data."""
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, np.generic):
+        value = value.item()
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def rebuilt(kind: Any, value: Any) -> Any:
+    """Turn plain data into what an annotation says.
+
+    Parameters
+    ----------
+    kind : type or annotation
+        A dataclass, an enumeration, ``float``, ``int``, ``bool``, ``str``, ``None``, and tuples,
+        dictionaries, unions and literals of them.
+    value : object
+        Plain data.
+
+    Raises
+    ------
+    TypeError, ValueError, LookupError
+        If the value is no such thing. Entries that a dataclass does not have are passed over;
+        those that it lacks have to have a default.
+    """
+    parts: tuple[Any, ...] = get_args(kind)
+    origin = get_origin(kind)
+    if origin in (Union, UnionType):
+        return rebuilt(type(None) if value is None else _other(parts), value)
+    if origin is tuple and isinstance(value, list):
+        if parts[-1:] == (...,):
+            parts = parts[:1] * len(value)
+        return tuple(rebuilt(part, item) for part, item in zip(parts, value, strict=True))
+    if origin is dict and isinstance(value, dict):
+        return {rebuilt(parts[0], key): rebuilt(parts[1], item) for key, item in value.items()}
+    if origin is None and is_dataclass(kind) and isinstance(value, dict):
+        return _dataclass(kind, value)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return kind[value]
+    if kind is float and (type(value) in (float, int) or value in _NOT_FINITE):
+        return float(value)
+    if type(value) is kind or (origin is Literal and value in parts):
+        return value
+    raise TypeError(f"{value!r} is not of the kind {kind}")
+
+
+def _other(parts: tuple[Any, ...]) -> Any:
+    """The part of an optional annotation that is not None."""
+    (part,) = (part for part in parts if part is not type(None))
+    return part
+
+
+def _dataclass(kind: Any, value: Mapping[str, Any]) -> Any:
+    """An instance made of the entries of its fields."""
+    return kind(
+        **{
+            name: rebuilt(annotation, value[name])
+            for name, (annotation, optional) in _annotations(kind).items()
+            if name in value or not optional
+        }
+    )
+
+
+@cache
+def _annotations(kind: Any) -> dict[str, tuple[Any, bool]]:
+    """For each field of a dataclass its annotation and whether it has a default."""
+    hints = get_type_hints(kind)
+    return {
+        field.name: (
+            hints[field.name],
+            field.default is not MISSING or field.default_factory is not MISSING,
+        )
+        for field in fields(kind)
+    }

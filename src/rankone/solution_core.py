@@ -1,0 +1,286 @@
+"""The part of a solution that evaluates it, says how good it is and saves it.
+
+:class:`~rankone.solution.Solution` adds to it what only the library needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.coordinates import Coordinates, name_of
+from rankone.errors import BlowUpError, EvaluationError
+from rankone.metadata import SolutionMetadata
+from rankone.solvers.outcome import Outcome, Status
+from rankone.storage import write
+from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.wording import did_you_mean, listing
+
+__all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
+
+
+class SolutionCore:
+    """The unknowns as functions of time and of all parameters.
+
+    Call it with times and parameter values, or index it to get one unknown:
+
+    - ``solution(t=1.0, x0=9.0, y0=5.0)`` has the shape (unknowns,);
+    - ``solution(times, {x0: 9, y0: [4.5, 5.5]})`` broadcasts as NumPy does and has the shape
+      (unknowns, *broadcast shape); keys are symbols or names;
+    - ``solution[x](t=times, x0=9, y0=5)`` has the broadcast shape alone;
+    - ``solution.grid(t=times, x0=..., y0=...)`` evaluates every combination.
+
+    Values outside of the box or of the horizon are errors; nothing is extrapolated.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        What the engine returned.
+    metadata : SolutionMetadata
+        What was asked.
+
+    Attributes
+    ----------
+    outcome, metadata
+        As given.
+    """
+
+    def __init__(self, outcome: Outcome, metadata: SolutionMetadata) -> None:
+        self.outcome = outcome
+        self.metadata = metadata
+        self._unknowns = _rows(metadata.unknown_rows)
+        self._coordinates = Coordinates(
+            (metadata.time, *metadata.parameters), (self.time, *metadata.box)
+        )
+
+    # --- evaluation ----------------------------------------------------------------------------
+
+    def __call__(self, *at: Any, **named: Any) -> Array:
+        """Evaluate all unknowns.
+
+        Parameters
+        ----------
+        *at
+            Times, then a mapping from symbols or names to values; or either of the two alone.
+        **named
+            Values by name.
+
+        Returns
+        -------
+        ndarray (unknowns, *broadcast shape of the values)
+
+        Raises
+        ------
+        EvaluationError
+            If a coordinate is missing, unknown, given twice, not a real number, or outside of
+            the box or the horizon.
+        """
+        return self._evaluate(self._coordinates.gather(at, named), self._unknowns)
+
+    def grid(self, *at: Any, **named: Any) -> Array:
+        """Evaluate all unknowns for every combination of values, one axis per coordinate.
+
+        Arguments and errors are those of a call; each value is a number or one-dimensional.
+
+        Returns
+        -------
+        ndarray (unknowns, times, values of parameter 1, values of parameter 2, ...)
+        """
+        return self._evaluate_grid(self._coordinates.gather(at, named), self._unknowns)
+
+    def __getitem__(self, state: Any) -> UnknownView:
+        """Return one unknown, or one derivative that is a state: ``solution[x.diff(t)]``."""
+        name = name_of(state, self.metadata.time)
+        if name not in self.states:
+            raise EvaluationError(
+                f"no unknown `{name}`{did_you_mean(name, self.states)}; "
+                f"the solution holds {listing(self.states)}",
+                term=state,
+            )
+        return UnknownView(self, name)
+
+    def __iter__(self) -> Any:
+        raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
+
+    def _evaluate(self, given: list[Any], rows: Rows) -> Array:
+        """Values of some states, (rows, *broadcast shape)."""
+        evaluator = self._evaluator
+        numbers = self._coordinates.numbers(given)
+        if numbers is not None:
+            return evaluator.one(numbers, rows)
+        points, shape = self._coordinates.broadcast(self._coordinates.arrays(given))
+        if shape == ():
+            return evaluator.one(points[:, 0].tolist(), rows)
+        values = evaluator.many(points, rows)
+        return values.reshape(len(values), *shape)
+
+    def _evaluate_grid(self, given: list[Any], rows: Rows) -> Array:
+        """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
+        return self._evaluator.grid(self._coordinates.axes(given), rows)
+
+    @cached_property
+    def _evaluator(self) -> TrainEvaluator:
+        if not self.outcome.slabs:
+            raise EvaluationError(f"nothing was solved: {self.message}")
+        return TrainEvaluator(self.outcome.slabs)
+
+    # --- what was asked and what came out ------------------------------------------------------
+
+    @property
+    def success(self) -> bool:
+        """Whether the measured error is within the tolerance asked; False if it is not known."""
+        return self.outcome.status is Status.CONVERGED
+
+    @property
+    def status(self) -> Status:
+        """How the solve ended."""
+        return self.outcome.status
+
+    @property
+    def message(self) -> str:
+        """How the solve ended, why, and what to do."""
+        return self.outcome.message
+
+    @property
+    def error(self) -> float:
+        """Largest measured error over all states, relative to each one's size; NaN if unchecked.
+
+        Derivatives that became states count as well.
+        """
+        return float(np.max([*self.errors.values()]))
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Measured error of each state; NaN if unchecked."""
+        measured = self.outcome.measured
+        if measured is None:
+            return dict.fromkeys(self.states, float("nan"))
+        return dict(zip(self.states, measured.interior, strict=True))
+
+    @property
+    def rtol(self) -> float:
+        """Relative tolerance asked for."""
+        return self.metadata.rtol
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of the unknowns, in the order of the values."""
+        return self.metadata.unknowns
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of all that can be asked for: the unknowns and derivatives that are states."""
+        return self.metadata.states
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """The box: the interval of each parameter."""
+        return dict(zip(self.metadata.parameters, self.metadata.box, strict=True))
+
+    @property
+    def time(self) -> tuple[float, float]:
+        """Start and end of what was solved."""
+        start, end = self.metadata.horizon
+        if not self.outcome.slabs:
+            return start, start
+        reached = self.outcome.slabs[-1].end
+        return start, end if abs(end - reached) <= 1e-10 * (end - start) else reached
+
+    # --- files ---------------------------------------------------------------------------------
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the solution to a file in an open format, without pickle.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.npz``.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        StorageError
+            If the name has another suffix, or the file exists and is not to be replaced, or cannot
+            be written. A file is either complete or not there, also after an interrupt.
+        """
+        return write(path, self.outcome, self.metadata, overwrite)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.outcome, self.metadata)
+
+
+@dataclass(frozen=True, repr=False)
+class UnknownView:
+    """One unknown of a solution, as a function of time and the parameters.
+
+    Attributes
+    ----------
+    solution : SolutionCore
+    name : str
+        Name of the unknown, or of a derivative that is a state.
+    """
+
+    solution: SolutionCore
+    name: str
+
+    @property
+    def row(self) -> int:
+        """Position among the states."""
+        return self.solution.states.index(self.name)
+
+    def __call__(self, *at: Any, **named: Any) -> Any:
+        """Evaluate: arguments and errors as for a solution, shape of the result as broadcast."""
+        given = self.solution._coordinates.gather(at, named)
+        return self.solution._evaluate(given, _rows([self.row]))[0]
+
+    def grid(self, *at: Any, **named: Any) -> Array:
+        """Evaluate for every combination of values: shape (times, values of parameter 1, ...)."""
+        given = self.solution._coordinates.gather(at, named)
+        values: Array = self.solution._evaluate_grid(given, _rows([self.row]))[0]
+        return values
+
+    @property
+    def error(self) -> float:
+        """Measured error, relative to the unknown's size; NaN if unchecked."""
+        return self.solution.errors[self.name]
+
+    def __repr__(self) -> str:
+        coordinates = ", ".join(self.solution._coordinates.names)
+        return f"{self.name}({coordinates}) of a Solution, measured error {self.error:.2g}"
+
+
+def raise_blow_up(solution: SolutionCore) -> None:
+    """Raise a BlowUpError that carries the solution if a trajectory blew up."""
+    outcome = solution.outcome
+    if outcome.status is Status.BLOW_UP and outcome.blow_up is not None:
+        when, values = outcome.blow_up
+        where = dict(zip(solution.parameters, values, strict=True))
+        at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
+        raise BlowUpError(
+            f"the solution blows up inside the horizon: near t = {when:.4g}"
+            + (f" at {at}" if at else ""),
+            time=when,
+            parameters=where,
+            solution=solution,
+            remedy=f"end the horizon before t = {when:.4g}, or narrow the box; the error carries "
+            f"the part up to t = {solution.time[1]:.4g} as .solution",
+        )
+
+
+def _rows(positions: Sequence[int]) -> Rows:
+    """States by position: a slice, which needs no copy, where they follow each other."""
+    first, last = positions[0], positions[-1]
+    adjacent = len(positions) == last + 1 - first
+    return slice(first, last + 1) if adjacent else np.array(positions, dtype=np.intp)
