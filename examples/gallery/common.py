@@ -1,4 +1,7 @@
-"""What the scripts of the gallery share: reference trajectories, errors, and where figures go."""
+"""What the scripts of the gallery share: reference trajectories, errors, and where figures go.
+
+Every script takes ``--to DIR`` or ``--update``, see :func:`run_script`.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,11 @@ import os
 
 os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
+import argparse
 import io
 import sys
+import tempfile
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,6 +45,7 @@ __all__ = [
     "lotka_volterra_until",
     "march",
     "publish",
+    "run_script",
     "save",
     "slope",
     "table",
@@ -162,9 +169,8 @@ def figure(rows: int, columns: int, **options: Any) -> tuple[Figure, Any]:
     )
 
 
-def save(drawn: Figure, name: str, folder: Path = FOLDER) -> Path:
+def save(drawn: Figure, name: str, folder: Path) -> Path:
     """Write a figure as ``name.png``; it must stay small."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.png"
     buffer = io.BytesIO()
     drawn.savefig(buffer, dpi=110)
@@ -182,15 +188,44 @@ def table(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
-def publish(name: str, text: str, drawn: dict[str, Figure], page: Path = PAGE) -> None:
-    """Print the numbers found, write them into a page, and write the figures.
+def publish(
+    name: str, text: str, drawn: dict[str, Figure], folder: Path, page: Path = PAGE
+) -> None:
+    """Print the numbers found and write the figures to a folder.
 
-    The page holds them between ``<!-- found: name -->`` and ``<!-- /found -->``.
+    If it is the folder of the docs, the numbers are written into their page, too, between
+    ``<!-- found: name -->`` and ``<!-- /found -->``.
     """
     print(text)
     for title, one in drawn.items():
-        save(one, title)
+        save(one, title, folder)
+    if folder != FOLDER:
+        return
     before, mark, rest = page.read_text().partition(f"<!-- found: {name} -->\n")
     assert mark, f"{page.name} has no place for {name}"
     _, end, after = rest.partition("<!-- /found -->")
     page.write_text(f"{before}{mark}{text.strip()}\n{end}{after}")
+
+
+def run_script(main: Callable[[Path], None], arguments: Sequence[str] | None = None) -> None:
+    """Call ``main`` with the folder for its figures, as the command line says.
+
+    It is a new temporary one, or that of ``--to DIR``; that of the docs only with ``--update``.
+    """
+    parser = argparse.ArgumentParser(description="Print the numbers found and write the figures.")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--to", metavar="DIR", type=Path, help="folder for the figures")
+    where.add_argument("--update", action="store_true", help="rewrite those shown in the docs")
+    options = parser.parse_args(arguments)
+    if options.update:
+        folder = FOLDER
+    else:
+        folder = options.to or Path(tempfile.mkdtemp(prefix="gallery-"))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            parser.error(f"--to {folder}: {error.strerror}")
+        if folder.samefile(FOLDER):
+            parser.error("the figures of the docs are rewritten by --update only")
+    main(folder)
+    print(f"figures are in {folder}")

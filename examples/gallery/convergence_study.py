@@ -17,7 +17,17 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import ROOT, Figure, error_of, figure, lotka_volterra_until, march, publish, table
+from common import (
+    ROOT,
+    Figure,
+    error_of,
+    figure,
+    lotka_volterra_until,
+    march,
+    publish,
+    run_script,
+    table,
+)
 
 import rankone as ro
 from examples import coupled, decay, free_fall, kirchhoff, linear
@@ -178,10 +188,10 @@ def draw(study: Study) -> dict[str, Figure]:
     return drawn
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     study = compute()
-    publish("convergence_study", report(study), draw(study), PAGE)
+    publish("convergence_study", report(study), draw(study), folder, PAGE)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

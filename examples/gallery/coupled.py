@@ -14,7 +14,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import Array, Figure, error_of, figure, publish, trajectories
+from common import Array, Figure, error_of, figure, publish, run_script, trajectories
 
 import rankone as ro
 from examples import coupled
@@ -102,10 +102,10 @@ def draw(found: Coupled) -> Figure:
     return drawn
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     found = compute()
-    publish("coupled", report(found), {"coupled": draw(found)})
+    publish("coupled", report(found), {"coupled": draw(found)}, folder)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

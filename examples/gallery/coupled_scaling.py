@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 import scipy.integrate
-from common import Figure, error_of, figure, publish, slope, table, trajectories
+from common import Figure, error_of, figure, publish, run_script, slope, table, trajectories
 
 import rankone as ro
 from examples import coupled
@@ -188,10 +188,10 @@ def draw(found: Scaling) -> Figure:
     return drawn
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     found = compute()
-    publish("coupled_scaling", report(found), {"coupled_scaling": draw(found)})
+    publish("coupled_scaling", report(found), {"coupled_scaling": draw(found)}, folder)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

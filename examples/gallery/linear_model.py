@@ -13,7 +13,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import Array, Figure, error_of, plt, publish, slope
+from common import Array, Figure, error_of, plt, publish, run_script, slope
 
 import rankone as ro
 from examples import decay, linear
@@ -100,10 +100,10 @@ def draw(found: dict[str, Model]) -> Figure:
     return drawn
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     found = compute()
-    publish("linear_model", report(found), {"linear_model": draw(found)})
+    publish("linear_model", report(found), {"linear_model": draw(found)}, folder)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -20,6 +20,7 @@ from common import (
     lotka_volterra_until,
     march,
     publish,
+    run_script,
     trajectories,
 )
 
@@ -88,10 +89,10 @@ def draw(runs: dict[float, Run]) -> Figure:
     return drawn
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     found = compute()
-    publish("lotka_volterra", report(found), {"lotka_volterra": draw(found)})
+    publish("lotka_volterra", report(found), {"lotka_volterra": draw(found)}, folder)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -1,4 +1,7 @@
-"""Make every figure and number of the gallery anew: python examples/gallery/make_all.py"""
+"""Make every figure and number of the gallery: ``python examples/gallery/make_all.py``.
+
+``--to DIR`` names the folder for the figures; ``--update`` rewrites the docs.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ import free_fall
 import linear_model
 import lotka_volterra
 import rigid_body
+from common import run_script
 
 SCRIPTS = (
     linear_model,
@@ -27,15 +31,15 @@ SCRIPTS = (
 )
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     began = time.perf_counter()
     for script in SCRIPTS:
         start = time.perf_counter()
         print(f"--- {script.__name__}")
-        script.main()
+        script.main(folder)
         print(f"{time.perf_counter() - start:.0f} s")
     print(f"all in {time.perf_counter() - began:.0f} s")
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -13,7 +13,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import Array, Figure, error_of, figure, march, publish, trajectories
+from common import Array, Figure, error_of, figure, march, publish, run_script, trajectories
 
 import rankone as ro
 from examples import kirchhoff
@@ -70,10 +70,10 @@ def draw(runs: dict[float, Run]) -> Figure:
     return drawn
 
 
-def main() -> None:
+def main(folder: Path) -> None:
     found = compute()
-    publish("rigid_body", report(found), {"rigid_body": draw(found)})
+    publish("rigid_body", report(found), {"rigid_body": draw(found)}, folder)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

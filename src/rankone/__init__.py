@@ -25,12 +25,20 @@ from rankone.errors import (
     SeparationError,
     StorageError,
 )
-from rankone.ir import SeparatedForm
+from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.lowering import quadratic_system
 from rankone.solution import Solution, load
 from rankone.solvers.greedy import GreedyOptions
 from rankone.solvers.outcome import Status
 from rankone.solvers.train import TrainOptions
-from rankone.symbolic import Problem, WeakForm, separate, weak_form
+from rankone.symbolic import (
+    FirstOrderSystem,
+    Problem,
+    WeakForm,
+    first_order,
+    separate,
+    weak_form,
+)
 from rankone.version import __version__
 
 __all__ = [
@@ -39,10 +47,12 @@ __all__ = [
     "ConvergenceError",
     "EvaluationError",
     "ExportError",
+    "FirstOrderSystem",
     "GreedyOptions",
     "OptionError",
     "Problem",
     "ProblemError",
+    "QuadraticSystem",
     "RankoneError",
     "RankoneWarning",
     "SeparatedForm",
@@ -54,9 +64,11 @@ __all__ = [
     "WeakForm",
     "__version__",
     "compile",
+    "first_order",
     "generate_source",
     "load",
     "load_module",
+    "quadratic_system",
     "separate",
     "solve",
     "weak_form",

@@ -23,6 +23,14 @@ __all__ = ["main"]
 
 _SUCCESS, _FAILURE, _BAD_INPUT, _BROKEN_PIPE, _INTERRUPTED = 0, 1, 2, 141, 130
 
+_STAGES = {
+    "first-order": ("first-order system", "first_order"),
+    "weak-form": ("weak form", "weak_form"),
+    "separated": ("separated form", "separated"),
+    "quadratic": ("quadratic system", "quadratic"),
+    "source": ("generated module", "source"),
+}
+"""What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
 _FILE_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 _EXIT_HELP = """\
 exit status:
@@ -111,15 +119,14 @@ def _parser() -> argparse.ArgumentParser:
 
     show = commands.add_parser(
         "show",
-        help="print the weak form, the separated terms and the generated source of a problem",
+        help="print what a problem compiles to, from the first-order system to the source",
         description="Print what a problem compiles to; everything if no flag selects.",
         epilog=layout,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     show.add_argument("file", metavar="FILE", type=Path, help=_FILE_HELP)
-    show.add_argument("--weak-form", action="store_true", help="the weak form")
-    show.add_argument("--separated", action="store_true", help="the table of separated terms")
-    show.add_argument("--source", action="store_true", help="the generated module")
+    for stage, (title, _) in _STAGES.items():
+        show.add_argument(f"--{stage}", action="store_true", help=f"the {title}")
     show.set_defaults(run=_show)
 
     export = commands.add_parser(
@@ -226,16 +233,13 @@ def _show(arguments: argparse.Namespace) -> int:
     from rankone.problem_files import load_problem
 
     compiled = rankone.compile(load_problem(arguments.file))
-    sections = {
-        "weak form": (arguments.weak_form, "weak_form"),
-        "separated form": (arguments.separated, "separated"),
-        "generated module": (arguments.source, "source"),
-    }
-    selected = [title for title, (wanted, _) in sections.items() if wanted] or list(sections)
-    for number, title in enumerate(selected):
-        if len(selected) > 1:
+    chosen = vars(arguments)
+    asked = [stage for stage in _STAGES if chosen[stage.replace("-", "_")]] or list(_STAGES)
+    for number, stage in enumerate(asked):
+        title, attribute = _STAGES[stage]
+        if len(asked) > 1:
             print(f"{'' if number == 0 else chr(10)}# {title}\n")
-        print(str(getattr(compiled, sections[title][1])).rstrip("\n"))
+        print(str(getattr(compiled, attribute)).rstrip("\n"))
     sys.stdout.flush()
     return _SUCCESS
 

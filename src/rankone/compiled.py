@@ -1,16 +1,19 @@
-"""The pipeline: problem -> weak form -> separated form -> generated module -> solution.
+"""The pipeline: from a problem to a generated module, and to a solution.
 
-===============  ==================================================================  ==============
-stage            what happens                                                        result
-===============  ==================================================================  ==============
-weak form        residual times test function, integrated over every dimension       ``.weak_form``
-separation       every term factored into functions of one coordinate                ``.separated``
-code generation  kernels, factors and pointwise functions as readable source         ``.source``
-import           the source is run as a module                                       ``.system``
-solve            an engine enriches separated tensors, slab by slab                  a ``Solution``
-===============  ==================================================================  ==============
+===============  =====================  ==========================================================
+stage            result                 what happens
+===============  =====================  ==========================================================
+first order      ``.first_order``       orders reduced, masses inverted: u' = f(t, p, u)
+weak form        ``.weak_form``         residual times test function, integrated over all dimensions
+separation       ``.separated``         every term factored into functions of one coordinate
+lowering         ``.quadratic``         products of at most two states, terms grouped by factors
+code generation  ``.source``            kernels, factors and pointwise functions as readable text
+import           ``.system``            the text is run as a module
+solve            a ``Solution``         an engine enriches separated tensors over a domain
+===============  =====================  ==========================================================
 
-Each stage is timed in ``.timings`` (seconds) and in the log ``rankone``.
+Each stage takes what the one before made, and nothing else. Each is timed in ``.timings`` (seconds)
+and in the log ``rankone``.
 """
 
 from __future__ import annotations
@@ -19,8 +22,8 @@ import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -28,15 +31,24 @@ from typing import Any, Literal
 from threadpoolctl import ThreadpoolController
 
 from rankone.codegen import equation_texts, generate_source, load_module
-from rankone.domain import Domain, check_factors
+from rankone.domain import Domain
 from rankone.errors import ConvergenceError, OptionError
-from rankone.ir import SeparatedForm
+from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
 from rankone.progress import Progress, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
 from rankone.solvers.registry import engine_named
-from rankone.symbolic import Problem, WeakForm, separate, weak_form
+from rankone.symbolic import (
+    FirstOrderSystem,
+    Problem,
+    WeakForm,
+    check_moved,
+    first_order,
+    separate,
+    weak_form,
+)
 from rankone.system import System
 from rankone.version import __version__
 
@@ -54,10 +66,14 @@ class CompiledProblem:
     Attributes
     ----------
     problem : Problem
+    first_order : FirstOrderSystem
+        The equations solved for the derivatives.
     weak_form : WeakForm
         Residual times test function, integrated over every dimension.
     separated : SeparatedForm
         The terms, each a product of functions of one coordinate and a monomial.
+    quadratic : QuadraticSystem
+        The right-hand side with products of at most two states, its terms in groups.
     source : str
         Text of the generated module.
     timings : dict of str to float
@@ -65,29 +81,29 @@ class CompiledProblem:
     """
 
     problem: Problem
+    first_order: FirstOrderSystem
     weak_form: WeakForm
     separated: SeparatedForm
+    quadratic: QuadraticSystem
     source: str
     timings: dict[str, float]
-    _modules: dict[str, System] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
     def system(self) -> System:
         """The generated module; run again from its source after unpickling."""
-        if not self._modules:
-            self._modules["system"] = load_module(self.source, self.problem.name or "system")
-        return self._modules["system"]
+        return load_module(self.source, self.problem.name or "system")
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_modules": {}}
+        return {name: value for name, value in self.__dict__.items() if name != "system"}
 
     def __repr__(self) -> str:
-        form = self.separated
-        names = ", ".join(state.name for state in form.states)
-        box = ", ".join(f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in form.coordinates)
+        clock, *parameters = self.separated.coordinates
+        names = ", ".join(state.name for state in self.separated.states)
+        box = ", ".join(f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in (clock, *parameters))
         return (
             f"CompiledProblem of {names} over {box}\n"
-            f"{len(form.terms)} separated terms, {self.source.count(chr(10))} lines generated, "
+            f"{len(self.separated.terms)} separated terms, "
+            f"{self.source.count(chr(10))} lines generated, "
             f"compiled in {sum(self.timings.values()):.2f} s"
         )
 
@@ -151,7 +167,7 @@ class CompiledProblem:
         domain = Domain.of(self.system)
         if parameters or t_final is not None:
             domain = domain.moved(self.system.PARAMETERS, parameters, t_final)
-            _check_moved(self, domain)
+            check_moved(self.problem, self.separated, domain)
         began = time.perf_counter()
         with resolve_progress(progress) as report, _one_blas_thread():
             outcome = engine.solve(self.system, domain, request, report)
@@ -180,21 +196,21 @@ class CompiledProblem:
         clock, *parameters = form.coordinates
         return SolutionMetadata(
             states=tuple(state.name for state in form.states),
-            roles=tuple("derivative" if state.order else "unknown" for state in form.states),
+            roles=tuple(state.role for state in form.states),
             parameters=tuple(c.name for c in parameters),
             box=tuple((c.lower, c.upper) for c in parameters),
             time=clock.name,
             horizon=(clock.lower, clock.upper),
             rtol=rtol,
             method=method,
-            equations=tuple(equation_texts(form)),
+            equations=tuple(equation_texts(self.quadratic)),
             version=__version__,
             source=self.source,
         )
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:
-    """Compile a problem: weak form, separated form, generated module.
+    """Compile a problem: every stage up to the generated module.
 
     Parameters
     ----------
@@ -217,13 +233,17 @@ def compile_problem(problem: Problem) -> CompiledProblem:
             remedy="build one with rankone.Problem(...) or Problem.from_strings(...)",
         )
     timings: dict[str, float] = {}
+    with _timed(timings, "first order"):
+        system = first_order(problem)
     with _timed(timings, "weak form"):
-        weak = weak_form(problem)
+        weak = weak_form(system)
     with _timed(timings, "separation"):
-        separated = separate(problem)
+        separated = separate(weak)
+    with _timed(timings, "lowering"):
+        quadratic = quadratic_system(separated)
     with _timed(timings, "code generation"):
-        source = generate_source(separated, problem.name)
-    compiled = CompiledProblem(problem, weak, separated, source, timings)
+        source = generate_source(quadratic, problem.name)
+    compiled = CompiledProblem(problem, system, weak, separated, quadratic, source, timings)
     with _timed(timings, "import"):
         _ = compiled.system
     return compiled
@@ -256,8 +276,3 @@ def _one_blas_thread() -> Iterator[None]:
     """Small products run fastest on one thread, and two busy pools slow each other down."""
     with _thread_pools().limit(limits=1, user_api="blas"):
         yield
-
-
-def _check_moved(compiled: CompiledProblem, domain: Domain) -> None:
-    """Raise an OptionError if what was assumed of the problem does not hold on a moved domain."""
-    check_factors(compiled.system, domain)

@@ -68,6 +68,9 @@ class Domain:
         OptionError
             If there is no such parameter, or an interval is not two finite ascending numbers.
         """
+        if not isinstance(parameters, Mapping | None):
+            message = f"parameters={parameters!r} is not a mapping from parameters to intervals"
+            raise OptionError(message, term=parameters, remedy="give {name: (lower, upper), ...}")
         box = dict(zip(names, self.box, strict=True))
         for key, interval in (parameters or {}).items():
             name = str(getattr(key, "name", key))

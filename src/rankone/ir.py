@@ -1,22 +1,40 @@
-"""The separated form: frozen data between the symbolic front end and code generation.
+"""Separated forms: frozen data between the symbolic front end and code generation.
 
 A parametric system ``u' = f(t, p, u)`` is held as the residual ``u' - f`` in separated terms
 
     coefficient x  a_0(t) a_1(p_1) ... a_d(p_d)  x  monomial in the states  x  test function,
 
 so that every integral of the weak form over the (d + 1)-dimensional box is a product of
-one-dimensional integrals. No algorithms live here, and SymPy is only named for the types.
+one-dimensional integrals (:class:`SeparatedForm`); then as f alone with products of at most two
+states, its terms grouped by their parameter factors (:class:`QuadraticSystem`). No algorithms live
+here, and SymPy is only named for the types.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING
+
+from rankone.display import aligned_equations, html_table, latex, latex_number, text_table
+from rankone.metadata import Role
+from rankone.wording import count, number
 
 if TYPE_CHECKING:
     import sympy as sp
 
-__all__ = ["Coordinate", "Factor", "SeparatedForm", "State", "Term"]
+__all__ = [
+    "Coordinate",
+    "Factor",
+    "Group",
+    "QuadraticSystem",
+    "Role",
+    "SeparatedForm",
+    "State",
+    "Term",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,17 +49,20 @@ class Coordinate:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """One scalar function of time in the first-order system.
+    """One scalar function of time.
 
-    ``name`` is the unknown's name, with ``_t`` appended once per time derivative;
-    ``expression`` is the applied function or its derivative as the user would write it;
-    ``unknown`` is the position of the unknown it belongs to and ``order`` its derivative order.
+    Attributes
+    ----------
+    name : str
+        The unknown's name, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``).
+    expression : Expr
+        The applied function, its derivative or the product of states, as the user would write it.
+    role : Role
     """
 
     name: str
     expression: sp.Expr
-    unknown: int
-    order: int = 0
+    role: Role = Role.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +75,16 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One separated term of the residual, or of an initial condition.
+    """One separated term of an equation, or of an initial condition.
 
     Attributes
     ----------
     equation : int
         Index of the state whose equation (or initial value) the term belongs to.
-    coefficient : float
-        Number in front.
+    coefficient : Fraction or float
+        Number in front; exact if it is rational.
     factors : tuple of int
-        For each dimension the index into ``SeparatedForm.factors[dimension]``; 0 is "one".
+        For each dimension the index into the ``factors`` of that dimension; 0 is "one".
     monomial : tuple of int
         Indices of the states multiplied, ascending, repeated for powers; empty for a constant.
     derivative : int
@@ -71,10 +92,15 @@ class Term:
     """
 
     equation: int
-    coefficient: float
+    coefficient: Fraction | float
     factors: tuple[int, ...]
     monomial: tuple[int, ...] = ()
     derivative: int = 0
+
+    @property
+    def size(self) -> Fraction | float:
+        """The coefficient without its sign."""
+        return -self.coefficient if self.coefficient < 0 else self.coefficient
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -102,18 +128,224 @@ class SeparatedForm:
     initial: tuple[Term, ...]
 
     def __str__(self) -> str:
-        from rankone.display import text_table
-
-        return text_table(self)
+        return text_table(self._summary(), self._header(), self._rows())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        from rankone.display import html_table
-
-        return html_table(self)
+        return html_table(self._summary(), self._header(), self._rows())
 
     def _repr_latex_(self) -> str:
-        from rankone.display import latex_sums
+        """Each equation, and each initial value, as a sum of separated products."""
+        clock = self.coordinates[0]
+        lines = [f"{self._latex_sum(self.terms, i)} &= 0" for i in range(len(self.states))]
+        for i, state in enumerate(self.states):
+            at_start = rf"\Big|_{{{latex(clock.symbol)} = {clock.lower:g}}}"
+            value = self._latex_sum(self.initial, i)
+            lines.append(f"{self._latex_state(state)} {at_start} &= {value}")
+        return aligned_equations(lines)
 
-        return latex_sums(self)
+    def _summary(self) -> str:
+        counts = [
+            (len(self.states), "equation"),
+            (len(self.terms), "term"),
+            (len(self.coordinates), "dimension"),
+            (sum(len(distinct) - 1 for distinct in self.factors), "factor"),
+        ]
+        return f"Separated form: {', '.join(count(*pair) for pair in counts)} (residual u' - f = 0)"
+
+    def _header(self) -> list[str]:
+        return ["equation", "coefficient", "monomial", *(c.name for c in self.coordinates)]
+
+    def _rows(self) -> list[list[str]]:
+        start = f"({self.coordinates[0].lower:g})"
+        return [
+            [
+                self.states[term.equation].name + suffix,
+                number(term.coefficient),
+                self._monomial(term),
+                *factor_texts(self.factors, term.factors),
+            ]
+            for terms, suffix in ((self.terms, ""), (self.initial, start))
+            for term in terms
+        ]
+
+    def _monomial(self, term: Term) -> str:
+        text = monomial_text(self.states, term.monomial) or "1"
+        return f"d{text}/d{self.coordinates[0].name}" if term.derivative else text
+
+    def _latex_sum(self, terms: Sequence[Term], equation: int) -> str:
+        products = [self._latex_term(term) for term in terms if term.equation == equation]
+        text = " ".join(("- " if negative else "+ ") + product for negative, product in products)
+        return text.removeprefix("+ ") or "0"
+
+    def _latex_term(self, term: Term) -> tuple[bool, str]:
+        """Whether the term is negative, and its absolute value."""
+        size = latex_number(term.size)
+        parts = [
+            rf"\left[{latex(distinct[i].expression)}\right]"
+            for distinct, i in zip(self.factors, term.factors, strict=True)
+            if i
+        ]
+        if term.derivative:
+            parts.append(rf"\frac{{d}}{{d {latex(self.coordinates[0].symbol)}}}")
+        for i, power in sorted(Counter(term.monomial).items()):
+            raised = f"^{{{power}}}" if power > 1 else ""
+            parts.append(f"{{{self._latex_state(self.states[i])}}}{raised}")
+        if size != "1" or not parts:
+            parts.insert(0, size)
+        return term.coefficient < 0, " ".join(parts)
+
+    def _latex_state(self, state: State) -> str:
+        """A state without its argument."""
+        time = latex(self.coordinates[0].symbol)
+        return latex(state.expression).replace(rf"{{\left({time} \right)}}", "")
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Terms of degree at most two that share their parameter factors, and so a contraction.
+
+    Quadratic monomials ``x_a x_b`` are evaluated as ``x_a`` times a contraction of ``x_b``.
+
+    Attributes
+    ----------
+    index : int
+        Position of the group.
+    signature : tuple of int
+        For each parameter the factor's row; 0 is one.
+    constant, linear, quadratic : tuple of Term
+        The terms by degree.
+    paired : tuple of int
+        Second states b of the quadratic monomials.
+    blocks : tuple of tuple of int
+        For each paired state b the first states a of the monomials ``x_a x_b``, ascending.
+    """
+
+    index: int
+    signature: tuple[int, ...]
+    constant: tuple[Term, ...]
+    linear: tuple[Term, ...]
+    quadratic: tuple[Term, ...]
+    paired: tuple[int, ...]
+    blocks: tuple[tuple[int, ...], ...]
+
+    @property
+    def by_degree(self) -> dict[str, tuple[Term, ...]]:
+        """The terms by the name of their degree."""
+        return {"constant": self.constant, "linear": self.linear, "quadratic": self.quadratic}
+
+    @property
+    def monomials(self) -> tuple[tuple[int, int], ...]:
+        """Quadratic monomials (a, b), b paired, in the order they are evaluated."""
+        return tuple(
+            (a, b) for b, block in zip(self.paired, self.blocks, strict=True) for a in block
+        )
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class QuadraticSystem:
+    """The right-hand side f of ``u' = f``, as it is and with products of at most two states.
+
+    Attributes
+    ----------
+    coordinates, factors
+        As in the separated form.
+    states : tuple of State
+        The differential states, then the auxiliary ones, which are products.
+    rhs : tuple of Term
+        f term by term, of any degree, in the differential states.
+    products : tuple of (int, int)
+        For each auxiliary state the states multiplied.
+    groups : tuple of Group
+        The terms of the quadratic system: f of every differential state, then ``s_a s_b - w`` of
+        every product.
+    initial : tuple of Term
+        The initial values of the differential states.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    states: tuple[State, ...]
+    factors: tuple[tuple[Factor, ...], ...]
+    rhs: tuple[Term, ...]
+    products: tuple[tuple[int, int], ...]
+    groups: tuple[Group, ...]
+    initial: tuple[Term, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all states."""
+        return tuple(state.name for state in self.states)
+
+    @property
+    def differential(self) -> tuple[State, ...]:
+        """The states with a differential equation: all but the auxiliary ones."""
+        return tuple(state for state in self.states if state.role is not Role.AUXILIARY)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """All terms of the groups."""
+        return tuple(
+            term for group in self.groups for part in group.by_degree.values() for term in part
+        )
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """What each equation gives, as text: ``x'``, or ``x*x - w0`` that vanishes."""
+        n = len(self.states) - len(self.products)
+        sides = (definition.split(" = ") for definition in self.definitions)
+        rates = (f"{name}'" for name in self.names[:n])
+        return (*rates, *(f"{product} - {name}" for name, product in sides))
+
+    @property
+    def definitions(self) -> tuple[str, ...]:
+        """The auxiliary states as text: ``w0 = x*x``."""
+        auxiliary = self.names[len(self.names) - len(self.products) :]
+        return tuple(
+            f"{name} = {self.names[a]}*{self.names[b]}"
+            for name, (a, b) in zip(auxiliary, self.products, strict=True)
+        )
+
+    def __str__(self) -> str:
+        return text_table(self._summary(), self._header(), self._rows())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return html_table(self._summary(), self._header(), self._rows())
+
+    def _summary(self) -> str:
+        counts = (len(self.states), "state"), (len(self.terms), "term"), (len(self.groups), "group")
+        auxiliary = f" ({', '.join(self.definitions)})" if self.products else ""
+        states, terms, groups = (count(*pair) for pair in counts)
+        return f"Quadratic system: {states}{auxiliary}, {terms} in {groups} (u' = f)"
+
+    def _header(self) -> list[str]:
+        clock, *parameters = (c.name for c in self.coordinates)
+        return ["group", *parameters, "equation", "coefficient", "monomial", clock]
+
+    def _rows(self) -> list[list[str]]:
+        return [
+            [
+                str(group.index),
+                *factor_texts(self.factors, term.factors)[1:],
+                self.names[term.equation],
+                number(term.coefficient),
+                monomial_text(self.states, term.monomial) or "1",
+                factor_texts(self.factors, term.factors)[0],
+            ]
+            for group in self.groups
+            for part in group.by_degree.values()
+            for term in part
+        ]
+
+
+def factor_texts(factors: Sequence[Sequence[Factor]], rows: Sequence[int]) -> list[str]:
+    """Text of one factor for each dimension."""
+    return [str(distinct[i].expression) for distinct, i in zip(factors, rows, strict=True)]
+
+
+def monomial_text(states: Sequence[State], monomial: Sequence[int]) -> str:
+    """``x**2*y``; nothing for a constant."""
+    powers = sorted(Counter(monomial).items())
+    return "*".join(f"{states[i].name}" + (f"**{k}" if k > 1 else "") for i, k in powers)

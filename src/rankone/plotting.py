@@ -1,4 +1,7 @@
-"""Plots of a solution's history and of its base functions; needs ``pip install rankone[plot]``.
+"""Plots of a solution's history and of its base functions.
+
+They need Matplotlib: ``pip install matplotlib``, or ``pip install ".[plot]"`` in the folder of the
+sources.
 
 Every function returns a Matplotlib figure and shows nothing: ``figure.savefig(...)`` writes it,
 ``matplotlib.pyplot.show()`` shows it.
@@ -229,7 +232,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
         import matplotlib.pyplot as plt
     except ImportError as error:
         raise RankoneError(
-            "plots need Matplotlib, which is not installed", remedy="pip install rankone[plot]"
+            "plots need Matplotlib, which is not installed", remedy="pip install matplotlib"
         ) from error
     columns = 2 if count in (2, 4) else min(count, 3)
     rows = -(-count // columns)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from fractions import Fraction
 
-__all__ = ["clip", "count", "did_you_mean", "listing", "quote"]
+__all__ = ["clip", "count", "did_you_mean", "listing", "number", "quote"]
 
 _LONGEST_QUOTE = 160
+_LONGEST_FRACTION = 24
+"""Characters above which a fraction is written as a decimal number."""
 
 
 def quote(thing: object) -> str:
@@ -42,3 +45,16 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def count(n: int, noun: str) -> str:
     """Return ``"1 unknown"`` or ``"2 unknowns"``."""
     return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+def number(value: Fraction | float) -> str:
+    """Shortest text of a number: a decimal that is exact, or else the fraction.
+
+    >>> number(Fraction(3, 2)), number(Fraction(1, 3)), number(2.0), number(0.1)
+    ('1.5', '1/3', '2', '0.1')
+    """
+    text = repr(float(value)).removesuffix(".0")
+    if isinstance(value, Fraction) and Fraction(text) != value:
+        exact = f"{value.numerator}/{value.denominator}"
+        text = exact if len(exact) <= _LONGEST_FRACTION else text
+    return text

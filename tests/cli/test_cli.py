@@ -42,7 +42,12 @@ def file(tmp_path: Path) -> str:
 def solver(monkeypatch: pytest.MonkeyPatch) -> Callable[[Solver], None]:
     def install(solve: Solver) -> None:
         compiled = SimpleNamespace(
-            solve=solve, weak_form="<the weak form>", separated="<the terms>", source="# code\n"
+            first_order="<the system>",
+            quadratic="<the groups>",
+            solve=solve,
+            weak_form="<the weak form>",
+            separated="<the terms>",
+            source="# code\n",
         )
         monkeypatch.setattr(rankone, "compile", lambda problem: compiled)
 
@@ -282,7 +287,8 @@ def test_show_everything(
     solver(raising(AssertionError("solved")))
     assert main(["show", file]) == 0
     out = capsys.readouterr().out
-    assert out.index("<the weak form>") < out.index("<the terms>") < out.index("# code")
+    shown = ("<the system>", "<the weak form>", "<the terms>", "<the groups>", "# code")
+    assert [*map(out.index, shown)] == sorted(map(out.index, shown))
 
 
 def test_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -36,7 +36,7 @@ class Interpreter:
 
     def coefficient(self, term: Term, t: Any, p: Any) -> Array:
         """Everything of a term of f but its monomial."""
-        value = np.asarray(-term.coefficient)
+        value = np.asarray(-float(term.coefficient))
         for j, (row, at) in enumerate(zip(term.factors, (t, *p), strict=True)):
             value = value * self.factor(j, row, at)
         return value

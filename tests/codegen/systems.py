@@ -47,7 +47,7 @@ def separated(
         starts.append(Term(states.index(name), 1.0, rows(dict.fromkeys(symbols, value))))
     return SeparatedForm(
         tuple(coordinates),
-        tuple(State(name, sp.Function(name)(t), c) for c, name in enumerate(states)),
+        tuple(State(name, sp.Function(name)(t)) for name in states),
         tuple(tuple(Factor(j, e) for e in known) for j, known in enumerate(factors)),
         tuple(terms),
         tuple(starts),

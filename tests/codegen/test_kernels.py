@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 
 from rankone.arrays import Array
 from rankone.codegen import generate_source, load_module
-from rankone.codegen.grouping import group_terms
-from rankone.codegen.lowering import lower, right_hand_side
 from rankone.ir import SeparatedForm, Term
+from rankone.lowering import quadratic_system
 from rankone.system import System
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.strategies import forms
@@ -64,7 +63,7 @@ def brute_force(term: Term, phi: Array, x: Array, z: Array, paired: tuple[int, .
     """One quadratic term, as the table of the contract has it."""
     a, b = term.monomial if term.monomial[1] in paired else term.monomial[::-1]
     contracted: Array = np.einsum("pr,prs->ps", x[a], z[paired.index(b)])
-    scale: Array = term.coefficient * phi[term.factors[0]]
+    scale: Array = float(term.coefficient) * phi[term.factors[0]]
     return scale[:, None] * contracted
 
 
@@ -73,7 +72,7 @@ def brute_force(term: Term, phi: Array, x: Array, z: Array, paired: tuple[int, .
 def test_quadratic_kernels_contract_paired_states(form: SeparatedForm, seed: int) -> None:
     """z of the form x_b e, with e shared by all: either state of a monomial may be the paired."""
     system = load(form)
-    groups = group_terms(lower(right_hand_side(form), len(form.states)).terms)
+    groups = quadratic_system(form).groups
     rng = np.random.default_rng(seed)
     phi = system.time_factors(rng.uniform(0, 1, P))
     x = rng.normal(size=(len(system.STATES), P, R))

@@ -44,6 +44,6 @@ def test_toml_is_the_same_problem():
     path = FOLDER / "lotka_volterra.toml"
     problem = load_problem(path)
     wanted = EXAMPLES["lotka_volterra"].problem
-    assert problem.rhs == wanted.rhs
+    assert problem.residuals == wanted.residuals
     assert problem.coordinates == wanted.coordinates
     assert problem.name == wanted.name == tomllib.loads(path.read_text())["name"]

@@ -118,11 +118,62 @@ def test_convergence_study(script):
 def test_numbers_and_figures_are_published(script, tmp_path, monkeypatch):
     common = script("common")
     monkeypatch.setattr(common, "FOLDER", tmp_path)
-    monkeypatch.setattr(common.save, "__defaults__", (tmp_path,))
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- found: one -->\nold\n<!-- /found -->\nafter\n")
-    common.publish("one", "new", {"one": common.figure(1, 1)[0]}, page)
+    common.publish("one", "new", {"one": common.figure(1, 1)[0]}, tmp_path, page)
     assert page.read_text() == "before\n<!-- found: one -->\nnew\n<!-- /found -->\nafter\n"
     assert (tmp_path / "one.png").stat().st_size > 0
     with pytest.raises(AssertionError, match="no place for two"):
-        common.publish("two", "new", {}, page)
+        common.publish("two", "new", {}, tmp_path, page)
+
+
+@pytest.fixture
+def docs_are_left_alone():
+    """The docs are the same afterwards; put back if they are not."""
+    before = {path: path.read_bytes() for path in (*PAGES, *PAGES[0].parent.iterdir())}
+    yield
+    changed = [path for path, content in before.items() if path.read_bytes() != content]
+    for path in changed:
+        path.write_bytes(before[path])
+    assert not changed
+    assert set(PAGES[0].parent.iterdir()) <= set(before)
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.usefixtures("docs_are_left_alone")
+def test_figures_go_elsewhere_unless_asked(script, tmp_path, monkeypatch, capsys, named):
+    make_all, common = script("make_all"), script("common")
+    names = set()
+    for module in make_all.SCRIPTS:
+        name = module.__name__
+        names.add(f"{name}.png")
+        monkeypatch.setattr(module, "compute", lambda: None)
+        monkeypatch.setattr(module, "report", lambda found: "numbers")
+        drawn = common.figure(1, 1)[0]
+        made = {name: drawn} if name == "convergence_study" else drawn
+        monkeypatch.setattr(module, "draw", lambda found, made=made: made)
+    monkeypatch.setattr(common.tempfile, "tempdir", str(tmp_path))
+    common.run_script(make_all.main, ["--to", str(tmp_path / "a" / "b")] if named else [])
+    (folder,) = tmp_path.glob("a/b" if named else "gallery-*")
+    assert {path.name for path in folder.iterdir()} == names
+    assert f"figures are in {folder}\n" in capsys.readouterr().out
+
+
+def test_docs_are_updated_when_asked(script):
+    common, folders = script("common"), []
+    common.run_script(folders.append, ["--update"])
+    assert folders == [PAGES[0].parent]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--to", str(PAGES[0].parent)], "by --update only"),
+        (["--to", str(PAGES[0])], "File exists"),
+        (["--to", "somewhere", "--update"], "not allowed with"),
+    ],
+)
+def test_folders_that_are_refused(script, capsys, arguments, message):
+    with pytest.raises(SystemExit):
+        script("common").run_script(pytest.fail, arguments)
+    assert message in capsys.readouterr().err

@@ -11,7 +11,7 @@ k in [0.5, 5]
 Terms: 1, grouped by their parameter factor
     group 0, factor k: 1 linear
 Factors of each coordinate, one included: t 1, k 2
-Operations: rhs 1, jacobian 0, quadratic_jacobian 0
+Operations: rhs 1, jacobian 0
 """
 
 import numpy as np
@@ -22,9 +22,13 @@ PRODUCTS = ()
 PARAMETERS = ("k",)
 TIME = (0.0, 2.0)
 BOX = ((0.5, 5.0),)
-TERMS = ((-1.0, 0, (0, 1), (0,)),)
+TERMS = (
+    (-1.0, 0, (0, 1), (0,)),  # u': -k*u
+)
 SIGNATURES = ((1,),)
-INITIAL = ((1.0, 0, (0,)),)
+INITIAL = (
+    (1.0, 0, (0,)),  # u(0): 1
+)
 
 
 def time_factors(t):
@@ -53,14 +57,14 @@ def parameter_factors(dimension, p):
 def linear_0(phi, x):
     """Linear terms of group 0, to be multiplied by k (1)."""
     y = np.empty(x.shape)
-    y[0] = -x[0]
+    y[0] = -x[0]  # u'
     return y
 
 
 def linear_adjoint_0(phi, w):
     """Adjoint of the linear terms of group 0, to be multiplied by k."""
     v = np.empty(w.shape)
-    v[0] = -w[0]
+    v[0] = -w[0]  # u
     return v
 
 
@@ -79,7 +83,7 @@ def rhs(t, u, p):
     (u,) = u
     # Output
     out = np.empty((1, *shape))
-    out[0] = -k * u
+    out[0] = -k * u  # u'
     return out
 
 
@@ -89,20 +93,13 @@ def jacobian(t, u, p):
     (k,) = p
     # Output
     out = np.zeros((1, 1, *shape))
-    out[0, 0] = -k
+    out[0, 0] = -k  # d(u')/du
     return out
 
 
 def with_products(u):
-    """Append the products: (1, ...) to (1, ...)."""
+    """All states, (1, ...): there are no products to append."""
     return np.array(u, dtype=float)
 
 
-def quadratic_jacobian(t, x, p):
-    """Jacobian of the quadratic system at x (1, ...): shape (1, 1, ...)."""
-    shape = np.broadcast(t, *x, *p).shape
-    (k,) = p
-    # Output
-    out = np.zeros((1, 1, *shape))
-    out[0, 0] = -k
-    return out
+quadratic_jacobian = jacobian

@@ -30,15 +30,18 @@ PARAMETERS = ("lambda", "x_{0}")
 TIME = (0.0, 2.0)
 BOX = ((1.0, 2.0), (0.0, 1.0))
 TERMS = (
-    (-1.0, 0, (0, 1, 0), (0, 0, 0)),
-    (0.5, 0, (1, 0, 0), (1,)),
-    (0.25, 0, (1, 0, 0), ()),
-    (1.0, 1, (2, 2, 0), (0, 0, 1)),
-    (-2.0, 1, (0, 0, 0), (1,)),
-    (0.3333333333333333, 1, (0, 2, 0), (0,)),
+    (-1.0, 0, (0, 1, 0), (0, 0, 0)),  # x': -exp(-lambda)*x**3
+    (0.5, 0, (1, 0, 0), (1,)),  # x': 0.5*sin(t)*y
+    (0.25, 0, (1, 0, 0), ()),  # x': 0.25*sin(t)
+    (1.0, 1, (2, 2, 0), (0, 0, 1)),  # y': cos(t)**2*lambda*x**2*y
+    (-2.0, 1, (0, 0, 0), (1,)),  # y': -2*y
+    (0.3333333333333333, 1, (0, 2, 0), (0,)),  # y': 0.3333333333333333*lambda*x
 )
 SIGNATURES = ((0, 0), (1, 0), (2, 0))
-INITIAL = ((1.0, 0, (0, 1)), (1.0, 1, (0, 0)))
+INITIAL = (
+    (1.0, 0, (0, 1)),  # x(0): x_{0}
+    (1.0, 1, (0, 0)),  # y(0): 1
+)
 
 
 def time_factors(t):
@@ -90,7 +93,7 @@ def _expand(x, w, v):
 def constant_0(phi):
     """Constant terms of group 0 (1)."""
     y = np.zeros((3, phi.shape[1]))
-    y[0] = 0.25 * phi[1]
+    y[0] = 0.25 * phi[1]  # x'
     return y
 
 
@@ -98,9 +101,9 @@ def linear_0(phi, x):
     """Linear terms of group 0 (3)."""
     phi_1 = phi[1, :, None]  # sin(t)
     y = np.empty(x.shape)
-    y[0] = 0.5 * phi_1 * x[1]
-    y[1] = -2.0 * x[1]
-    y[2] = -x[2]
+    y[0] = 0.5 * phi_1 * x[1]  # x'
+    y[1] = -2.0 * x[1]  # y'
+    y[2] = -x[2]  # x*x - w0
     return y
 
 
@@ -108,8 +111,8 @@ def linear_adjoint_0(phi, w):
     """Adjoint of the linear terms of group 0."""
     phi_1 = phi[1, :, None]  # sin(t)
     v = np.zeros(w.shape)
-    v[1] = 0.5 * phi_1 * w[0] - 2.0 * w[1]
-    v[2] = -w[2]
+    v[1] = 0.5 * phi_1 * w[0] - 2.0 * w[1]  # y
+    v[2] = -w[2]  # w0
     return v
 
 
@@ -120,7 +123,7 @@ def quadratic_0(phi, x, z):
     _contract(x[0:1], z[0], q[0:1])  # x*x
     # Output
     y = np.zeros((3, *q.shape[1:]))
-    y[2] = q[0]
+    y[2] = q[0]  # x*x - w0
     return y
 
 
@@ -128,7 +131,7 @@ def quadratic_adjoint_0(phi, x, w):
     """Adjoint of the quadratic terms of group 0."""
     # Intermediate terms (1)
     q = np.empty((1, *w.shape[1:]))
-    q[0] = w[2]
+    q[0] = w[2]  # x*x
     # Output
     v = np.empty((1, *x.shape[1:], w.shape[2]))
     _expand(x[0:1], q[0:1], v[0])  # x*x
@@ -142,7 +145,7 @@ def quadratic_1(phi, x, z):
     _contract(x[2:3], z[0], q[0:1])  # x*w0
     # Output
     y = np.zeros((3, *q.shape[1:]))
-    y[0] = -q[0]
+    y[0] = -q[0]  # x'
     return y
 
 
@@ -150,7 +153,7 @@ def quadratic_adjoint_1(phi, x, w):
     """Adjoint of the quadratic terms of group 1, to be multiplied by exp(-lambda)."""
     # Intermediate terms (1)
     q = np.empty((1, *w.shape[1:]))
-    q[0] = -w[0]
+    q[0] = -w[0]  # x*w0
     # Output
     v = np.empty((1, *x.shape[1:], w.shape[2]))
     _expand(x[2:3], q[0:1], v[0])  # x*w0
@@ -160,14 +163,14 @@ def quadratic_adjoint_1(phi, x, w):
 def linear_2(phi, x):
     """Linear terms of group 2, to be multiplied by lambda (1)."""
     y = np.zeros(x.shape)
-    y[1] = 0.3333333333333333 * x[0]
+    y[1] = 0.3333333333333333 * x[0]  # y'
     return y
 
 
 def linear_adjoint_2(phi, w):
     """Adjoint of the linear terms of group 2, to be multiplied by lambda."""
     v = np.zeros(w.shape)
-    v[0] = 0.3333333333333333 * w[1]
+    v[0] = 0.3333333333333333 * w[1]  # x
     return v
 
 
@@ -179,7 +182,7 @@ def quadratic_2(phi, x, z):
     # Output
     phi_2 = phi[2, :, None]  # cos(t)**2
     y = np.zeros((3, *q.shape[1:]))
-    y[1] = phi_2 * q[0]
+    y[1] = phi_2 * q[0]  # y'
     return y
 
 
@@ -188,7 +191,7 @@ def quadratic_adjoint_2(phi, x, w):
     # Intermediate terms (1)
     phi_2 = phi[2, :, None]  # cos(t)**2
     q = np.empty((1, *w.shape[1:]))
-    q[0] = phi_2 * w[1]
+    q[0] = phi_2 * w[1]  # y*w0
     # Output
     v = np.empty((1, *x.shape[1:], w.shape[2]))
     _expand(x[2:3], q[0:1], v[0])  # y*w0
@@ -215,8 +218,8 @@ def rhs(t, u, p):
     c0 = lambda_ * x
     # Output
     out = np.empty((2, *shape))
-    out[0] = t_1 * (0.5 * y + 0.25) - lambda_1 * x * x * x
-    out[1] = y * (t_2 * x * c0 - 2.0) + 0.3333333333333333 * c0
+    out[0] = t_1 * (0.5 * y + 0.25) - lambda_1 * x * x * x  # x'
+    out[1] = y * (t_2 * x * c0 - 2.0) + 0.3333333333333333 * c0  # y'
     return out
 
 
@@ -233,10 +236,10 @@ def jacobian(t, u, p):
     c1 = x * x
     # Output
     out = np.zeros((2, 2, *shape))
-    out[0, 0] = -3.0 * lambda_1 * c1
-    out[0, 1] = 0.5 * t_1
-    out[1, 0] = 2.0 * x * y * c0 + 0.3333333333333333 * lambda_
-    out[1, 1] = c0 * c1 - 2.0
+    out[0, 0] = -3.0 * lambda_1 * c1  # d(x')/dx
+    out[0, 1] = 0.5 * t_1  # d(x')/dy
+    out[1, 0] = 2.0 * x * y * c0 + 0.3333333333333333 * lambda_  # d(y')/dx
+    out[1, 1] = c0 * c1 - 2.0  # d(y')/dy
     return out
 
 
@@ -245,7 +248,7 @@ def with_products(u):
     u = np.asarray(u, dtype=float)
     x = np.empty((3, *u.shape[1:]))
     x[:2] = u
-    x[2] = x[0] * x[0]
+    x[2] = x[0] * x[0]  # w0 = x*x
     return x
 
 
@@ -261,12 +264,12 @@ def quadratic_jacobian(t, x, p):
     c0 = t_2 * lambda_
     # Output
     out = np.zeros((3, 3, *shape))
-    out[0, 0] = -lambda_1 * w0
-    out[0, 1] = 0.5 * t_1
-    out[0, 2] = -lambda_1 * x
-    out[1, 0] = 0.3333333333333333 * lambda_
-    out[1, 1] = w0 * c0 - 2.0
-    out[1, 2] = y * c0
-    out[2, 0] = 2.0 * x
-    out[2, 2] = -1.0
+    out[0, 0] = -lambda_1 * w0  # d(x')/dx
+    out[0, 1] = 0.5 * t_1  # d(x')/dy
+    out[0, 2] = -lambda_1 * x  # d(x')/dw0
+    out[1, 0] = 0.3333333333333333 * lambda_  # d(y')/dx
+    out[1, 1] = w0 * c0 - 2.0  # d(y')/dy
+    out[1, 2] = y * c0  # d(y')/dw0
+    out[2, 0] = 2.0 * x  # d(x*x - w0)/dx
+    out[2, 2] = -1.0  # d(x*x - w0)/dw0
     return out

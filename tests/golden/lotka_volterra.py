@@ -14,7 +14,7 @@ y0 in [4, 6]
 Terms: 4, grouped by their parameter factor
     group 0, factor 1: 2 linear, 2 quadratic
 Factors of each coordinate, one included: t 1, x0 2, y0 2
-Operations: rhs 5, jacobian 2, quadratic_jacobian 2
+Operations: rhs 5, jacobian 2
 """
 
 import numpy as np
@@ -26,13 +26,16 @@ PARAMETERS = ("x0", "y0")
 TIME = (0.0, 6.0)
 BOX = ((8.0, 12.0), (4.0, 6.0))
 TERMS = (
-    (1.5, 0, (0, 0, 0), (0,)),
-    (-1.0, 0, (0, 0, 0), (0, 1)),
-    (-3.0, 1, (0, 0, 0), (1,)),
-    (1.0, 1, (0, 0, 0), (0, 1)),
+    (1.5, 0, (0, 0, 0), (0,)),  # x': 1.5*x
+    (-1.0, 0, (0, 0, 0), (0, 1)),  # x': -x*y
+    (-3.0, 1, (0, 0, 0), (1,)),  # y': -3*y
+    (1.0, 1, (0, 0, 0), (0, 1)),  # y': x*y
 )
 SIGNATURES = ((0, 0),)
-INITIAL = ((1.0, 0, (1, 0)), (1.0, 1, (0, 1)))
+INITIAL = (
+    (1.0, 0, (1, 0)),  # x(0): x0
+    (1.0, 1, (0, 1)),  # y(0): y0
+)
 
 
 def time_factors(t):
@@ -42,23 +45,15 @@ def time_factors(t):
     return out
 
 
-def factors_of_x0(x0):
-    """Factors of x0: 1, x0."""
-    out = np.empty((2, x0.size))
+def factors_of_x0_and_1_more(p):
+    """Factors of x0, y0: 1, p."""
+    out = np.empty((2, p.size))
     out[0] = 1.0
-    out[1] = x0
+    out[1] = p
     return out
 
 
-def factors_of_y0(y0):
-    """Factors of y0: 1, y0."""
-    out = np.empty((2, y0.size))
-    out[0] = 1.0
-    out[1] = y0
-    return out
-
-
-PARAMETER_FACTORS = (factors_of_x0, factors_of_y0)
+PARAMETER_FACTORS = (factors_of_x0_and_1_more,) * 2
 
 
 def parameter_factors(dimension, p):
@@ -81,16 +76,16 @@ def _expand(x, w, v):
 def linear_0(phi, x):
     """Linear terms of group 0 (2)."""
     y = np.empty(x.shape)
-    y[0] = 1.5 * x[0]
-    y[1] = -3.0 * x[1]
+    y[0] = 1.5 * x[0]  # x'
+    y[1] = -3.0 * x[1]  # y'
     return y
 
 
 def linear_adjoint_0(phi, w):
     """Adjoint of the linear terms of group 0."""
     v = np.empty(w.shape)
-    v[0] = 1.5 * w[0]
-    v[1] = -3.0 * w[1]
+    v[0] = 1.5 * w[0]  # x
+    v[1] = -3.0 * w[1]  # y
     return v
 
 
@@ -101,8 +96,8 @@ def quadratic_0(phi, x, z):
     _contract(x[1:2], z[0], q[0:1])  # x*y
     # Output
     y = np.empty((2, *q.shape[1:]))
-    y[0] = -q[0]
-    y[1] = q[0]
+    y[0] = -q[0]  # x'
+    y[1] = q[0]  # y'
     return y
 
 
@@ -110,7 +105,7 @@ def quadratic_adjoint_0(phi, x, w):
     """Adjoint of the quadratic terms of group 0."""
     # Intermediate terms (1)
     q = np.empty((1, *w.shape[1:]))
-    q[0] = w[1] - w[0]
+    q[0] = w[1] - w[0]  # x*y
     # Output
     v = np.empty((1, *x.shape[1:], w.shape[2]))
     _expand(x[1:2], q[0:1], v[0])  # x*y
@@ -133,8 +128,8 @@ def rhs(t, u, p):
     c0 = x * y
     # Output
     out = np.empty((2, *shape))
-    out[0] = 1.5 * x - c0
-    out[1] = c0 - 3.0 * y
+    out[0] = 1.5 * x - c0  # x'
+    out[1] = c0 - 3.0 * y  # y'
     return out
 
 
@@ -144,26 +139,16 @@ def jacobian(t, u, p):
     x, y = u
     # Output
     out = np.zeros((2, 2, *shape))
-    out[0, 0] = 1.5 - y
-    out[0, 1] = -x
-    out[1, 0] = y
-    out[1, 1] = x - 3.0
+    out[0, 0] = 1.5 - y  # d(x')/dx
+    out[0, 1] = -x  # d(x')/dy
+    out[1, 0] = y  # d(y')/dx
+    out[1, 1] = x - 3.0  # d(y')/dy
     return out
 
 
 def with_products(u):
-    """Append the products: (2, ...) to (2, ...)."""
+    """All states, (2, ...): there are no products to append."""
     return np.array(u, dtype=float)
 
 
-def quadratic_jacobian(t, x, p):
-    """Jacobian of the quadratic system at x (2, ...): shape (2, 2, ...)."""
-    shape = np.broadcast(t, *x, *p).shape
-    x, y = x
-    # Output
-    out = np.zeros((2, 2, *shape))
-    out[0, 0] = 1.5 - y
-    out[0, 1] = -x
-    out[1, 0] = y
-    out[1, 1] = x - 3.0
-    return out
+quadratic_jacobian = jacobian

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,7 +114,7 @@ def test_without_matplotlib():
         check=True,
         env={"PYTHONPATH": ":".join(path for path in sys.path if path)},
     )
-    assert "pip install rankone[plot]" in done.stdout
+    assert "remedy: pip install matplotlib" in done.stdout
 
 
 def test_importing_rankone_does_not_import_matplotlib():
@@ -143,3 +145,11 @@ def test_without_parameters(method):
     solution = ro.solve(problem, rtol=1e-4, method=method)
     assert len(plotting.plot_history(solution).axes) == (4 if method == "greedy" else 2)
     assert len(plotting.plot_modes(solution).axes) == 2
+
+
+def test_the_reference_names_every_plot():
+    text = (Path(__file__).parents[2] / "docs" / "reference.md").read_text()
+    for name in plotting.__all__:
+        names = inspect.signature(getattr(plotting, name)).parameters
+        (line,) = (line for line in text.splitlines() if line.startswith(f"| `{name}("))
+        assert all(parameter in line for parameter in names)

@@ -36,7 +36,6 @@ def test_attributes():
     assert p.parameters == {k: (0.5, 2.0)}
     assert p.initial == {x: 3}
     assert p.unknowns == (x,)
-    assert p.rhs == (-k * x,)
     assert [(c.name, c.lower, c.upper) for c in p.coordinates] == [("t", 0, math.pi), ("k", 0.5, 2)]
 
 
@@ -46,10 +45,6 @@ def test_is_immutable():
         p.name = "other"
     with pytest.raises(TypeError):
         p.parameters[k] = (0, 1)
-
-
-def test_expressions_vanish():
-    assert problem([dx + k * x]).rhs == (-k * x,)
 
 
 def test_unknowns_follow_the_equations():
@@ -62,57 +57,10 @@ def test_unknowns_of_one_equation_follow_initial():
     assert problem(equations, initial={y: 1, x: 2}).unknowns == (y, x)
 
 
-def test_numeric_mass_matrix_is_inverted_exactly():
-    p = problem([sp.Eq(0.1 * dx + 0.2 * dy, k * x), sp.Eq(dx - dy, y)], initial={x: 1, y: 2})
-    expected = sp.Matrix([[0.1, 0.2], [1, -1]]).inv() * sp.Matrix([k * x, y])
-    for found, wanted in zip(p.rhs, expected, strict=True):
-        assert sp.expand(found - wanted).subs({k: 1.3, x: 0.7, y: -0.4}) == pytest.approx(0)
-    assert not sp.Tuple(*p.rhs).atoms(sp.Float)
-    assert p.origins == (None, None)
-
-
-def test_symbolic_mass_matrix():
-    equations = [sp.Eq(k * dx + dy, x), sp.Eq(dx + k * dy, y)]
-    p = problem(equations, parameters={k: (2, 3)}, initial={x: 1, y: 2})
-    assert sp.cancel(p.rhs[0] - (k * x - y) / (k**2 - 1)) == 0
-    assert sp.cancel(p.rhs[1] - (k * y - x) / (k**2 - 1)) == 0
-
-
-def test_permuted_equations_remember_their_number():
-    p = problem([sp.Eq(x + 2 * dy, 0), sp.Eq(k * dx, y)], initial={x: 1, y: 2})
-    assert p.unknowns == (y, x)
-    assert p.origins == (1, 2)
-
-
-def test_higher_order_states():
-    equations = [sp.Eq(x.diff(t, 3), -k * y), sp.Eq(y.diff(t, 2), dx)]
-    p = problem(equations, initial={x: 1, dx: 2, x.diff(t, 2): 3, y: 4, dy: k})
-    assert [(state.name, state.unknown, state.order) for state in p.states] == [
-        ("x", 0, 0),
-        ("y", 1, 0),
-        ("x_t", 0, 1),
-        ("y_t", 1, 1),
-        ("x_tt", 0, 2),
-    ]
-    assert p.rhs == (dx, dy, x.diff(t, 2), dx, -k * y)
-    assert list(p.initial.values()) == [1, 4, 2, k, 3]
-
-
 @pytest.mark.parametrize("key", [dx, dx.subs(t, 0), sp.Subs(dx, t, 0)])
 def test_initial_keys_for_derivatives(key):
     p = problem([x.diff(t, 2) + k * x], initial={x.subs(t, 0): 1, key: 2})
     assert dict(p.initial) == {x: 1, dx: 2}
-
-
-def test_derivatives_of_expressions_are_carried_out():
-    assert problem([sp.Eq(sp.Derivative(k * x, t), 1)]).rhs == (1 / k,)
-
-
-def test_parameters_with_assumptions():
-    positive = sp.Symbol("k", positive=True)
-    assert problem([sp.Eq(dx, -positive * x)], parameters={positive: (1, 2)}).rhs == (
-        -positive * x,
-    )
 
 
 def test_repr_is_what_was_written():

@@ -1,18 +1,16 @@
-"""Code generation: from a :class:`~rankone.ir.SeparatedForm` to a plain NumPy module.
+"""Code generation: from a :class:`~rankone.ir.QuadraticSystem` to a plain NumPy module.
 
-``generate_source`` runs four stages, each with a file of its own:
-
-lowering
-    Products of more than two states become products of two, by auxiliary states.
-grouping
-    Terms are collected by signature; each group decides which states its products pair.
-kernels, pointwise
-    Python text of the separated kernels and of the pointwise right-hand side and Jacobians.
-    Both share subexpressions and factor sums through ``sums``.
-module
-    Header, tables and functions in the order of the contract in :mod:`rankone.system`.
-
-Only ``printer`` prints SymPy expressions; everything else works on integers and strings.
+==================  ================================================================================
+``header``          what the module is, for a person who opens it
+``factors``         all known functions of a coordinate
+``kernels``         the separated right-hand side of a group, on many columns at once
+``pointwise``       the right-hand side and its Jacobians at points
+``combination``     linear maps of a kernel, written out or as a matrix
+``sums``            sums of products with few operations
+``text``, ``names`` layout of Python text; identifiers
+``printer``         SymPy expressions as text: the only user of ``sympy.printing``
+``module``          the parts in order, and how the module is imported
+==================  ================================================================================
 """
 
 from rankone.codegen.header import equation_texts

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 from rankone.codegen.names import Names
-from rankone.codegen.sums import Product, SharedSums, share
+from rankone.codegen.sums import Addend, SharedSums, share
 from rankone.codegen.text import assignment, commented, literal, statement
 
 __all__ = ["Combination", "Entry"]
@@ -29,7 +30,7 @@ class Entry:
     """``target[row] += coefficient * phi[factor] * source[column]``."""
 
     row: int
-    coefficient: float
+    coefficient: Fraction | float
     factor: int
     column: int
 
@@ -112,7 +113,8 @@ class Combination:
         lines.append(f"    {target} = np.{'empty' if all(sums.sums) else 'zeros'}({shape})")
         for row, terms in enumerate(sums.sums):
             if terms:
-                lines += assignment(f"{target}[{row}]", terms)
+                meaning = self.columns[row] if adjoint else self.rows[row]
+                lines += assignment(f"{target}[{row}]", terms, meaning)
         return [*lines, f"    return {target}"] if final else lines
 
     def _matrix_products(self, source: str, *, adjoint: bool) -> list[str]:
@@ -137,7 +139,7 @@ class Combination:
         scales = {factor: k for k, factor in enumerate(factor for factor in self.factors if factor)}
         symbols = [f"phi_{factor}" for factor in scales]
         symbols += [f"{source}[{k}]" for k in range(n_sources)]
-        sums: list[list[Product]] = [[] for _ in range(n_targets)]
+        sums: list[list[Addend]] = [[] for _ in range(n_targets)]
         for entry in self.entries:
             to, of = (entry.column, entry.row) if adjoint else (entry.row, entry.column)
             scale = (scales[entry.factor],) if entry.factor else ()

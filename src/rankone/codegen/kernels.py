@@ -10,10 +10,10 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from rankone.codegen.combination import Combination, Entry
-from rankone.codegen.grouping import Group
 from rankone.codegen.names import Names
-from rankone.codegen.sums import Product, share
+from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import assignment, commented, docstring
+from rankone.ir import Group
 
 __all__ = ["KERNELS", "KernelWriter", "helpers"]
 
@@ -66,18 +66,23 @@ class KernelWriter:
         The terms.
     factor : str
         The group's parameter factor as people write it, for comments.
-    states : sequence of str
-        Names of all states, for comments.
+    states, rates : sequence of str
+        Names of all states, and what each equation gives, for comments.
     time_factors : sequence of str
         The time factors as people write them, for comments.
     """
 
     def __init__(
-        self, group: Group, factor: str, states: Sequence[str], time_factors: Sequence[str]
+        self,
+        group: Group,
+        factor: str,
+        states: Sequence[str],
+        rates: Sequence[str],
+        time_factors: Sequence[str],
     ) -> None:
         self.group = group
         self.factor = factor
-        self.n_states = len(states)
+        self.rates = rates
         self.n_time_factors = len(time_factors)
         self.monomials = [f"{states[min(pair)]}*{states[max(pair)]}" for pair in group.monomials]
         order = {tuple(sorted(pair)): k for k, pair in enumerate(group.monomials)}
@@ -91,10 +96,10 @@ class KernelWriter:
         ]
         index = group.index
         self.linear_part = Combination(
-            f"LINEAR_MATRIX_{index}", states, states, linear, time_factors
+            f"LINEAR_MATRIX_{index}", rates, states, linear, time_factors
         )
         self.quadratic_part = Combination(
-            f"QUADRATIC_MATRIX_{index}", states, self.monomials, quadratic, time_factors
+            f"QUADRATIC_MATRIX_{index}", rates, self.monomials, quadratic, time_factors
         )
 
     @property
@@ -120,7 +125,7 @@ class KernelWriter:
         return functions
 
     def constant(self) -> list[str]:
-        sums: list[list[Product]] = [[] for _ in range(self.n_states)]
+        sums: list[list[Addend]] = [[] for _ in range(len(self.rates))]
         for term in self.group.constant:
             factors = (term.factors[0],) if term.factors[0] else ()
             sums[term.equation].append((term.coefficient, factors))
@@ -128,10 +133,10 @@ class KernelWriter:
         written = share(sums, symbols, Names().numbered("c"))
         lines = self.head("constant", "phi", "Constant terms", len(self.group.constant))
         allocate = "empty" if all(written.sums) else "zeros"
-        lines.append(f"    y = np.{allocate}(({self.n_states}, phi.shape[1]))")
+        lines.append(f"    y = np.{allocate}(({len(self.rates)}, phi.shape[1]))")
         for row, terms in enumerate(written.sums):
             if terms:
-                lines += assignment(f"y[{row}]", terms)
+                lines += assignment(f"y[{row}]", terms, self.rates[row])
         return [*lines, "    return y"]
 
     def linear(self) -> list[str]:
@@ -148,7 +153,7 @@ class KernelWriter:
 
     def quadratic(self) -> list[str]:
         n = len(self.monomials)
-        shape = f"({self.n_states}, *q.shape[1:])"
+        shape = f"({len(self.rates)}, *q.shape[1:])"
         return [
             *self.head("quadratic", "phi, x, z", "Quadratic terms", len(self.group.quadratic)),
             f"    # Intermediate terms ({n})",

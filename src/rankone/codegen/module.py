@@ -5,37 +5,30 @@ from __future__ import annotations
 import hashlib
 import linecache
 import types
-from collections.abc import Sequence
 from typing import cast
 
-from rankone.codegen.grouping import Group, group_terms
-from rankone.codegen.header import header, signature_text
+from rankone.codegen.factors import coordinate_functions
+from rankone.codegen.header import header, signature_text, sum_text
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
-from rankone.codegen.lowering import LoweredSystem, lower, right_hand_side, state_names
-from rankone.codegen.names import Names
 from rankone.codegen.pointwise import PointwiseWriter
-from rankone.codegen.printer import common_subexpressions, plain_text
-from rankone.codegen.text import (
-    assignment,
-    docstring,
-    literal,
-    nested,
-    quoted,
-    table,
-)
-from rankone.ir import SeparatedForm, Term
+from rankone.codegen.printer import plain_text
+from rankone.codegen.text import described_table, docstring, literal, nested, quoted, table
+from rankone.errors import OptionError
+from rankone.ir import QuadraticSystem, SeparatedForm, Term
+from rankone.lowering import quadratic_system
 from rankone.system import System
+from rankone.wording import number
 
 __all__ = ["generate_source", "load_module"]
 
 
-def generate_source(form: SeparatedForm, title: str | None = None) -> str:
-    """Python source of the module for a separated system.
+def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = None) -> str:
+    """Python source of the module for a system.
 
     Parameters
     ----------
-    form : SeparatedForm
-        The system; every derivative term is ``u'`` alone.
+    form : QuadraticSystem or SeparatedForm
+        The system; a separated form is lowered and grouped first.
     title : str, optional
         First line of the module's docstring.
 
@@ -50,25 +43,19 @@ def generate_source(form: SeparatedForm, title: str | None = None) -> str:
     SeparationError
         If a factor cannot be written with NumPy, or a derivative has a factor.
     """
-    f = right_hand_side(form)
-    lowered = lower(f, len(form.states))
-    groups = group_terms(lowered.terms)
-    pointwise = PointwiseWriter(form, f, lowered)
-    functions = [
-        pointwise.rhs(),
-        pointwise.jacobian(),
-        pointwise.with_products(),
-        pointwise.quadratic_jacobian(),
-    ]
+    if not isinstance(form, QuadraticSystem | SeparatedForm):
+        raise OptionError(f"a QuadraticSystem or SeparatedForm is printed, not {form!r}")
+    system = form if isinstance(form, QuadraticSystem) else quadratic_system(form)
+    pointwise = PointwiseWriter(system)
+    functions = pointwise.functions()
+    head = header(system, pointwise.operations, title)
     blocks = [
-        constants(form, f, lowered, groups),
-        *coordinate_functions(form),
-        *kernel_functions(form, lowered, groups),
+        [*docstring(head, indent=""), "", "import numpy as np", "", *constants(system)],
+        *coordinate_functions(system),
+        *kernel_functions(system),
         *functions,
     ]
-    head = header(form, lowered, groups, pointwise.operations, title)
-    top = [*docstring(head, indent=""), "", "import numpy as np", "", *blocks[0]]
-    return "\n\n\n".join("\n".join(block) for block in [top, *blocks[1:]] if block) + "\n"
+    return "\n\n\n".join("\n".join(block) for block in blocks if block) + "\n"
 
 
 def load_module(source: str, name: str) -> System:
@@ -92,89 +79,60 @@ def load_module(source: str, name: str) -> System:
     return cast(System, module)
 
 
-def constants(
-    form: SeparatedForm, f: Sequence[Term], lowered: LoweredSystem, groups: tuple[Group, ...]
-) -> list[str]:
+def constants(system: QuadraticSystem) -> list[str]:
     """The tables that describe the system."""
-    time, *parameters = form.coordinates
-    initial = nested(
-        (float(term.coefficient), term.equation, term.factors[1:]) for term in form.initial
-    )
-    terms = nested(
-        (float(term.coefficient), term.equation, term.factors, term.monomial) for term in f
-    )
+    clock, *parameters = system.coordinates
     return [
-        *table("STATES", [quoted(name) for name in state_names(form, lowered)]),
-        f"N_DIFFERENTIAL = {lowered.n_differential}",
-        *table("PRODUCTS", nested(lowered.products)),
+        *table("STATES", [quoted(name) for name in system.names]),
+        f"N_DIFFERENTIAL = {len(system.differential)}",
+        *table("PRODUCTS", nested(system.products)),
         *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
-        f"TIME = {literal((float(time.lower), float(time.upper)))}",
+        f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
-        *table("TERMS", terms),
-        *table("SIGNATURES", nested(group.signature for group in groups)),
-        *table("INITIAL", initial),
+        *rhs_table(system),
+        *table("SIGNATURES", nested(group.signature for group in system.groups)),
+        *initial_table(system),
     ]
 
 
-def coordinate_functions(form: SeparatedForm) -> list[list[str]]:
-    """``time_factors``, one function for each parameter, and ``parameter_factors``."""
-    names = Names(["np", "out"])
-    parameters = form.coordinates[1:]
-    blocks = [factor_function("time_factors", "t", form, 0)]
-    functions = []
-    for j, parameter in enumerate(parameters, start=1):
-        argument = names(parameter.name)
-        functions.append(f"factors_of_{argument}")
-        blocks.append(factor_function(functions[-1], argument, form, j))
-    blocks.append(
-        [
-            *table("PARAMETER_FACTORS", functions),
-            "",
-            "",
-            "def parameter_factors(dimension, p):",
-            *docstring(["Factors of one parameter at the points p (N,): shape (number, N)."]),
-            "    return PARAMETER_FACTORS[dimension](p)",
-        ]
-    )
-    return blocks
+def rhs_table(system: QuadraticSystem) -> list[str]:
+    """The terms of f as rows of numbers, each with what it says."""
+    rows = [(term.coefficient, term.equation, term.factors, term.monomial) for term in system.rhs]
+    return described_table("TERMS", rows, [term_text(t, "{}'", system) for t in system.rhs])
 
 
-def factor_function(name: str, argument: str, form: SeparatedForm, dimension: int) -> list[str]:
-    """A function that evaluates all factors of one coordinate."""
-    expressions = [factor.expression for factor in form.factors[dimension]]
-    names = Names(["np", "out", argument])
-    written = {form.coordinates[dimension].symbol: argument}
-    shared, texts = common_subexpressions(expressions, written, names.numbered("c"))
-    readable = ", ".join(plain_text(expression) for expression in expressions)
-    summary = f"Factors of {form.coordinates[dimension].name}: {readable}."
-    if len(summary) > 90:
-        summary = f"Factors of {form.coordinates[dimension].name} ({len(expressions)})."
-    lines = [f"def {name}({argument}):", *docstring([summary])]
-    for target, text in shared:
-        lines += assignment(target, [text])
-    lines.append(f"    out = np.empty(({len(expressions)}, {argument}.size))")
-    for row, text in enumerate(texts):
-        lines += assignment(f"out[{row}]", ["1.0" if text == "1" else text])
-    return [*lines, "    return out"]
+def initial_table(system: QuadraticSystem) -> list[str]:
+    """The terms of the initial values as rows of numbers, each with what it says."""
+    rows = [(term.coefficient, term.equation, term.factors[1:]) for term in system.initial]
+    left = f"{{}}({number(system.coordinates[0].lower)})"
+    return described_table("INITIAL", rows, [term_text(t, left, system) for t in system.initial])
 
 
-def kernel_functions(
-    form: SeparatedForm, lowered: LoweredSystem, groups: tuple[Group, ...]
-) -> list[list[str]]:
+def term_text(term: Term, left: str, system: QuadraticSystem) -> str:
+    """One term of an equation: ``x': 1.5*x``."""
+    return f"{left.format(system.names[term.equation])}: {sum_text([term], system)}"
+
+
+def kernel_functions(system: QuadraticSystem) -> list[list[str]]:
     """What the kernels share, the kernels of every group, then the tables that list them."""
-    states = state_names(form, lowered)
-    time_factors = [plain_text(factor.expression) for factor in form.factors[0]]
+    time_factors = [plain_text(factor.expression) for factor in system.factors[0]]
     writers = [
-        KernelWriter(group, signature_text(form, group.signature), states, time_factors)
-        for group in groups
+        KernelWriter(
+            group,
+            signature_text(system, group.signature),
+            system.names,
+            system.rates,
+            time_factors,
+        )
+        for group in system.groups
     ]
     blocks = [helpers(writers)]
     listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}
-    for group, writer in zip(groups, writers, strict=True):
+    for writer in writers:
         functions = writer.functions()
         blocks += [writer.tables(), *functions.values()]
         for kernel, entries in listed.items():
-            entries.append(f"{kernel}_{group.index}" if kernel in functions else "None")
+            entries.append(f"{kernel}_{writer.group.index}" if kernel in functions else "None")
     listing = [line for kernel in KERNELS for line in table(kernel.upper(), listed[kernel])]
-    paired = table("PAIRED", nested(group.paired for group in groups))
+    paired = table("PAIRED", nested(group.paired for group in system.groups))
     return [*blocks, [*listing, *paired]]

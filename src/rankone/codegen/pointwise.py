@@ -7,15 +7,15 @@ few operations: factors and products that occur twice are computed once.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from fractions import Fraction
 
 import sympy as sp
 
-from rankone.codegen.lowering import LoweredSystem, state_names
 from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions
-from rankone.codegen.sums import Product, share
-from rankone.codegen.text import assignment, docstring, unpacking
-from rankone.ir import SeparatedForm, Term
+from rankone.codegen.sums import Addend, share
+from rankone.codegen.text import assignment, commented, docstring, unpacking
+from rankone.ir import QuadraticSystem, Term
 
 __all__ = ["PointwiseWriter"]
 
@@ -27,25 +27,23 @@ class PointwiseWriter:
 
     Parameters
     ----------
-    form : SeparatedForm
-        Supplies factors and names.
-    f : sequence of Term
-        Right-hand sides of the differential states, of any degree.
-    lowered : LoweredSystem
-        The quadratic system.
+    system : QuadraticSystem
     """
 
-    def __init__(self, form: SeparatedForm, f: Sequence[Term], lowered: LoweredSystem) -> None:
-        self.form = form
-        self.f = f
-        self.lowered = lowered
+    def __init__(self, system: QuadraticSystem) -> None:
+        self.system = system
+        self.n_differential, self.n_states = len(system.differential), len(system.states)
         self.operations: dict[str, int] = {}
+
+    def functions(self) -> list[list[str]]:
+        """Source lines of the four functions."""
+        return [self.rhs(), self.jacobian(), self.with_products(), self.quadratic_jacobian()]
 
     def rhs(self) -> list[str]:
         """Source lines of ``rhs``."""
-        n = len(self.form.states)
+        n = self.n_differential
         entries: dict[Index, list[Term]] = {(c,): [] for c in range(n)}
-        for term in self.f:
+        for term in self.system.rhs:
             entries[(term.equation,)].append(term)
         return [
             "def rhs(t, u, p):",
@@ -55,42 +53,41 @@ class PointwiseWriter:
 
     def jacobian(self) -> list[str]:
         """Source lines of ``jacobian``."""
-        n = len(self.form.states)
+        n, entries = self.n_differential, derivatives(self.system.rhs)
         return [
             "def jacobian(t, u, p):",
             *docstring([f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."]),
-            *self.body("jacobian", "u", n, f"np.zeros(({n}, {n}, *shape))", derivatives(self.f)),
+            *self.body("jacobian", "u", n, f"np.zeros(({n}, {n}, *shape))", entries),
         ]
 
     def with_products(self) -> list[str]:
         """Source lines of ``with_products``."""
-        n, total = self.lowered.n_differential, self.lowered.n_states
-        lines = [
-            "def with_products(u):",
-            *docstring([f"Append the products: ({n}, ...) to ({total}, ...)."]),
-        ]
-        if not self.lowered.products:
+        n, total = self.n_differential, self.n_states
+        lines = ["def with_products(u):"]
+        if not self.system.products:
+            lines += docstring([f"All states, ({n}, ...): there are no products to append."])
             return [*lines, "    return np.array(u, dtype=float)"]
         lines += [
+            *docstring([f"Append the products: ({n}, ...) to ({total}, ...)."]),
             "    u = np.asarray(u, dtype=float)",
             f"    x = np.empty(({total}, *u.shape[1:]))",
             f"    x[:{n}] = u",
         ]
-        for k, (a, b) in enumerate(self.lowered.products, start=n):
-            lines.append(f"    x[{k}] = x[{a}] * x[{b}]")
+        pairs = zip(self.system.products, self.system.definitions, strict=True)
+        for k, ((a, b), meaning) in enumerate(pairs, start=n):
+            lines.append(commented(f"    x[{k}] = x[{a}] * x[{b}]", meaning))
         return [*lines, "    return x"]
 
     def quadratic_jacobian(self) -> list[str]:
-        """Source lines of ``quadratic_jacobian``."""
-        n = self.lowered.n_states
-        entries = derivatives(self.lowered.terms)
-        allocation = f"np.zeros(({n}, {n}, *shape))"
+        """Source lines of ``quadratic_jacobian``; without products it is ``jacobian``."""
+        if not self.system.products:
+            return ["quadratic_jacobian = jacobian"]
+        n, entries = self.n_states, derivatives(self.system.terms)
+        summary = f"Jacobian of the quadratic system at x ({n}, ...): shape ({n}, {n}, ...)."
         return [
             "def quadratic_jacobian(t, x, p):",
-            *docstring(
-                [f"Jacobian of the quadratic system at x ({n}, ...): shape ({n}, {n}, ...)."]
-            ),
-            *self.body("quadratic_jacobian", "x", n, allocation, entries),
+            *docstring([summary]),
+            *self.body("quadratic_jacobian", "x", n, f"np.zeros(({n}, {n}, *shape))", entries),
         ]
 
     def body(
@@ -103,10 +100,10 @@ class PointwiseWriter:
     ) -> list[str]:
         """Statements that compute the entries of an array, from the arguments to the return."""
         names = Names(["np", "t", "u", "x", "shape", "out"])
-        coordinates = self.form.coordinates
+        coordinates = self.system.coordinates
         parameter_names = [names(coordinate.name) for coordinate in coordinates[1:]]
         names.taken -= {"u", "x"}  # states are unpacked last and may replace the argument
-        state_locals = [names(name) for name in state_names(self.form, self.lowered)[:n_states]]
+        state_locals = [names(name) for name in self.system.names[:n_states]]
 
         terms = [term for found in entries.values() for term in found]
         used_factors = sorted({(j, i) for term in terms for j, i in enumerate(term.factors) if i})
@@ -138,8 +135,16 @@ class PointwiseWriter:
         lines += ["    # Output", f"    out = {allocation}"]
         for index, sum_terms in zip(entries, written.sums, strict=True):
             target = f"out[{', '.join(map(str, index))}]"
-            lines += assignment(target, sum_terms or ["0.0"])
+            lines += assignment(target, sum_terms or ["0.0"], self.meaning(index))
         return [*lines, "    return out"]
+
+    def meaning(self, index: Index) -> str:
+        """What an entry of the output is: ``x'``, or ``d(x')/dy`` for one of a Jacobian."""
+        row, *column = index
+        rate = self.system.rates[row]
+        if not column:
+            return rate
+        return f"d({rate})/d{self.system.names[column[0]]}"
 
     def factor_lines(
         self, used: Sequence[tuple[int, int]], spelled: Sequence[str], names: Names
@@ -148,9 +153,9 @@ class PointwiseWriter:
         lines: list[tuple[str, str]] = []
         factor_names: list[str] = []
         count = 0
-        for j, coordinate in enumerate(self.form.coordinates):
+        for j, coordinate in enumerate(self.system.coordinates):
             rows = [i for dimension, i in used if dimension == j]
-            expressions = [self.form.factors[j][i].expression for i in rows]
+            expressions = [self.system.factors[j][i].expression for i in rows]
             written = {coordinate.symbol: spelled[j]}
             shared, texts = common_subexpressions(
                 expressions, written, names.numbered(f"{spelled[j]}_c")
@@ -166,7 +171,7 @@ class PointwiseWriter:
         return lines, factor_names, count
 
 
-def product(term: Term, position: dict[tuple[int, int], int], n_factors: int) -> Product:
+def product(term: Term, position: dict[tuple[int, int], int], n_factors: int) -> Addend:
     """A term as a product of the symbols of a pointwise function: factors, then states."""
     factors = (position[j, i] for j, i in enumerate(term.factors) if i)
     return term.coefficient, (*factors, *(n_factors + state for state in term.monomial))
@@ -174,13 +179,13 @@ def product(term: Term, position: dict[tuple[int, int], int], n_factors: int) ->
 
 def derivatives(terms: Iterable[Term]) -> dict[Index, list[Term]]:
     """Terms of the Jacobian's nonzero entries, by (row, column) in ascending order."""
-    entries: dict[Index, dict[tuple[tuple[int, ...], tuple[int, ...]], float]] = {}
+    entries: dict[Index, dict[tuple[tuple[int, ...], tuple[int, ...]], Fraction | float]] = {}
     for term in terms:
         for position, state in enumerate(term.monomial):
             rest = (*term.monomial[:position], *term.monomial[position + 1 :])
             entry = entries.setdefault((term.equation, state), {})
             key = (term.factors, rest)
-            entry[key] = entry.get(key, 0.0) + term.coefficient
+            entry[key] = entry.get(key, Fraction(0)) + term.coefficient
     return {
         index: [Term(index[0], value, factors, rest) for (factors, rest), value in entry.items()]
         for index, entry in sorted(entries.items())

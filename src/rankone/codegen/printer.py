@@ -17,7 +17,7 @@ from sympy.printing.str import sstr
 from rankone.codegen.text import literal
 from rankone.errors import SeparationError
 
-__all__ = ["common_subexpressions", "number", "numpy_text", "plain_text"]
+__all__ = ["common_subexpressions", "numpy_text", "plain_text"]
 
 UFUNCS = {
     "Abs": "abs",
@@ -266,13 +266,3 @@ def common_subexpressions(
     written = {**names, **{symbol: symbol.name for symbol, _ in replacements}}
     shared = [(symbol.name, numpy_text(value, written)) for symbol, value in replacements]
     return shared, [numpy_text(value, written) for value in reduced]
-
-
-def number(value: float) -> str:
-    """Shortest text that reads back as the same number, for people: no trailing ``.0``.
-
-    >>> number(2.0), number(0.1)
-    ('2', '0.1')
-    """
-    text = repr(float(value))
-    return text.removesuffix(".0")

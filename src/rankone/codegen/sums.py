@@ -6,17 +6,22 @@ for :func:`rankone.codegen.text.assignment` and a count of its operations.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
-from rankone.codegen.lowering import extract_pairs
 from rankone.codegen.text import literal
+from rankone.lowering.pairs import extract_pairs
 
-__all__ = ["Product", "SharedSums", "share"]
+__all__ = ["Addend", "SharedSums", "share"]
 
-Product = tuple[float, tuple[int, ...]]
+Addend = tuple[Fraction | float, tuple[int, ...]]
 """A coefficient and the symbols multiplied."""
+
+_FRACTION = re.compile(r"^\d+ / \d+")
+"""A number that is only one when it stands first or in parentheses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +44,7 @@ class SharedSums:
 
 
 def share(
-    sums: Sequence[Sequence[Product]],
+    sums: Sequence[Sequence[Addend]],
     symbols: Sequence[str],
     temporaries: Iterator[str],
     *,
@@ -53,7 +58,7 @@ def share(
 
     Parameters
     ----------
-    sums : sequence of sequence of Product
+    sums : sequence of sequence of Addend
         The sums, in the order they are to be written.
     symbols : sequence of str
         Text of each symbol.
@@ -81,7 +86,7 @@ def share(
     return SharedSums(tuple(intermediate), tuple(written), operations)
 
 
-def _factored(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str], int]:
+def _factored(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], int]:
     """Terms of a sum with its most frequent symbol taken out, again and again, and operations."""
     often = Counter(symbol for _, symbols in terms for symbol in set(symbols))
     common = min(often, key=lambda symbol: (-often[symbol], symbol), default=None)
@@ -98,6 +103,7 @@ def _factored(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str]
     sum_inside, count_inside = _factored(inside, names)
     if len(sum_inside) == 1:  # a product again: k * (x * (a + b)) needs no outer parentheses
         sign, factor = _split_sign(sum_inside[0])
+        factor = _FRACTION.sub(r"(\g<0>)", factor)
         first = f"{sign}{names[common]} * {factor}"
     else:
         first = f"{names[common]} * ({' '.join(sum_inside)})"
@@ -110,7 +116,7 @@ def _factored(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str]
     return [first, *sum_outside], count
 
 
-def _plain(terms: Sequence[Product], names: Sequence[str]) -> tuple[list[str], int]:
+def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], int]:
     """Terms of a sum as they are, and the number of operations."""
     chunks: list[str] = []
     operations = max(len(terms) - 1, 0)

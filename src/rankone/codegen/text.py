@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
+from fractions import Fraction
 from typing import TypeAlias
+
+from rankone.wording import number
 
 __all__ = [
     "WIDTH",
     "Nested",
     "assignment",
     "commented",
+    "described_table",
     "docstring",
     "literal",
     "nested",
@@ -28,35 +32,26 @@ Nested: TypeAlias = "str | Sequence[Nested]"
 
 
 def literal(value: object) -> str:
-    """A number, or a tuple of them, as ``ruff format`` writes it.
+    """A number, or a tuple of them, as ``ruff format`` writes it; fractions stay exact.
 
-    >>> literal((1e200, 0.5))
-    '(1e200, 0.5)'
+    >>> literal((1e200, 0.5)), literal(Fraction(3, 2)), literal(Fraction(1, 3))
+    ('(1e200, 0.5)', '1.5', '1 / 3')
     """
+    if isinstance(value, Fraction):
+        decimal = float(value)
+        text = number(value)
+        return text.replace("/", " / ") if "/" in text else literal(decimal)
     return repr(value).replace("e+", "e")
 
 
-def quoted(text: str) -> str:
-    r"""A string literal in double quotes.
-
-    >>> print(quoted("k'"), quoted(r"\alpha"))
-    "k'" "\\alpha"
-    """
-    return json.dumps(text, ensure_ascii=False)
-
-
-def nested(items: Iterable[object]) -> list[Nested]:
-    """Text of nested tuples of numbers."""
-    return [nested(item) if isinstance(item, tuple) else literal(item) for item in items]
-
-
-def assignment(target: str, terms: Sequence[str]) -> list[str]:
+def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str]:
     """``target = sum of terms``; all terms but the first start with their sign.
 
-    >>> assignment("y", ["a * b", "- c"])
-    ['    y = a * b - c']
+    >>> assignment("y", ["a * b", "- c"], "x'")
+    ["    y = a * b - c  # x'"]
     """
-    return statement(f"{target} =", terms)
+    lines = statement(f"{target} =", terms)
+    return [commented(lines[0], meaning)] if meaning and len(lines) == 1 else lines
 
 
 def statement(start: str, terms: Sequence[str]) -> list[str]:
@@ -96,6 +91,19 @@ def table(name: str, items: Sequence[Nested]) -> list[str]:
     return _wrapped(f"{name} = ", items, "", indent="")
 
 
+def described_table(name: str, rows: Sequence[object], comments: Sequence[str]) -> list[str]:
+    """A tuple of tuples bound to a name, one in a line, each with a comment.
+
+    >>> described_table("TERMS", [(1.5, 0)], ["x': 1.5"])
+    ['TERMS = (', "    (1.5, 0),  # x': 1.5", ')']
+    """
+    lines = []
+    for row, comment in zip(nested(rows), comments, strict=True):
+        written = _wrapped("", row, ",", INDENT)
+        lines += [commented(written[0], comment)] if len(written) == 1 else written
+    return [f"{name} = (", *lines, ")"] if lines else [f"{name} = ()"]
+
+
 def _wrapped(start: str, item: Nested, end: str, indent: str) -> list[str]:
     """A tuple between two texts, one line for each of its items if it is too long for one."""
     line = f"{indent}{start}{_one_line(item)}{end}"
@@ -120,3 +128,17 @@ def docstring(lines: Sequence[str], indent: str = INDENT) -> list[str]:
         return [f'{indent}"""{safe[0]}"""']
     body = [(indent + line).rstrip() for line in safe[1:]]
     return [f'{indent}"""{safe[0]}', *body, f'{indent}"""']
+
+
+def nested(items: Iterable[object]) -> list[Nested]:
+    """Text of nested tuples of numbers."""
+    return [nested(item) if isinstance(item, tuple) else literal(item) for item in items]
+
+
+def quoted(text: str) -> str:
+    r"""A string literal in double quotes.
+
+    >>> print(quoted("k'"), quoted(r"\alpha"))
+    "k'" "\\alpha"
+    """
+    return json.dumps(text, ensure_ascii=False)

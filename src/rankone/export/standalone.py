@@ -144,7 +144,7 @@ def _engine_to_command_line(sections: Iterable[Section]) -> Iterable[str]:
     """The sections, with a heading before the first of each part."""
     titles = list(_PARTS)
     for part, found in itertools.groupby(sections, lambda section: _part(section.module)):
-        yield f"{_heading(titles[part])}\n\n" + "\n\n\n".join(map(str, found))
+        yield "\n\n\n".join([_heading(titles[part]), *map(str, found)])
 
 
 def _heading(title: str) -> str:

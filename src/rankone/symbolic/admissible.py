@@ -14,8 +14,9 @@ import sympy as sp
 
 from rankone.arrays import Array
 from rankone.ir import Coordinate
+from rankone.wording import quote
 
-__all__ = ["defect", "sign", "zero"]
+__all__ = ["defect", "located_defect", "sign", "zero"]
 
 _SAMPLES = 501
 _ZOOMS = 6
@@ -55,6 +56,16 @@ def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
     value = expression.subs(coordinate.symbol, sp.Float(bad[0]))
     kind = "real" if value.is_finite and value.is_extended_real is False else "finite"
     return f"is not {kind} at {coordinate.name} = {bad[0]:.6g}"
+
+
+def located_defect(expression: sp.Expr, coordinate: Coordinate, dimension: int) -> str | None:
+    """The same with the factor and its interval: ``"factor `1/k` is not finite at k = 0, ..."``."""
+    wrong = defect(expression, coordinate)
+    if wrong is None:
+        return None
+    where = "the box of parameter " + quote(coordinate.name) if dimension else "the horizon"
+    interval = f"[{coordinate.lower:g}, {coordinate.upper:g}]"
+    return f"factor {quote(expression)} {wrong}, inside {where} {interval}"
 
 
 def sign(expression: sp.Expr, coordinate: Coordinate) -> int:

@@ -18,6 +18,8 @@ __all__ = [
     "check_unknowns",
     "explain_symbol",
     "highest_orders",
+    "state_expressions",
+    "state_name",
 ]
 
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
@@ -196,6 +198,27 @@ def check_unknowns(residuals: list[sp.Expr], initial: Any, time: sp.Symbol) -> t
     return tuple(
         sorted(first, key=lambda unknown: (first[unknown], place.get(unknown, len(place))))
     )
+
+
+def state_expressions(
+    residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], time: sp.Symbol
+) -> list[sp.Expr]:
+    """What needs an initial value: the unknowns, then their lower derivatives, by order."""
+    highest = highest_orders(residuals)
+    return [
+        unknown.diff(time, order) if order else unknown
+        for order in range(max(highest.values()))
+        for unknown in unknowns
+        if order < highest[unknown]
+    ]
+
+
+def state_name(expression: sp.Expr) -> str:
+    """``x`` for ``x(t)``, with ``_t`` appended once per time derivative, as ``x_tt``."""
+    if isinstance(expression, sp.Derivative):
+        return f"{expression.expr.func.__name__}_{'t' * int(expression.derivative_count)}"
+    name: str = expression.func.__name__
+    return name
 
 
 def check_names(

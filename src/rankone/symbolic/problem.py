@@ -11,17 +11,20 @@ from typing import Any
 
 import sympy as sp
 
+from rankone.display import aligned_equations
 from rankone.errors import ProblemError, RankoneWarning
-from rankone.ir import Coordinate, State
+from rankone.ir import Coordinate
 from rankone.symbolic.box import check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
     check_names,
     check_symbols,
     check_unknowns,
+    state_expressions,
+    state_name,
 )
-from rankone.symbolic.explicit import first_order_states, first_order_system
 from rankone.symbolic.initial import check_initial
+from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
 from rankone.wording import count, did_you_mean, quote
@@ -58,13 +61,8 @@ class Problem:
         the same equation are in the order of ``initial``.
     residuals : tuple of Expr
         For each equation its left minus its right side.
-    states : tuple of State
-        The first-order system: the unknowns, then the derivatives that became states.
-    rhs : tuple of Expr
-        For each state the right-hand side of its derivative.
-    origins : tuple of (int or None)
-        For each state the number, from 1, of the equation that was solved for its derivative; None
-        if several were solved together (a mass matrix that is not diagonal).
+    mass : MassForm
+        The residuals as mass matrix times highest derivatives, and the rest.
 
     Raises
     ------
@@ -95,22 +93,17 @@ class Problem:
     name: str | None = None
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
-    states: tuple[State, ...] = field(init=False)
-    rhs: tuple[sp.Expr, ...] = field(init=False)
-    origins: tuple[int | None, ...] = field(init=False)
+    mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
         time = check_time(self.time)
         box = check_parameters(self.parameters, time[0])
         equations, residuals = check_equations(self.equations, time[0])
         unknowns = check_unknowns(residuals, self.initial, time[0])
-        states = first_order_states(residuals, unknowns, time[0])
-        check_names([(state.name, state.expression) for state in states], box, time[0])
+        states = state_expressions(residuals, unknowns, time[0])
+        check_names([(state_name(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
-        initial = check_initial(
-            self.initial, [state.expression for state in states], unknowns, box, time
-        )
-        system = first_order_system(residuals, unknowns, _coordinates(time, box))
+        initial = check_initial(self.initial, states, unknowns, box, time)
         for symbol in _unused(box, [*residuals, *initial.values()]):
             warnings.warn(
                 f"parameter {quote(symbol)} appears nowhere in the problem; "
@@ -125,9 +118,7 @@ class Problem:
             "initial": MappingProxyType(initial),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
-            "states": system.states,
-            "rhs": system.rhs,
-            "origins": system.equations,
+            "mass": check_mass(residuals, unknowns, _coordinates(time, box)),
         }
         for attribute, value in values.items():
             object.__setattr__(self, attribute, value)
@@ -220,22 +211,20 @@ class Problem:
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
         at_start = [
-            f"{state.name}({self.time[1]:g}) = {text_of(self.initial[state.expression])}"
-            for state in self.states
+            f"{state_name(state)}({self.time[1]:g}) = {text_of(value)}"
+            for state, value in self.initial.items()
         ]
         intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
         return "\n".join([*lines, "  " + ", ".join(at_start), "  " + ", ".join(intervals)])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._shown()]
-        for state in self.states:
-            value = sp.latex(self.initial[state.expression])
-            lines.append(f"{latex_of(state.expression)}({self.time[1]:g}) &= {value}")
+        for state, value in self.initial.items():
+            lines.append(f"{latex_of(state)}({self.time[1]:g}) &= {sp.latex(value)}")
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]
-        body = " \\\\\n".join(lines)
-        return f"$$\\begin{{aligned}}\n{body}\n\\end{{aligned}}$$"
+        return aligned_equations(lines)
 
     def _shown(self) -> list[sp.Eq]:
         """Return the equations as equations, in full."""

@@ -1,6 +1,6 @@
-"""The separated form of a problem: every term a product of functions of one coordinate.
+"""The separated form: every term of a weak form a product of functions of one coordinate.
 
-Applied functions and derivatives are replaced by plain symbols, every right-hand side is split once
+Applied functions and derivatives are replaced by plain symbols, every residual is split once
 (:mod:`~rankone.symbolic.splitting`), like terms merge, and terms and factors are put in an order
 that depends on nothing but the mathematics.
 """
@@ -8,26 +8,29 @@ that depends on nothing but the mathematics.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
 
 import sympy as sp
 
-from rankone.errors import ProblemError, SeparationError
+from rankone.errors import OptionError, ProblemError, SeparationError
 from rankone.ir import Coordinate, Factor, SeparatedForm, Term
-from rankone.symbolic.admissible import defect
+from rankone.symbolic.admissible import located_defect
+from rankone.symbolic.monomials import Monomial, MonomialSum
 from rankone.symbolic.problem import Problem
-from rankone.symbolic.splitting import Indivisible, Product, Splitter, Sum, accumulate
+from rankone.symbolic.splitting import Indivisible, Splitter
+from rankone.symbolic.weak_form import WeakForm, weak_form
 from rankone.wording import listing, quote
 
 __all__ = ["separate"]
 
 
-def separate(problem: Problem) -> SeparatedForm:
-    """Separate a problem.
+def separate(form: WeakForm | Problem) -> SeparatedForm:
+    """Separate a weak form: every integral becomes a product of one-dimensional ones.
 
     Parameters
     ----------
-    problem : Problem
-        A validated problem.
+    form : WeakForm or Problem
+        Of a problem the weak form is taken first.
 
     Returns
     -------
@@ -42,60 +45,60 @@ def separate(problem: Problem) -> SeparatedForm:
     ProblemError
         If a factor is not finite and real everywhere on its interval.
     """
-    return _Separation(problem).form()
+    weak = weak_form(form) if isinstance(form, Problem) else form
+    if not isinstance(weak, WeakForm):
+        raise OptionError(f"a WeakForm or a Problem is separated, not {form!r}")
+    return _Separation(weak).form()
 
 
 class _Separation:
     """The working state of one separation."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.coordinates = problem.coordinates
-        self.plain = {state.expression: sp.Symbol(state.name) for state in problem.states}
-        self.written = {symbol: expression for expression, symbol in self.plain.items()}
-        self.splitter = Splitter(self.coordinates, list(self.plain.values()))
+    def __init__(self, weak: WeakForm) -> None:
+        self.weak = weak
+        self.coordinates = weak.coordinates
+        t = weak.coordinates[0].symbol
+        states = [sp.Symbol(state.name) for state in weak.states]
+        rates = [sp.Dummy(f"d{state.name}") for state in weak.states]
+        self.plain = {sp.Derivative(u, t): r for u, r in zip(weak.functions, rates, strict=True)}
+        self.plain |= dict(zip(weak.functions, states, strict=True))
+        pairs = zip(states, weak.states, strict=True)
+        self.written = {symbol: state.expression for symbol, state in pairs}
+        self.splitter = Splitter(self.coordinates, [*states, *rates])
 
     def form(self) -> SeparatedForm:
-        rhs = [self._split(i, f, initial=False) for i, f in enumerate(self.problem.rhs)]
-        values = self.problem.initial.values()
-        initial = [self._split(i, value, initial=True) for i, value in enumerate(values)]
-        factors = self._factors([*rhs, *initial])
-        self._check_factors(factors, rhs, initial)
+        residuals = [self._split(i, r, initial=False) for i, r in enumerate(self.weak.residuals)]
+        initial = [self._split(i, v, initial=True) for i, v in enumerate(self.weak.initial)]
+        factors = self._factors([*residuals, *initial])
+        self._check_factors(factors, residuals)
         index = [{f: i for i, f in enumerate(distinct)} for distinct in factors]
-        n = len(self.coordinates)
+        pairs = enumerate(factors)
         return SeparatedForm(
             coordinates=self.coordinates,
-            states=self.problem.states,
-            factors=tuple(
-                tuple(Factor(j, f) for f in distinct) for j, distinct in enumerate(factors)
-            ),
-            terms=tuple(
-                term
-                for i, f in enumerate(rhs)
-                for term in (Term(i, 1.0, (0,) * n, (i,), 1), *self._terms(i, f, index, -1))
-            ),
-            initial=tuple(
-                term for i, value in enumerate(initial) for term in self._terms(i, value, index, 1)
-            ),
+            states=self.weak.states,
+            factors=tuple(tuple(Factor(j, f) for f in distinct) for j, distinct in pairs),
+            terms=self._terms(residuals, index),
+            initial=self._terms(initial, index),
         )
 
     # -- splitting --------------------------------------------------------------------------
 
-    def _split(self, state: int, expression: sp.Expr, *, initial: bool) -> Sum:
-        """Split one right-hand side or initial value; explain what cannot be split."""
-        total: Sum = {}
+    def _split(self, state: int, expression: sp.Expr, *, initial: bool) -> MonomialSum:
+        """Split one residual or initial value; explain what cannot be split."""
+        sums = []
         for term in sp.Add.make_args(expression.xreplace(self.plain)):
             try:
                 split = self.splitter.split(term)
-                for product in split:
-                    self._check_powers(product)
+                for monomial in split:
+                    self._check_powers(monomial)
             except Indivisible as reason:
-                raise self._explain(reason, term, state, initial=initial) from None
-            accumulate(total, split)
-        return {product: number for product, number in total.items() if number != 0}
+                shown = term if initial else -term  # the sign it has in f
+                raise self._explain(reason, shown, state, initial=initial) from None
+            sums.append(split)
+        return MonomialSum.total(sums)
 
-    def _check_powers(self, product: Product) -> None:
-        for state, power in product.powers:
+    def _check_powers(self, monomial: Monomial) -> None:
+        for state, power in monomial.powers:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
 
@@ -105,7 +108,7 @@ class _Separation:
         part = reason.part.xreplace(self.written)
         written = term.xreplace(self.written)
         within = "" if part == written else f" in the term {quote(written)}"
-        where = f"initial value of {quote(self.problem.states[state].expression)}: "
+        where = f"initial value of {quote(self.weak.states[state].expression)}: "
         message = f"{where if initial else ''}{'' if within else 'term '}{quote(part)}{within} "
         equation = None if initial else self._equation(state)
         names = [c.symbol for c in self.coordinates if c.symbol in reason.part.free_symbols]
@@ -147,11 +150,11 @@ class _Separation:
 
     def _equation(self, state: int) -> int | None:
         """Return the number of the equation, as the user wrote them, that a state comes from."""
-        return self.problem.origins[state]
+        return self.weak.origins[state]
 
     # -- factors ----------------------------------------------------------------------------
 
-    def _factors(self, sums: Sequence[Sum]) -> list[list[sp.Expr]]:
+    def _factors(self, sums: Sequence[MonomialSum]) -> list[list[sp.Expr]]:
         """Return for each dimension its distinct factors: one, then in SymPy's order."""
         distinct: list[dict[sp.Expr, None]] = [{} for _ in self.coordinates]
         for terms in sums:
@@ -164,21 +167,21 @@ class _Separation:
         ]
 
     def _check_factors(
-        self, factors: Sequence[Sequence[sp.Expr]], rhs: Sequence[Sum], initial: Sequence[Sum]
+        self, factors: Sequence[Sequence[sp.Expr]], residuals: Sequence[MonomialSum]
     ) -> None:
         for j, (coordinate, distinct) in enumerate(zip(self.coordinates, factors, strict=True)):
             for factor in distinct:
-                wrong = defect(factor, coordinate)
+                wrong = located_defect(factor, coordinate, j)
                 if wrong is None:
                     continue
-                users = [i for i, f in enumerate(rhs) if any(p.factors[j] == factor for p in f)]
-                interval = f"[{coordinate.lower:g}, {coordinate.upper:g}]"
-                kind = "the horizon" if j == 0 else f"the box of parameter {quote(coordinate.name)}"
+                users = [
+                    i for i, r in enumerate(residuals) if any(m.factors[j] == factor for m in r)
+                ]
                 where = "" if users else "in an initial value, "
                 if users and self._equation(users[0]) is None:
                     where = "after solving for the derivatives, "
                 raise ProblemError(
-                    f"{where}factor {quote(factor)} {wrong}, inside {kind} {interval}",
+                    where + wrong,
                     equation=self._equation(users[0]) if users else None,
                     term=factor,
                     remedy="change the interval so that the factor is finite and real on it",
@@ -187,27 +190,38 @@ class _Separation:
     # -- terms ------------------------------------------------------------------------------
 
     def _terms(
+        self, sums: Sequence[MonomialSum], index: Sequence[Mapping[sp.Expr, int]]
+    ) -> tuple[Term, ...]:
+        """Return the terms of all equations, in order."""
+        return tuple(
+            term
+            for equation, terms in enumerate(sums)
+            for term in sorted(
+                (self._term(equation, *term, index) for term in terms.items()),
+                key=lambda t: (-t.derivative, len(t.monomial), t.monomial, t.factors),
+            )
+        )
+
+    def _term(
         self,
         equation: int,
-        terms: Mapping[Product, sp.Expr],
+        monomial: Monomial,
+        coefficient: sp.Expr,
         index: Sequence[Mapping[sp.Expr, int]],
-        direction: int,
-    ) -> list[Term]:
-        """Return the terms of one equation, with the sign of the residual, in order."""
-        found = [
-            Term(
-                equation=equation,
-                coefficient=direction * self._float(number, equation),
-                factors=tuple(
-                    place[factor] for place, factor in zip(index, product.factors, strict=True)
-                ),
-                monomial=tuple(s for s, power in product.powers for _ in range(power)),
-            )
-            for product, number in terms.items()
-        ]
-        return sorted(found, key=lambda t: (len(t.monomial), t.monomial, t.factors))
+    ) -> Term:
+        """One term; the states after the last are the rates."""
+        n = len(self.weak.states)
+        pairs = zip(index, monomial.factors, strict=True)
+        return Term(
+            equation=equation,
+            coefficient=self._number(coefficient, equation),
+            factors=tuple(place[factor] for place, factor in pairs),
+            monomial=tuple(s % n for s, power in monomial.powers for _ in range(power)),
+            derivative=sum(power for s, power in monomial.powers if s >= n),
+        )
 
-    def _float(self, number: sp.Expr, state: int) -> float:
+    def _number(self, number: sp.Expr, state: int) -> Fraction | float:
+        """A coefficient: exact if it is rational."""
         try:
             value = float(number)
         except (TypeError, OverflowError):
@@ -219,4 +233,4 @@ class _Separation:
                 term=number,
                 remedy="rescale the equations or change the coefficients",
             )
-        return value
+        return Fraction(int(number.p), int(number.q)) if number.is_Rational else value

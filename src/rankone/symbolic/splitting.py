@@ -9,29 +9,17 @@ polynomial in the number of terms.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import sympy as sp
 
 from rankone.ir import Coordinate
 from rankone.symbolic.admissible import sign
+from rankone.symbolic.monomials import Monomial, MonomialSum
 from rankone.symbolic.numbers import exact
 
-__all__ = ["Indivisible", "Product", "Splitter", "Sum", "accumulate"]
+__all__ = ["Indivisible", "Splitter"]
 
-
-class Product(NamedTuple):
-    """A product of one function for each coordinate and a monomial in the states."""
-
-    factors: tuple[sp.Expr, ...]
-    """For each dimension a function of its coordinate; one where there is none."""
-    powers: tuple[tuple[int, int], ...]
-    """(state, exponent), ascending; negative exponents may occur on the way."""
-
-
-Sum = dict[Product, sp.Expr]
-"""Products with their coefficients: exact numbers, none of them zero."""
 
 _ADDITION = {
     sp.sin: ((sp.sin, sp.cos, 1), (sp.cos, sp.sin, 1)),
@@ -66,7 +54,7 @@ class Splitter:
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        The dimensions, in the order of ``Product.factors``. The intervals decide the signs
+        The dimensions, in the order of ``Monomial.factors``. The intervals decide the signs
         under roots: sqrt(k*m) is sqrt(k)*sqrt(m) for positive k and m.
     states : sequence of Symbol
         Plain symbols that stand for the states.
@@ -76,11 +64,11 @@ class Splitter:
         self._coordinates = tuple(coordinates)
         self._dimension = {c.symbol: i for i, c in enumerate(coordinates)}
         self._state = {symbol: i for i, symbol in enumerate(states)}
-        self._one = Product((sp.S.One,) * len(self._coordinates), ())
+        self._one = Monomial((sp.S.One,) * len(self._coordinates), ())
         self._normal: dict[sp.Expr, tuple[sp.Expr, sp.Expr]] = {}
         self._times: dict[tuple[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]] = {}
 
-    def split(self, expression: sp.Expr) -> Sum:
+    def split(self, expression: sp.Expr) -> MonomialSum:
         """Return an expression as a sum of separated products.
 
         Raises
@@ -90,15 +78,16 @@ class Splitter:
         """
         if expression.is_Symbol:
             if expression in self._state:
-                return {Product(self._one.factors, ((self._state[expression], 1),)): sp.S.One}
+                state = Monomial(self._one.factors, ((self._state[expression], 1),))
+                return MonomialSum({state: sp.S.One})
             return self._function(expression, self._dimension[expression])
         if expression.is_Add:
-            return self._add(self.split(part) for part in expression.args)
+            return MonomialSum.total(self.split(part) for part in expression.args)
         if expression.is_Mul:
             return self._split_product(expression)
         symbols = expression.free_symbols
         if not symbols:
-            return _nonzero({self._one: exact(expression)})
+            return self._number(exact(expression))
         dimension = self._only_dimension(symbols)
         if dimension is not None:
             return self._function(expression, dimension)
@@ -110,7 +99,7 @@ class Splitter:
 
     # -- sums and products ------------------------------------------------------------------
 
-    def _split_product(self, expression: sp.Expr) -> Sum:
+    def _split_product(self, expression: sp.Expr) -> MonomialSum:
         """Multiply out, after collecting what depends on the same coordinate alone."""
         number: list[sp.Expr] = []
         alone: dict[int, list[sp.Expr]] = {}
@@ -124,7 +113,7 @@ class Splitter:
                 alone.setdefault(dimension, []).append(part)
             else:
                 mixed.append(part)
-        product = _nonzero({self._one: exact(sp.Mul(*number))})
+        product = self._number(exact(sp.Mul(*number)))
         for dimension, parts in alone.items():
             symbol = self._coordinates[dimension].symbol
             if all(_is_sum_of_monomials(part, symbol) for part in parts):
@@ -136,25 +125,11 @@ class Splitter:
             product = self._multiply(product, self.split(part))
         return product
 
-    def _add(self, sums: Iterable[Sum]) -> Sum:
-        total: Sum = {}
-        for part in sums:
-            accumulate(total, part)
-        return _nonzero(total)
+    def _multiply(self, left: MonomialSum, right: MonomialSum) -> MonomialSum:
+        return left.times(right, self._product_of)
 
-    def _multiply(self, left: Sum, right: Sum) -> Sum:
-        result: Sum = {}
-        for a, a_coefficient in left.items():
-            for b, b_coefficient in right.items():
-                coefficient = a_coefficient * b_coefficient
-                factors = []
-                for f, g in zip(a.factors, b.factors, strict=True):
-                    number, factor = self._product_of(f, g)
-                    coefficient *= number
-                    factors.append(factor)
-                key = Product(tuple(factors), _merge(a.powers, b.powers))
-                result[key] = result.get(key, sp.S.Zero) + coefficient
-        return _nonzero(result)
+    def _number(self, number: sp.Expr) -> MonomialSum:
+        return MonomialSum.of([(self._one, number)])
 
     def _product_of(self, f: sp.Expr, g: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
         """Return the product of two factors as (number, normal factor)."""
@@ -174,12 +149,12 @@ class Splitter:
             return None
         return self._dimension.get(next(iter(symbols)))
 
-    def _function(self, expression: sp.Expr, dimension: int) -> Sum:
+    def _function(self, expression: sp.Expr, dimension: int) -> MonomialSum:
         """Return a function of one coordinate as a sum with one product."""
         number, factor = self._normalise(expression)
         factors = list(self._one.factors)
         factors[dimension] = factor
-        return _nonzero({Product(tuple(factors), ()): number})
+        return MonomialSum.of([(Monomial(tuple(factors), ()), number)])
 
     def _normalise(self, expression: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
         """Pull out numbers, so that equal factors look equal: 1/(2*k + 2) is 1/(k + 1) / 2."""
@@ -202,7 +177,7 @@ class Splitter:
 
     # -- powers -----------------------------------------------------------------------------
 
-    def _split_power(self, expression: sp.Expr) -> Sum:
+    def _split_power(self, expression: sp.Expr) -> MonomialSum:
         base, exponent = expression.as_base_exp()
         exponent = exact(exponent)
         if exponent.free_symbols:
@@ -224,30 +199,30 @@ class Splitter:
         if not all(power.is_Integer for _, power in powers):
             raise Indivisible(expression, "not polynomial")
         integer = tuple((state, int(power)) for state, power in powers)
-        return {Product(tuple(factors), integer): coefficient}
+        return MonomialSum.of([(Monomial(tuple(factors), integer), coefficient)])
 
-    def _integer_power(self, base: Sum, exponent: int) -> Sum:
+    def _integer_power(self, base: MonomialSum, exponent: int) -> MonomialSum:
         result = base
         for _ in range(exponent - 1):
             result = self._multiply(result, base)
         return result
 
-    def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> Sum:
+    def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> MonomialSum:
         """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k)."""
         constant, parts = self._by_coordinate(exponent, whole)
-        result: Sum = {self._one: base**constant}
+        result = self._number(base**constant)
         for dimension, part in parts.items():
             result = self._multiply(result, self._function(base**part, dimension))
         return result
 
-    def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Product]:
+    def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Monomial]:
         """Return an expression as one (number, product), factoring it if need be."""
         terms = self.split(expression)
         if len(terms) > 1:
             factored = sp.factor(exact(expression))
             if factored.is_Add:
                 raise self._indivisible(whole)
-            terms = {self._one: sp.S.One}
+            terms = self._number(sp.S.One)
             for part in sp.Mul.make_args(factored):
                 base, _ = part.as_base_exp()
                 dimension = self._only_dimension(base.free_symbols)
@@ -264,8 +239,8 @@ class Splitter:
         return number, product
 
     def _positive(
-        self, number: sp.Expr, product: Product, whole: sp.Expr
-    ) -> tuple[sp.Expr, Product]:
+        self, number: sp.Expr, product: Monomial, whole: sp.Expr
+    ) -> tuple[sp.Expr, Monomial]:
         """Flip signs so that every factor is nonnegative on its interval."""
         if product.powers:
             raise Indivisible(whole, "not polynomial")
@@ -276,11 +251,11 @@ class Splitter:
             factors.append(factor if direction > 0 else -factor)
         if not number > 0:
             raise Indivisible(whole, "not real")
-        return number, Product(tuple(factors), ())
+        return number, Monomial(tuple(factors), ())
 
     # -- functions --------------------------------------------------------------------------
 
-    def _split_function(self, expression: sp.Expr) -> Sum:
+    def _split_function(self, expression: sp.Expr) -> MonomialSum:
         if not expression.free_symbols.isdisjoint(self._state) and not expression.is_Piecewise:
             raise Indivisible(expression, "not polynomial")
         if isinstance(expression, sp.Piecewise):
@@ -296,10 +271,10 @@ class Splitter:
                 for dimension, factor in enumerate(product.factors)
                 if factor is not sp.S.One
             ]
-            return self._add([_nonzero({self._one: sp.log(number)}), *logarithms])
+            return MonomialSum.total([self._number(sp.log(number)), *logarithms])
         if isinstance(expression, sp.Abs):
             number, product = self._single(expression.args[0], expression)
-            result: Sum = {self._one: abs(number)}
+            result = self._number(abs(number))
             for dimension, factor in enumerate(product.factors):
                 if factor is not sp.S.One:
                     result = self._multiply(result, self._function(sp.Abs(factor), dimension))
@@ -311,7 +286,7 @@ class Splitter:
         function: Callable[[sp.Expr], sp.Expr],
         constant: sp.Expr,
         parts: list[tuple[int, sp.Expr]],
-    ) -> Sum:
+    ) -> MonomialSum:
         """Apply the addition theorem of a function to a sum of one part for each coordinate."""
         (dimension, part), *others = parts
         if not others:
@@ -320,9 +295,9 @@ class Splitter:
         for g, h, direction in _ADDITION[function]:
             first = self._function(direction * g(part), dimension)
             terms.append(self._multiply(first, self._expand_addition(h, constant, others)))
-        return self._add(terms)
+        return MonomialSum.total(terms)
 
-    def _split_piecewise(self, expression: sp.Piecewise) -> Sum:
+    def _split_piecewise(self, expression: sp.Piecewise) -> MonomialSum:
         """Write a switch in one coordinate as a sum of branches times indicators."""
         symbols = sp.Tuple(*[condition for _, condition in expression.args]).free_symbols
         if not symbols.isdisjoint(self._state):
@@ -336,7 +311,7 @@ class Splitter:
             indicator = sp.Piecewise(*before, (1, condition), (0, True))
             terms.append(self._multiply(self._function(indicator, dimension), self.split(branch)))
             before.append((0, condition))
-        return self._add(terms)
+        return MonomialSum.total(terms)
 
     def _by_coordinate(
         self, expression: sp.Expr, whole: sp.Expr
@@ -360,28 +335,6 @@ class Splitter:
     def _indivisible(self, expression: sp.Expr) -> Indivisible:
         mixed = not expression.free_symbols.isdisjoint(self._state)
         return Indivisible(expression, "not polynomial" if mixed else "couples")
-
-
-def accumulate(total: Sum, addend: Mapping[Product, sp.Expr]) -> None:
-    """Add a sum to another, in place; like products merge."""
-    for product, coefficient in addend.items():
-        total[product] = total[product] + coefficient if product in total else coefficient
-
-
-def _nonzero(terms: Sum) -> Sum:
-    return {product: number for product, number in terms.items() if number != 0}
-
-
-def _merge(
-    a: tuple[tuple[int, int], ...], b: tuple[tuple[int, int], ...]
-) -> tuple[tuple[int, int], ...]:
-    """Multiply two monomials."""
-    if not a or not b:
-        return a or b
-    powers = dict(a)
-    for state, exponent in b:
-        powers[state] = powers.get(state, 0) + exponent
-    return tuple(sorted((state, exponent) for state, exponent in powers.items() if exponent))
 
 
 def _is_sum_of_monomials(expression: sp.Expr, symbol: sp.Symbol) -> bool:

@@ -8,11 +8,13 @@ all of their values at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import sympy as sp
 
-from rankone.ir import Coordinate
+from rankone.display import aligned_equations
+from rankone.errors import OptionError
+from rankone.ir import Coordinate, State
+from rankone.symbolic.first_order import FirstOrderSystem, first_order, state_functions
 from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.problem import Problem
 
@@ -21,61 +23,87 @@ __all__ = ["WeakForm", "weak_form"]
 
 @dataclass(frozen=True, repr=False)
 class WeakForm:
-    """For each equation: the integral of test function times residual vanishes.
+    """For each state: the integral of test function times residual vanishes.
 
     Attributes
     ----------
     coordinates : tuple of Coordinate
         The dimensions integrated over, time first.
-    unknowns : tuple of Expr
-        The unknowns; equation ``i`` is tested with the test function of unknown ``i``.
-    test_functions : tuple of Symbol
-        One for each equation, ``u*`` for the unknown ``u``.
+    states : tuple of State
+        Equation ``i`` is tested with the test function of state ``i``.
     residuals : tuple of Expr
-        Left minus right side of each equation, as the user wrote them.
+        The residual u' - f of each equation, in the states' ``functions``.
+    initial : tuple of Expr
+        The initial value of each state.
+    origins : tuple of (int or None)
+        For each residual the number, from 1, of the user's equation it comes from; None if several
+        were solved together.
     """
 
     coordinates: tuple[Coordinate, ...]
-    unknowns: tuple[sp.Expr, ...]
-    test_functions: tuple[sp.Symbol, ...]
+    states: tuple[State, ...]
     residuals: tuple[sp.Expr, ...]
+    initial: tuple[sp.Expr, ...]
+    origins: tuple[int | None, ...]
 
-    @cached_property
+    @property
+    def functions(self) -> tuple[sp.Expr, ...]:
+        """The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative."""
+        return state_functions(self.states, self.coordinates[0].symbol)
+
+    @property
+    def test_functions(self) -> tuple[sp.Symbol, ...]:
+        """One for each state: ``u*`` for the state ``u``."""
+        return tuple(sp.Symbol(f"{state.name}*") for state in self.states)
+
+    @property
     def integrands(self) -> tuple[sp.Expr, ...]:
-        """Test function times residual, for each equation."""
-        return tuple(
-            test * residual
-            for test, residual in zip(self.test_functions, self.residuals, strict=True)
-        )
+        """Test function times residual, for each state."""
+        pairs = zip(self.test_functions, self.residuals, strict=True)
+        return tuple(test * residual for test, residual in pairs)
 
     def __repr__(self) -> str:
         signs = " ".join(f"∫_{c.name}" for c in self.coordinates)
         measures = " ".join(f"d{c.name}" for c in reversed(self.coordinates))
-        return "\n".join(
+        lines = [
             f"{signs}  {test} ({text_of(residual)}) {measures} = 0"
             for test, residual in zip(self.test_functions, self.residuals, strict=True)
-        )
+        ]
+        start = f"({self.coordinates[0].lower:g})"
+        pairs = zip(self.states, self.initial, strict=True)
+        return "\n".join([*lines, *(f"{s.name}{start} = {text_of(value)}" for s, value in pairs)])
 
     def _repr_latex_(self) -> str:
         signs = " ".join(rf"\int_{{{sp.latex(c.symbol)}}}" for c in self.coordinates)
         measures = r" \, ".join(rf"d{sp.latex(c.symbol)}" for c in reversed(self.coordinates))
         lines = [
-            rf"{signs} {_starred(unknown)} \left({latex_of(residual)}\right) \, {measures} &= 0"
-            for unknown, residual in zip(self.unknowns, self.residuals, strict=True)
+            rf"{signs} {{{latex_of(u)}}}^{{*}} \left({latex_of(residual)}\right) "
+            rf"\, {measures} &= 0"
+            for u, residual in zip(self.functions, self.residuals, strict=True)
         ]
-        body = " \\\\\n".join(lines)
-        return f"$$\\begin{{aligned}}\n{body}\n\\end{{aligned}}$$"
+        start = f"({self.coordinates[0].lower:g})"
+        for u, value in zip(self.functions, self.initial, strict=True):
+            lines.append(f"{latex_of(u)}{start} &= {sp.latex(value)}")
+        return aligned_equations(lines)
 
 
-def _starred(unknown: sp.Expr) -> str:
-    return rf"{{{latex_of(unknown)}}}^{{*}}"
+def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
+    """Return the weak form over time and the box of the parameters.
 
-
-def weak_form(problem: Problem) -> WeakForm:
-    """Return the weak form of a problem over time and the box of its parameters."""
+    Parameters
+    ----------
+    system : FirstOrderSystem or Problem
+        A problem is reduced to first order before.
+    """
+    if isinstance(system, Problem):
+        system = first_order(system)
+    if not isinstance(system, FirstOrderSystem):
+        raise OptionError(f"a FirstOrderSystem or a Problem has a weak form, not {system!r}")
+    rates = [sp.Derivative(u, system.coordinates[0].symbol) for u in system.functions]
     return WeakForm(
-        coordinates=problem.coordinates,
-        unknowns=problem.unknowns,
-        test_functions=tuple(sp.Symbol(f"{u.func.__name__}*") for u in problem.unknowns),
-        residuals=problem.residuals,
+        coordinates=system.coordinates,
+        states=system.states,
+        residuals=tuple(rate - f for rate, f in zip(rates, system.rhs, strict=True)),
+        initial=system.initial,
+        origins=system.origins,
     )

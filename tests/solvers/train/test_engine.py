@@ -95,10 +95,9 @@ def independent_error(problem, solution, points=20, seed=5):
     """Largest error against SciPy, relative to each state's size; lambdified right-hand side."""
     start, end = solution.time
     symbols = list(problem.parameters)
-    names = [state.expression for state in problem.states]
+    names, system = list(problem.initial), ro.first_order(problem)
     plain = sp.symbols(f"s0:{len(names)}")
-    swap = dict(sorted(zip(names, plain), key=lambda pair: -sp.count_ops(pair[0])))
-    rhs = [sp.sympify(f).subs(swap) for f in problem.rhs]
+    rhs = [f.subs(dict(zip(system.functions, plain))) for f in system.rhs]
     f = sp.lambdify([t, plain, symbols], rhs)
     initial = sp.lambdify([symbols], [sp.sympify(problem.initial[name]) for name in names])
     rng = np.random.default_rng(seed)

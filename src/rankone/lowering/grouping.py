@@ -1,54 +1,17 @@
 """Grouping: terms that share their parameter factors share one contraction.
 
-A group holds the terms of one signature. Its quadratic monomials ``x_a x_b`` are evaluated as
-``x_a`` times a precomputed contraction of ``x_b``; the states ``b`` are the group's paired states,
-a smallest set that touches every monomial (a vertex cover), since each costs a contraction.
+A group holds the terms of one signature. Its paired states are a smallest set that touches every
+quadratic monomial (a vertex cover), since each costs a contraction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
-from rankone.ir import Term
+from rankone.ir import Group, Term
+from rankone.lowering.pairs import Pair
 
-__all__ = ["Group", "group_terms", "vertex_cover"]
-
-Pair = tuple[int, int]
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Terms of degree at most two with the same parameter factors.
-
-    Attributes
-    ----------
-    index : int
-        Position of the group.
-    signature : tuple of int
-        For each parameter the factor's row; 0 is one.
-    constant, linear, quadratic : tuple of Term
-        The terms by degree.
-    paired : tuple of int
-        Second states of the quadratic monomials.
-    blocks : tuple of tuple of int
-        For each paired state b the first states a of the monomials ``x_a x_b``, ascending.
-    """
-
-    index: int
-    signature: tuple[int, ...]
-    constant: tuple[Term, ...]
-    linear: tuple[Term, ...]
-    quadratic: tuple[Term, ...]
-    paired: tuple[int, ...]
-    blocks: tuple[tuple[int, ...], ...]
-
-    @property
-    def monomials(self) -> tuple[Pair, ...]:
-        """Quadratic monomials (a, b), b paired, in the order they are evaluated."""
-        return tuple(
-            (a, b) for b, block in zip(self.paired, self.blocks, strict=True) for a in block
-        )
+__all__ = ["group_terms", "vertex_cover"]
 
 
 def group_terms(terms: Iterable[Term]) -> tuple[Group, ...]:

@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rankone.codegen.grouping import vertex_cover
-from rankone.codegen.lowering import extract_pairs, lower, right_hand_side
 from rankone.errors import SeparationError
-from rankone.ir import SeparatedForm, Term
+from rankone.ir import Role, SeparatedForm, Term
+from rankone.lowering import quadratic_system
+from rankone.lowering.grouping import vertex_cover
+from rankone.lowering.pairs import extract_pairs
+from rankone.lowering.right_hand_side import right_hand_side
 from tests.codegen.systems import decay, driven, lotka_volterra, separated
 
 MONOMIALS = st.lists(st.lists(st.integers(0, 3), max_size=6).map(tuple), max_size=8)
@@ -62,18 +64,20 @@ def test_extraction_keeps_the_values(
 
 def test_products_get_their_rows() -> None:
     form = driven()
-    system = lower(right_hand_side(form), 2)
+    system = quadratic_system(form)
     assert system.products == ((0, 0),)
-    assert system.n_states == 3
+    assert [state.role for state in system.states] == [*[Role.UNKNOWN] * 2, Role.AUXILIARY]
+    assert system.definitions == ("w0 = x*x",)
     one = (0, 0, 0)
-    assert system.terms[-2:] == (Term(2, 1.0, one, (0, 0)), Term(2, -1.0, one, (2,)))
+    own = [term for term in system.terms if term.equation == 2]
+    assert own == [Term(2, -1, one, (2,)), Term(2, 1, one, (0, 0))]
 
 
 @pytest.mark.parametrize("form", [decay(), lotka_volterra()])
 def test_quadratic_systems_stay_as_they_are(form: SeparatedForm) -> None:
-    f = right_hand_side(form)
-    assert lower(f, len(form.states)).products == ()
-    assert lower(f, len(form.states)).terms == f
+    system = quadratic_system(form)
+    assert system.products == ()
+    assert sorted(system.terms, key=str) == sorted(system.rhs, key=str)
 
 
 def test_like_terms_merge_and_cancel() -> None:

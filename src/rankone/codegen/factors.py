@@ -1,0 +1,81 @@
+"""Factor functions: all known functions of one coordinate, evaluated together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sympy as sp
+
+from rankone.codegen.names import Names
+from rankone.codegen.printer import common_subexpressions, plain_text
+from rankone.codegen.text import assignment, docstring, table
+from rankone.ir import QuadraticSystem
+
+__all__ = ["coordinate_functions"]
+
+_ARGUMENT = "p"
+"""How the parameter is called in a function that serves several."""
+_LONGEST_SUMMARY = 90
+
+
+def coordinate_functions(system: QuadraticSystem) -> list[list[str]]:
+    """``time_factors``, the functions of the parameters and ``parameter_factors``.
+
+    Parameters whose factors are the same but for the name share one function.
+    """
+    clock, *parameters = system.coordinates
+    expressions = [tuple(f.expression for f in distinct) for distinct in system.factors]
+    names = Names(["np", "out"])
+    words = [names(parameter.name) for parameter in parameters]
+    renamed = [
+        tuple(e.xreplace({c.symbol: sp.Symbol(_ARGUMENT)}) for e in found)
+        for c, found in zip(parameters, expressions[1:], strict=True)
+    ]
+    blocks = [factor_function("time_factors", "t", clock.symbol, expressions[0], clock.name)]
+    functions: dict[tuple[sp.Expr, ...], str] = {}
+    for j, key in enumerate(renamed):
+        if key in functions:
+            continue
+        users = [i for i, other in enumerate(renamed) if other == key]
+        if len(users) == 1:
+            functions[key] = f"factors_of_{words[j]}"
+            argument, found, symbol = words[j], expressions[j + 1], parameters[j].symbol
+        else:
+            functions[key] = f"factors_of_{words[j]}_and_{len(users) - 1}_more"
+            argument, found, symbol = _ARGUMENT, key, sp.Symbol(_ARGUMENT)
+        title = ", ".join(parameters[i].name for i in users)
+        blocks.append(factor_function(functions[key], argument, symbol, found, title))
+    listed = [functions[key] for key in renamed]
+    alike = len(listed) > 1 and len(functions) == 1
+    repeated = [f"PARAMETER_FACTORS = ({listed[0]},) * {len(listed)}"] if alike else []
+    blocks.append(
+        [
+            *(repeated or table("PARAMETER_FACTORS", listed)),
+            "",
+            "",
+            "def parameter_factors(dimension, p):",
+            *docstring(["Factors of one parameter at the points p (N,): shape (number, N)."]),
+            "    return PARAMETER_FACTORS[dimension](p)",
+        ]
+    )
+    return blocks
+
+
+def factor_function(
+    name: str, argument: str, symbol: sp.Symbol, expressions: Sequence[sp.Expr], title: str
+) -> list[str]:
+    """A function that evaluates all factors of a coordinate, called ``title``."""
+    names = Names(["np", "out", argument])
+    shared, texts = common_subexpressions(expressions, {symbol: argument}, names.numbered("c"))
+    summary = f"Factors of {title}: {', '.join(map(plain_text, expressions))}."
+    if len(summary) > _LONGEST_SUMMARY:
+        summary = f"Factors of {title} ({len(expressions)})."
+    if len(summary) > _LONGEST_SUMMARY:
+        summary = f"Factors of several parameters ({len(expressions)})."
+    lines = [f"def {name}({argument}):", *docstring([summary])]
+    for target, text in shared:
+        lines += assignment(target, [text])
+    lines.append(f"    out = np.empty(({len(expressions)}, {argument}.size))")
+    for row, text in enumerate(texts):
+        lines += assignment(f"out[{row}]", ["1.0" if text == "1" else text])
+    return [*lines, "    return out"]

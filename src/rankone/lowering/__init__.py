@@ -1,0 +1,39 @@
+"""From the separated form to the quadratic system that is printed.
+
+===================  ===============================================================================
+``right_hand_side``  f of ``u' = f`` from the residual
+``products``         products of more than two states become products of two, by auxiliary states
+``grouping``         terms by signature; which states a group's products pair
+``pairs``            extraction of frequent pairs
+===================  ===============================================================================
+"""
+
+from __future__ import annotations
+
+from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.lowering.grouping import group_terms
+from rankone.lowering.products import auxiliary_states, lower
+from rankone.lowering.right_hand_side import right_hand_side
+
+__all__ = ["quadratic_system"]
+
+
+def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
+    """Lower and group a separated form.
+
+    Raises
+    ------
+    SeparationError
+        If the derivative terms of the form are anything but one ``u'`` for each state.
+    """
+    f = right_hand_side(form)
+    products, terms = lower(f, len(form.states))
+    return QuadraticSystem(
+        coordinates=form.coordinates,
+        states=(*form.states, *auxiliary_states(form.states, products)),
+        factors=form.factors,
+        rhs=f,
+        products=products,
+        groups=group_terms(terms),
+        initial=form.initial,
+    )

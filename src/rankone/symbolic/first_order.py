@@ -1,0 +1,132 @@
+"""From a problem to an explicit first-order system u' = f(t, p, u).
+
+Derivatives below the highest of each unknown become states; the equations, linear in the highest
+derivatives, are solved for them exactly, without simplification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+
+from rankone.display import aligned_equations
+from rankone.ir import Coordinate, Role, State
+from rankone.symbolic.equations import state_name
+from rankone.symbolic.mass import MassForm
+from rankone.symbolic.notation import latex_of, text_of
+from rankone.symbolic.numbers import exact
+from rankone.symbolic.problem import Problem
+from rankone.wording import count
+
+__all__ = ["FirstOrderSystem", "first_order"]
+
+
+@dataclass(frozen=True, repr=False)
+class FirstOrderSystem:
+    """An explicit first-order system.
+
+    Attributes
+    ----------
+    coordinates : tuple of Coordinate
+        Time, then the parameters.
+    states : tuple of State
+        The unknowns, then the derivatives that became states.
+    rhs : tuple of Expr
+        For each state the right-hand side of its derivative, in the states' ``functions``.
+    initial : tuple of Expr
+        For each state its initial value, an expression of the parameters.
+    origins : tuple of (int or None)
+        For each state the number, from 1, of the user's equation that was solved for its
+        derivative; None if several equations were solved together.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    states: tuple[State, ...]
+    rhs: tuple[sp.Expr, ...]
+    initial: tuple[sp.Expr, ...]
+    origins: tuple[int | None, ...]
+
+    @property
+    def functions(self) -> tuple[sp.Expr, ...]:
+        """The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative."""
+        return state_functions(self.states, self.coordinates[0].symbol)
+
+    def _equations(self) -> list[sp.Eq]:
+        t = self.coordinates[0].symbol
+        pairs = zip(self.functions, self.rhs, strict=True)
+        return [sp.Eq(sp.Derivative(u, t), f, evaluate=False) for u, f in pairs]
+
+    def __repr__(self) -> str:
+        states = count(len(self.states), "state")
+        lines = [f"First-order system: {states}, {count(len(self.coordinates) - 1, 'parameter')}"]
+        lines += [f"  {text_of(equation)}" for equation in self._equations()]
+        start = f"({self.coordinates[0].lower:g})"
+        pairs = zip(self.states, self.initial, strict=True)
+        lines.append("  " + ", ".join(f"{s.name}{start} = {text_of(value)}" for s, value in pairs))
+        return "\n".join(lines)
+
+    def _repr_latex_(self) -> str:
+        lines = [latex_of(equation) for equation in self._equations()]
+        start = f"({self.coordinates[0].lower:g})"
+        for function, value in zip(self.functions, self.initial, strict=True):
+            lines.append(f"{latex_of(function)}{start} &= {sp.latex(value)}")
+        return aligned_equations(lines)
+
+
+def state_functions(states: Sequence[State], time: sp.Symbol) -> tuple[sp.Expr, ...]:
+    """The states as functions of time, each with its own name."""
+    return tuple(sp.Function(state.name)(time) for state in states)
+
+
+def first_order(problem: Problem) -> FirstOrderSystem:
+    """Reduce a problem to first order and solve it for the derivatives."""
+    time = problem.time[0]
+    solved, origins = _solved(problem.mass)
+    expressions = list(problem.initial)
+    states = tuple(
+        State(state_name(e), e, Role.UNKNOWN if e in problem.unknowns else Role.DERIVATIVE)
+        for e in expressions
+    )
+    functions = dict(zip(expressions, state_functions(states, time), strict=True))
+    highest = dict(zip(problem.mass.leading, solved, strict=True))
+    origin = dict(zip(problem.unknowns, origins, strict=True))
+    rates = [expression.diff(time) for expression in expressions]
+    return FirstOrderSystem(
+        coordinates=problem.coordinates,
+        states=states,
+        rhs=tuple(highest.get(rate, rate).xreplace(functions) for rate in rates),
+        initial=tuple(problem.initial.values()),
+        origins=tuple(origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions),
+    )
+
+
+def _solved(form: MassForm) -> tuple[list[sp.Expr], list[int | None]]:
+    """Solve M v + rest = 0 for v; return also which equation gave which component."""
+    unknowns = range(len(form.leading))
+    if form.places is not None:
+        order = [form.places[i] for i in unknowns]
+        quotients = [
+            [_divide(-term, form.rows[e][i]) for term in form.rests[e]] for i, e in enumerate(order)
+        ]
+        return [sp.Add(*terms) for terms in quotients], [e + 1 for e in order]
+    inverse = form.matrix.inv().to_Matrix()
+    solved = [
+        sp.Add(
+            *[
+                sp.Mul(-entry, term)
+                for entry, rest in zip(inverse.row(i), form.rests, strict=True)
+                if entry != 0
+                for term in rest
+            ]
+        )
+        for i in unknowns
+    ]
+    return solved, [None for _ in unknowns]
+
+
+def _divide(term: sp.Expr, mass: sp.Expr) -> sp.Expr:
+    if mass is sp.S.One:
+        return term
+    return exact(term) / exact(mass) if mass.is_number else term / mass

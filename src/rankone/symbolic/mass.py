@@ -1,0 +1,159 @@
+"""The mass matrix: equations are linear in the highest derivatives, and determine them.
+
+A problem is held as ``M(t, p, u) v + rest = 0`` for the highest derivatives v of its unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+from sympy.polys.matrices import DomainMatrix
+
+from rankone.errors import ProblemError
+from rankone.ir import Coordinate
+from rankone.symbolic.admissible import zero
+from rankone.symbolic.equations import highest_orders
+from rankone.symbolic.numbers import exact
+from rankone.wording import listing, quote
+
+__all__ = ["MassForm", "Row", "check_mass"]
+
+Row = dict[int, sp.Expr]
+"""The entries of a row of the mass matrix that are not zero, by column."""
+
+
+@dataclass(frozen=True)
+class MassForm:
+    """Equations linear in the highest derivatives, in the user's order.
+
+    Attributes
+    ----------
+    leading : tuple of Expr
+        The highest derivative of each unknown.
+    rows : tuple of dict
+        For each equation its row of the mass matrix: entries by the position in ``leading``.
+    rests : tuple of list of Expr
+        For each equation the terms without highest derivatives.
+    """
+
+    leading: tuple[sp.Expr, ...]
+    rows: tuple[Row, ...]
+    rests: tuple[list[sp.Expr], ...]
+
+    @property
+    def places(self) -> dict[int, int] | None:
+        """For each unknown the equation that has its derivative alone; None if any has several."""
+        places = {next(iter(row)): number for number, row in enumerate(self.rows)}
+        alone = len(places) == len(self.rows) and all(len(row) == 1 for row in self.rows)
+        return places if alone else None
+
+    @property
+    def matrix(self) -> DomainMatrix:
+        """The mass matrix over the field of its entries, which cancels common factors."""
+        n = len(self.rows)
+        entries = sp.Matrix(n, n, lambda i, j: exact(self.rows[i].get(j, sp.S.Zero)))
+        return DomainMatrix.from_Matrix(entries).to_field()
+
+
+def check_mass(
+    residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], coordinates: Sequence[Coordinate]
+) -> MassForm:
+    """Split the residuals into mass matrix and rest.
+
+    Parameters
+    ----------
+    residuals : sequence of Expr
+        One for each unknown.
+    unknowns : sequence of Expr
+        Applied functions of time.
+    coordinates : sequence of Coordinate
+        Time and the parameters; a mass that vanishes on its interval is an error.
+
+    Raises
+    ------
+    ProblemError
+        If an equation is not linear in the highest derivatives, or their matrix is singular.
+    """
+    highest = highest_orders(residuals)
+    time = coordinates[0].symbol
+    leading = tuple(unknown.diff(time, highest[unknown]) for unknown in unknowns)
+    rows, rests = [], []
+    for number, residual in enumerate(residuals, 1):
+        row, rest = _linear_in(leading, residual, number)
+        _check_row(row, leading, coordinates, number)
+        rows.append(row)
+        rests.append(rest)
+    form = MassForm(leading, tuple(rows), tuple(rests))
+    if form.places is None and form.matrix.rank() < len(rows):
+        matrix = form.matrix.to_Matrix()
+        raise ProblemError(
+            f"the mass matrix of {listing(leading)} is singular: {matrix.tolist()}",
+            term=matrix,
+            remedy="the equations determine these derivatives only in some combination; "
+            "give one independent equation for each",
+        )
+    return form
+
+
+def _linear_in(
+    leading: Sequence[sp.Expr], residual: sp.Expr, number: int
+) -> tuple[Row, list[sp.Expr]]:
+    """Split a residual into a row of the mass matrix and the terms of the rest."""
+    stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
+    absent = dict.fromkeys(stand_in.values(), sp.S.Zero)
+    back = {symbol: v for v, symbol in stand_in.items()}
+    row: Row = {}
+    rest: list[sp.Expr] = []
+    for term in sp.Add.make_args(residual):
+        replaced = term.xreplace(stand_in)
+        symbols = replaced.free_symbols
+        present = [i for i, v in enumerate(leading) if stand_in[v] in symbols]
+        if not present:
+            rest.append(term)
+            continue
+        for i in present:
+            slope = sp.diff(replaced, stand_in[leading[i]])
+            if not slope.free_symbols.isdisjoint(back):
+                slope = sp.expand(slope)
+            if not slope.free_symbols.isdisjoint(back):
+                raise ProblemError(
+                    f"term {quote(term)} is not linear in {listing(leading[j] for j in present)}",
+                    equation=number,
+                    term=term,
+                    remedy="solve the equation for the derivative by hand",
+                )
+            row[i] = row.get(i, sp.S.Zero) + slope
+        constant = replaced.xreplace(absent)
+        rest.extend(a for a in sp.Add.make_args(constant) if a != 0)
+    return {i: entry for i, entry in sorted(row.items()) if entry != 0}, rest
+
+
+def _check_row(
+    row: Row, leading: Sequence[sp.Expr], coordinates: Sequence[Coordinate], number: int
+) -> None:
+    """Raise if a row of the mass matrix is empty, or its one entry vanishes somewhere."""
+    if not row:
+        raise ProblemError(
+            "the mass matrix is singular: this equation has no highest derivative "
+            f"(of {listing(leading)})",
+            equation=number,
+            remedy="differential-algebraic systems are not supported; eliminate the unknown",
+        )
+    if len(row) > 1:
+        return
+    ((i, mass),) = row.items()
+    for c in coordinates:
+        if mass.free_symbols == {c.symbol} and not mass.has(AppliedUndef):
+            point = zero(mass, c)
+            if point is not None:
+                raise ProblemError(
+                    f"the mass matrix is singular: the coefficient {quote(mass)} of "
+                    f"{quote(leading[i])} vanishes at {c.name} = {point:.6g}, "
+                    f"inside [{c.lower:g}, {c.upper:g}]",
+                    equation=number,
+                    term=mass,
+                    remedy="change the interval so that the coefficient keeps its sign",
+                )

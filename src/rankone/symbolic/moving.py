@@ -1,0 +1,42 @@
+"""May a compiled problem be solved on another box or horizon than the one it was written for?"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+from rankone.domain import Domain
+from rankone.errors import OptionError, ProblemError, RankoneWarning
+from rankone.ir import SeparatedForm
+from rankone.symbolic.admissible import located_defect
+from rankone.symbolic.problem import Problem
+
+__all__ = ["check_moved"]
+
+_REMEDY = "choose other ranges, or compile the problem with these"
+
+
+def check_moved(problem: Problem, form: SeparatedForm, domain: Domain) -> None:
+    """Raise unless the problem is well posed on a domain and its separated form holds there.
+
+    The form was found on the box of the problem: the signs under its roots are those of that box.
+
+    Raises
+    ------
+    OptionError
+        As a new problem on that domain would, or if a factor is not finite and real on it.
+    """
+    t, *_ = problem.time
+    box = dict(zip(problem.parameters, domain.box, strict=True))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RankoneWarning)
+            Problem(problem.equations, (t, *domain.horizon), box, problem.initial)
+    except ProblemError as error:
+        raise OptionError(str(error), term=error.term) from error
+    for dimension, (lower, upper) in enumerate((domain.horizon, *domain.box)):
+        moved = replace(form.coordinates[dimension], lower=lower, upper=upper)
+        for factor in form.factors[dimension]:
+            wrong = located_defect(factor.expression, moved, dimension)
+            if wrong is not None:
+                raise OptionError(wrong, term=factor.expression, remedy=_REMEDY)
