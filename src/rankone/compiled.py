@@ -196,7 +196,7 @@ class CompiledProblem:
         clock, *parameters = form.coordinates
         return SolutionMetadata(
             states=tuple(state.name for state in form.states),
-            roles=tuple(state.role.value for state in form.states),
+            roles=tuple(state.role for state in form.states),
             parameters=tuple(c.name for c in parameters),
             box=tuple((c.lower, c.upper) for c in parameters),
             time=clock.name,

@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from rankone.display import aligned_equations, html_table, latex, latex_number, text_table
+from rankone.metadata import Role
 from rankone.wording import count, number
 
 if TYPE_CHECKING:
@@ -35,17 +35,6 @@ __all__ = [
     "State",
     "Term",
 ]
-
-
-class Role(StrEnum):
-    """What a state is there for."""
-
-    UNKNOWN = "unknown"
-    """The user asked for it."""
-    DERIVATIVE = "derivative"
-    """A time derivative of an unknown, made a state by the reduction to first order."""
-    AUXILIARY = "auxiliary"
-    """A product of states, defined by an algebraic equation."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
 
 __all__ = ["Role", "SolutionMetadata"]
 
-Role = Literal["unknown", "derivative", "auxiliary"]
-"""What a state is: an unknown of the problem, a derivative of one, or what lifting adds."""
+
+class Role(StrEnum):
+    """What a state is there for."""
+
+    UNKNOWN = "unknown"
+    """The user asked for it."""
+    DERIVATIVE = "derivative"
+    """A time derivative of an unknown, made a state by the reduction to first order."""
+    AUXILIARY = "auxiliary"
+    """A product of states, defined by an algebraic equation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +28,7 @@ class SolutionMetadata:
     states : tuple of str
         Names of all states in the order of the slabs' states; derivatives that became states are
         called ``x_t``, ``x_tt``, ...
-    roles : tuple of {"unknown", "derivative", "auxiliary"}
+    roles : tuple of Role
         What each state is.
     parameters : tuple of str
         Names of the parameters, in the order of the slabs' cores.
@@ -62,4 +70,4 @@ class SolutionMetadata:
     @property
     def unknown_rows(self) -> tuple[int, ...]:
         """Positions of the unknowns among the states."""
-        return tuple(row for row, role in enumerate(self.roles) if role == "unknown")
+        return tuple(row for row, role in enumerate(self.roles) if role == Role.UNKNOWN)

@@ -12,7 +12,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
 from functools import cache
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if isinstance(value, Enum):
-        return value.name
+        return value.value if isinstance(value, str) else value.name
     if isinstance(value, np.generic):
         value = value.item()
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
@@ -42,8 +42,8 @@ def rebuilt(kind: Any, value: Any) -> Any:
     Parameters
     ----------
     kind : type or annotation
-        A dataclass, an enumeration, ``float``, ``int``, ``bool``, ``str``, ``None``, and tuples,
-        dictionaries, unions and literals of them.
+        A dataclass, an enumeration (of texts by value, others by name), ``float``, ``int``,
+        ``bool``, ``str``, ``None``, and tuples, dictionaries and optional ones of them.
     value : object
         Plain data.
 
@@ -66,10 +66,10 @@ def rebuilt(kind: Any, value: Any) -> Any:
     if origin is None and is_dataclass(kind) and isinstance(value, dict):
         return _dataclass(kind, value)
     if isinstance(kind, type) and issubclass(kind, Enum):
-        return kind[value]
+        return kind(value) if issubclass(kind, str) else kind[value]
     if kind is float and (type(value) in (float, int) or value in _NOT_FINITE):
         return float(value)
-    if type(value) is kind or (origin is Literal and value in parts):
+    if type(value) is kind:
         return value
     raise TypeError(f"{value!r} is not of the kind {kind}")
 

@@ -1,34 +1,11 @@
 """Saving and loading solutions in an open format: NumPy ``.npz`` with a JSON header, no pickle.
 
-A file is a zip archive of ``.npy`` arrays, readable by ``numpy.load(path, allow_pickle=False)``
-and by any program that reads zip and npy:
-
-``header``
-    A text array without dimensions that holds JSON:
-
-    - ``format``: ``"rankone-solution"``; ``format_version``: 1;
-    - ``metadata``: the fields of :class:`~rankone.metadata.SolutionMetadata`, and ``unknowns``;
-      without ``roles`` the states behind the unknowns are derivatives;
-    - ``status`` (name of a :class:`~rankone.solvers.outcome.Status`), ``message``, ``measured``
-      (or null), ``history`` (one object for each slab tried), ``timings``, ``blow_up`` (time and
-      list of parameter values, or null): as in :class:`~rankone.solvers.outcome.Outcome`;
-    - ``bases``: the distinct bases, each with ``kind`` (``"chebyshev"`` or ``"legendre"``),
-      ``lower``, ``upper``, ``degree`` and ``elements``;
-    - ``slabs``: for each slab its ``start``, ``end`` and ``bases``, one index into ``bases`` for
-      each parameter.
-
-    Numbers have the fewest digits that give them back exactly; NaN and infinities are the texts
-    ``"nan"``, ``"inf"`` and ``"-inf"``, since JSON has none.
-
-``core_<slab>_<dimension>``
-    The cores of each slab, float64: dimension 0 (states, time modes, rank) on the Legendre
-    polynomials orthonormal on the slab, dimension j (rank, modes, rank) on the modes of the basis
-    of parameter j: on each of its equal elements the polynomials orthonormal for the uniform
-    (Legendre) or arcsine (Chebyshev) probability measure of the whole interval. See
-    :class:`~rankone.tensors.slab.SlabTrain`.
-
-Readers refuse versions newer than their own, and pass over entries they do not know. The version
-grows when an old reader could misunderstand a file.
+The array ``header`` is a text that holds what was asked
+(:class:`~rankone.metadata.SolutionMetadata`, and ``unknowns``), the bases of every slab and the
+:class:`~rankone.solvers.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of each
+:class:`~rankone.tensors.slab.SlabTrain`. Readers refuse versions newer than their own and pass over
+entries they do not know; the version grows when an old reader could misunderstand a file.
+docs/formats.md has every field.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Carrying definitions of the library over into one file.
 
-Starting from a few roots, everything they reach is selected: functions, classes, constants and,
-within classes, the methods whose names occur in what was selected so far. The text is taken as it
-stands, with its comments and docstrings. What changes is little: imports from the library, markup
-of cross references and marks for linters go, module docstrings become the titles of sections, and a
-name that two modules use for different things gets the name of its module in front.
+Starting from a few roots, every function, class and constant they reach is selected. The text is
+taken as it stands, with its comments and docstrings. What changes is little: imports from the
+library, markup of cross references and marks for linters go, module docstrings become the titles of
+sections, and a name that two modules use gets the name of its module in front.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from rankone.errors import ExportError
 from rankone.export.modules import Import, SourceModule, Statement, imported, read_module, resolve
@@ -27,7 +26,6 @@ Key = tuple[str, str]
 
 _ROLE = re.compile(r":(?:class|func|meth|mod|attr|data):`~?(?:[\w.]*\.)?(\w+)`")
 _MARK = re.compile(r"  # (?:noqa|type: ignore)\b.*")
-_HEADING = re.compile(r" *# -- .* --+$")
 _WIDTH = 100
 
 
@@ -76,8 +74,7 @@ def carry(
     Parameters
     ----------
     roots : iterable of str
-        ``"module:name"``, or ``"module:Class.method"`` for a method that nothing calls, or
-        ``"module:Class.*"`` for all methods.
+        ``"module:name"``.
     reserved : collection of str
         Names that are taken by the text the sections will stand beside.
     renamed : mapping of str to str
@@ -104,12 +101,9 @@ def carry(
     names = _new_names(selection, modules, reserved)
     asked = {_key(old)[1]: new for old, new in (renamed or {}).items()}
     sections = []
-    written: dict[str, str] = {}
     for module in modules:
-        text = _ModuleText(module, selection, names).write(written)
-        if text:
-            section = _section(module, text, (titles or {}).get(module.name))
-            sections.append(replace(section, text=_words(section.text, asked)))
+        text = _words(_ModuleText(module, selection, names).write(), asked)
+        sections.append(_section(module, text, (titles or {}).get(module.name)))
     return sections, selection.imports
 
 
@@ -179,38 +173,19 @@ def _member_order(name: str) -> tuple[int, str]:
 
 
 class _Selection:
-    """What is carried over: top-level names, and the methods of classes."""
+    """What is carried over: top-level names by module."""
 
     def __init__(self) -> None:
         self.names: dict[str, set[str]] = {}
-        self.methods: set[tuple[str, str, str]] = set()
         self.imports: set[Import] = set()
         self.needs: dict[str, set[str]] = {}
-        self._attributes: set[str] = set()
-        self._waiting: dict[tuple[str, str, str], ast.FunctionDef] = {}
 
     def take(self, roots: Iterable[str]) -> None:
         """Select the roots and everything they reach."""
-        asked: set[tuple[str, str, str]] = set()
-        for root in roots:
-            module, name = _key(root)
-            top, _, method = name.partition(".")
-            if method:
-                asked.add((module, top, method))
-            if resolve(read_module(module), top) is None:
-                raise ExportError(f"`{module}` does not define `{top}`")
-            self._take_name(read_module(module), top)
-        grown = True
-        while grown:
-            grown = False
-            for key in list(self._waiting):
-                if {key, (*key[:2], "*")} & asked or key[2] in self._attributes:
-                    node = self._waiting.pop(key)
-                    self.methods.add(key)
-                    self._take_node(read_module(key[0]), node)
-                    grown = True
-        if unknown := {key for key in asked if key[2] != "*"} - self.methods:
-            raise ExportError(f"no such methods: {sorted(unknown)}")
+        for module, name in map(_key, roots):
+            if resolve(read_module(module), name) is None:
+                raise ExportError(f"`{module}` does not define `{name}`")
+            self._take_name(read_module(module), name)
 
     def order(self) -> list[SourceModule]:
         """The modules, each after those whose definitions it uses where there is no cycle."""
@@ -245,22 +220,7 @@ class _Selection:
         if own_name in known:
             return
         known.update(statement.names)
-        node = statement.node
-        if not isinstance(node, ast.ClassDef):
-            self._take_node(owner, node)
-            return
-        for part in [*node.decorator_list, *node.bases, *node.keywords]:
-            self._take_node(owner, part)
-        for member in node.body:
-            if not isinstance(member, ast.FunctionDef):
-                self._take_node(owner, member)
-                continue
-            key = owner.name, node.name, member.name
-            if re.fullmatch("__.*__", member.name):
-                self.methods.add(key)
-                self._take_node(owner, member)
-            else:
-                self._waiting[key] = member
+        self._take_node(owner, statement.node)
 
     def _take_node(self, module: SourceModule, node: ast.AST) -> None:
         """Select what a piece of code refers to."""
@@ -273,7 +233,6 @@ class _Selection:
         }
         for inner in ast.walk(node):
             if isinstance(inner, ast.Attribute):
-                self._attributes.add(inner.attr)
                 dotted = ast.unparse(inner)
                 for found in module.imports.values():
                     if found.name is None and dotted.startswith(f"{found.alias}."):
@@ -294,24 +253,18 @@ def _new_names(
     selection: _Selection, order: Sequence[SourceModule], reserved: Collection[str]
 ) -> dict[Key, str]:
     """New names for those that are taken: the module's name goes in front."""
-    taken: dict[str, str] = dict.fromkeys(reserved, "")
-    for found in selection.imports:
-        taken[found.alias.split(".")[0]] = ""
+    taken = {*reserved, *(found.alias.split(".")[0] for found in selection.imports)}
     renamed: dict[Key, str] = {}
     for module in order:
-        for statement in module.statements:
-            for name in statement.names:
-                if name not in selection.names[module.name]:
-                    continue
-                text = "\n".join(module.lines[statement.first - 1 : statement.last])
-                if taken.get(name, text) != text:
-                    new = _prefixed(name, module.stem)
-                    if new in taken:
-                        raise ExportError(f"`{name}` of `{module.name}` is taken, so is `{new}`")
-                    renamed[module.name, name] = new
-                    taken[new] = text
-                else:
-                    taken[name] = text
+        for name in module.definitions:
+            if name not in selection.names[module.name]:
+                continue
+            new = _prefixed(name, module.stem) if name in taken else name
+            if new in taken:
+                raise ExportError(f"`{name}` of `{module.name}` is taken, so is `{new}`")
+            if new != name:
+                renamed[module.name, name] = new
+            taken.add(new)
     return renamed
 
 
@@ -337,22 +290,17 @@ class _ModuleText:
         self.lines: list[str | None] = [*module.lines]
         self.renamed = self._local_names(renamed)
 
-    def write(self, written: dict[str, str]) -> str:
-        """The definitions in their order; those written before, word for word, are left out."""
+    def write(self) -> str:
+        """The definitions in their order."""
         parts: list[str] = []
         last: Statement | None = None
         kept = self.selection.names[self.module.name]
         for statement in self.module.statements:
-            if not kept.intersection(statement.names):
-                continue
-            text = self._statement(statement)
-            if all(written.get(name) == text for name in statement.names):
-                continue
-            written.update(dict.fromkeys(statement.names, text))
-            if last is not None:
-                parts += [""] * self._gap(last, statement)
-            parts.append(text)
-            last = statement
+            if kept.intersection(statement.names):
+                if last is not None:
+                    parts += [""] * self._gap(last, statement)
+                parts.append(self._statement(statement))
+                last = statement
         return "\n".join(parts)
 
     def _gap(self, last: Statement, statement: Statement) -> int:
@@ -364,16 +312,12 @@ class _ModuleText:
 
     def _statement(self, statement: Statement) -> str:
         self._rename(statement.node)
-        if isinstance(statement.node, ast.ClassDef):
-            self._drop_methods(statement.node)
         for inner in ast.walk(statement.node):
             if isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone"):
-                self._drop(inner.lineno, (inner.end_lineno or 0), and_blank=True)
+                self._drop(inner.lineno, inner.end_lineno or 0)
         rows = [row for row in self.lines[statement.first - 1 : statement.last] if row is not None]
         text = [line for row in rows for line in row.split("\n")]
-        if isinstance(statement.node, ast.ClassDef):
-            text = _tidy_class(text)
-        elif statement.last > (end := statement.node.end_lineno or 0):
+        if statement.last > (end := statement.node.end_lineno or 0):
             text = _beside(text, end - statement.last)
         return "\n".join(_plain(_MARK.sub("", line)) for line in text)
 
@@ -404,33 +348,11 @@ class _ModuleText:
                 line = line[:offset] + self.renamed[name].encode() + line[end:]
             self.lines[number - 1] = line.decode()
 
-    def _drop(self, first: int, last: int, *, and_blank: bool = False) -> None:
+    def _drop(self, first: int, last: int) -> None:
         """Leave lines out, and a blank line that follows them."""
         self.lines[first - 1 : last] = [None] * (last - first + 1)
-        if and_blank and last < len(self.lines) and self.lines[last] == "":
+        if last < len(self.lines) and self.lines[last] == "":
             self.lines[last] = None
-
-    def _drop_methods(self, node: ast.ClassDef) -> None:
-        previous = node.lineno
-        for member in node.body:
-            first = member.lineno
-            if isinstance(member, ast.FunctionDef):
-                first = min([first, *(item.lineno for item in member.decorator_list)])
-                if (self.module.name, node.name, member.name) not in self.selection.methods:
-                    start = previous + 1
-                    self._drop(start, member.end_lineno or 0)
-            previous = member.end_lineno or 0
-
-
-def _tidy_class(lines: Sequence[str]) -> list[str]:
-    """One blank line at most between members, none at the end or below a heading."""
-    tidy: list[str] = []
-    for line in lines:
-        if line.strip() or (tidy and tidy[-1].strip() and not _HEADING.match(tidy[-1])):
-            tidy.append(line)
-    while tidy and not tidy[-1].strip():
-        tidy.pop()
-    return tidy
 
 
 def _beside(lines: list[str], count: int) -> list[str]:

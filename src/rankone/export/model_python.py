@@ -43,9 +43,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         imports.add(Import("pathlib", "Path", "Path"))
         files[path.with_suffix(".npz")] = npz({"coefficients": coefficients.astype("<f8")})
         data = _LOAD_FILE
-    sections, more = carry(
-        ["rankone.export.model_program:Model", *_METHODS], reserved={"np", *_OWN_NAMES}
-    )
+    sections, more = carry(["rankone.export.model_program:Model"], reserved={"np", *_OWN_NAMES})
     head = [*docstring(_head(model, path), indent=""), ""]
     head += ["from __future__ import annotations", "", *import_lines(imports | more), ""]
     parts = [
@@ -56,7 +54,6 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     return {path: "\n\n\n".join(parts) + "\n", **files}
 
 
-_METHODS = [f"rankone.export.model_program:Model.{name}" for name in ("value", "gradient")]
 _OWN_NAMES = (
     *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "STARTS", "SLABS", "DATA", "MODEL"),
     *("COEFFICIENTS", "value", "gradient"),

@@ -26,20 +26,12 @@ from rankone.version import __version__
 __all__ = ["Compiled", "standalone_source"]
 
 
-class Named(Protocol):
-    """A problem, as far as the exporter needs it."""
-
-    @property
-    def name(self) -> str | None:
-        """What the problem is called."""
-
-
 class Compiled(Protocol):
     """A compiled problem, as far as the exporter needs it."""
 
     @property
-    def problem(self) -> Named:
-        """The problem."""
+    def problem(self) -> Any:
+        """The problem; its name is shown in the header."""
 
     @property
     def separated(self) -> object:
@@ -101,8 +93,6 @@ def standalone_source(compiled: Compiled, method: str = "train") -> str:
         [
             f"{engine.solve.__module__}:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
-            f"{_CORE}.*",
-            "rankone.solution_core:UnknownView.*",
         ],
         reserved={*module.names, *_OWN_NAMES},
         renamed={_CORE: "Solution"},
@@ -154,7 +144,7 @@ def _engine_to_command_line(sections: Iterable[Section]) -> Iterable[str]:
     """The sections, with a heading before the first of each part."""
     titles = list(_PARTS)
     for part, found in itertools.groupby(sections, lambda section: _part(section.module)):
-        yield f"{_heading(titles[part])}\n\n" + "\n\n\n".join(map(str, found))
+        yield "\n\n\n".join([_heading(titles[part]), *map(str, found)])
 
 
 def _heading(title: str) -> str:
