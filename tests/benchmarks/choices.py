@@ -29,7 +29,7 @@ import numpy as np  # noqa: E402
 import rankone as ro  # noqa: E402
 from examples import coupled, kirchhoff, linear, lotka_volterra, robertson  # noqa: E402
 from rankone.solvers.reference import integrate_reference  # noqa: E402
-from rankone.solvers.train import engine, march, nodes, sweep  # noqa: E402
+from rankone.solvers.train import engine, iteration, nodes, sweep  # noqa: E402
 from rankone.tensors.truncation import truncated_svd  # noqa: E402
 from tests.benchmarks.report import machine, update  # noqa: E402
 
@@ -88,12 +88,12 @@ VARIANTS: dict[
     "Gauss–Legendre nodes": ({"basis": "legendre"}, nullcontext, list(PROBLEMS)[1:]),
     "sweeps both ways": (
         {},
-        lambda: _replaced(march, "Sweeper", BothWays),
+        lambda: _replaced(iteration, "Sweeper", BothWays),
         list(PROBLEMS)[1:],
     ),
     "first core not settled": (
         {},
-        lambda: _replaced(march, "Sweeper", Unsettled),
+        lambda: _replaced(iteration, "Sweeper", Unsettled),
         list(PROBLEMS)[1:],
     ),
     "full SVD": (
@@ -103,7 +103,7 @@ VARIANTS: dict[
     ),
     "frame not widened": (
         {},
-        lambda: _replaced(march, "widened", lambda cores, extra: list(cores)),
+        lambda: _replaced(iteration, "widened", lambda cores, extra: list(cores)),
         list(PROBLEMS)[1:],
     ),
     "tolerance not divided by growth": (
@@ -113,7 +113,7 @@ VARIANTS: dict[
     ),
     "all entries kept": (
         {},
-        lambda: _replaced(march, "thinned", lambda cores, tolerance: list(cores)),
+        lambda: _replaced(iteration, "thinned", lambda cores, tolerance: list(cores)),
         ["Kirchhoff, T = 1", "Kirchhoff, T = 3", "Robertson"],
     ),
     "known functions to the tolerance": (

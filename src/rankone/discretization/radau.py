@@ -10,7 +10,10 @@ from numpy.polynomial import legendre as npl
 from rankone.arrays import Array
 from rankone.discretization.basis import legendre_values
 
-__all__ = ["RadauCollocation"]
+__all__ = ["INSET", "RadauCollocation"]
+
+INSET = 1e-9
+"""Times stay inside a slab or segment by this part of it: factors may jump at its ends."""
 
 
 class RadauCollocation:
@@ -27,6 +30,8 @@ class RadauCollocation:
         Number of nodes K.
     nodes : ndarray (K,)
         Radau points in (0, 1], ascending, the last is 1.
+    points : ndarray (K + 1,)
+        0 and the nodes.
     derivative : ndarray (K, K)
     start : ndarray (K,)
         Equal to the row sums of ``derivative``.
@@ -36,11 +41,15 @@ class RadauCollocation:
 
     def __init__(self, count: int) -> None:
         self.count, self.nodes = count, _radau_points(count)
-        points = np.concatenate([[0.0], self.nodes])
-        full = _differentiation(points)[1:]
+        self.points = np.concatenate([[0.0], self.nodes])
+        full = _differentiation(self.points)[1:]
         self.derivative = full[:, 1:]
         self.start = -full[:, 0]
-        self.to_modal = np.linalg.inv(legendre_values(2.0 * points - 1.0, count + 1))
+        self.to_modal = np.linalg.inv(legendre_values(2.0 * self.points - 1.0, count + 1))
+
+    def times(self, start: float, length: float) -> Array:
+        """The nodes of the slab [start, start + length], a little inside of it."""
+        return np.asarray(start + length * (INSET + (1.0 - 2.0 * INSET) * self.nodes))
 
     @staticmethod
     @lru_cache(maxsize=32)

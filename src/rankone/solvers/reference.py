@@ -16,15 +16,14 @@ import scipy.integrate
 import scipy.sparse
 
 from rankone.arrays import Array
+from rankone.discretization.radau import INSET
 from rankone.errors import ConvergenceError
 from rankone.solvers.outcome import Measured
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["INSET", "Reference", "check_points", "initial_values", "integrate_reference", "measure"]
+__all__ = ["Reference", "check_points", "initial_values", "integrate_reference", "measure"]
 
-INSET = 1e-9
-"""Times stay inside a slab or segment by this part of it: factors may jump at its ends."""
 _PROBE_STEPS = 100
 """DOP853 steps after which it is asked whether stability limits the step."""
 _STIFF_PRODUCT = 3.0
@@ -81,6 +80,9 @@ class Reference:
         Whether the stiff integrator was used.
     blown : int or None
         The point whose trajectory blows up at ``end``.
+    batches : tuple
+        Number of points and dense output of each integration, in the order of the points.
+    states : int
     """
 
     points: Array
@@ -88,13 +90,22 @@ class Reference:
     end: float
     stiff: bool
     blown: int | None
-    dense: Any
+    batches: tuple[tuple[int, Any], ...]
     states: int
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
-        values = self.dense(times)
-        return np.asarray(values.reshape(self.states, len(self.points), -1))
+        parts = [dense(times).reshape(self.states, count, -1) for count, dense in self.batches]
+        return np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
+
+    def joined(self, other: Reference) -> Reference:
+        """The trajectories of both, up to where the first of them blows up."""
+        first, blown = self, self.blown
+        if other.end < self.end and other.blown is not None:
+            first, blown = other, len(self.points) + other.blown
+        points = np.concatenate([self.points, other.points])
+        batches, stiff = self.batches + other.batches, self.stiff or other.stiff
+        return Reference(points, self.start, first.end, stiff, blown, batches, self.states)
 
 
 def integrate_reference(
@@ -145,7 +156,7 @@ def integrate_reference(
         growth = np.abs(integration.state.reshape(n, m)) / np.maximum(np.abs(initial), size)
         blown = int(np.argmax(np.nan_to_num(growth, nan=np.inf).max(axis=0)))
     dense = scipy.integrate.OdeSolution(integration.times, integration.pieces)
-    return Reference(points, start, float(reached), stiff, blown, dense, n)
+    return Reference(points, start, float(reached), stiff, blown, ((m, dense),), n)
 
 
 @dataclass

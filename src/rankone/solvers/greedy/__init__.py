@@ -7,8 +7,9 @@ module                  subject
 ``operators``           D = sum (x) D_j^i and G = sum (x) G_j^i on shape functions
 ``enrichment``          fixed point, normalisation, projection, update, residual of one unknown
 ``lagging``             decoupled equations, update of G
-``march``               time slabs
-``engine``              check against SciPy, more nodes or a tighter tolerance
+``slabs``               from slab to slab
+``length``              the lengths of slabs
+``engine``              more nodes or a tighter tolerance after the check
 ``nodes``               numbers of nodes
 ``options``             choices by name, and the choice of the slides
 ``history``             what happened in every loop, as data

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import time as clock
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.discretization.finite_elements import LagrangeElements
 from rankone.domain import Domain
+from rankone.solvers.attempts import Attempt, solve_in_attempts
 from rankone.solvers.engine import Engine, Report, Request
 from rankone.solvers.greedy.history import GreedySlabRecord
-from rankone.solvers.greedy.march import March
+from rankone.solvers.greedy.lagging import Coupling
+from rankone.solvers.greedy.length import SlabLengths
 from rankone.solvers.greedy.nodes import first_nodes
 from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.greedy.terms import source_terms
-from rankone.solvers.outcome import Outcome, Status
-from rankone.solvers.reference import Reference
+from rankone.solvers.greedy.slabs import LaggedSlabs
+from rankone.solvers.march import March, MarchResult
+from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.solvers.sensitivity import amplification
-from rankone.solvers.verification import Attempt, Yardstick
+from rankone.solvers.verification import Yardstick
 from rankone.system import System
 
 __all__ = ["ENGINE", "solve_greedy"]
@@ -28,13 +29,62 @@ _SHARE = 0.03
 """Tolerance of a slab relative to the error asked for, before the growth of errors."""
 _TAIL = 0.1
 """Part of the error asked for that the highest modes may make up."""
-_REMEDIES = {
-    Status.RANK_LIMIT: "raise max_modes, loosen rtol or use method='train'",
-    Status.SLAB_LIMIT: "raise max_slabs, shorten the horizon or use method='train'",
-    Status.NO_CONVERGENCE: "use more time_slabs, formulation='volterra', update='all' or "
-    "method='train'",
-    Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
-}
+_CONTRACTION = 3.0
+"""Length of the first slab times the largest norm of the scaled Jacobian."""
+
+
+class GreedyMarcher:
+    """Marches with more nodes, then with tighter tolerances."""
+
+    remedies: ClassVar[Mapping[Status, str]] = {
+        Status.RANK_LIMIT: "raise max_modes, loosen rtol or use method='train'",
+        Status.SLAB_LIMIT: "raise max_slabs, shorten the horizon or use method='train'",
+        Status.NO_CONVERGENCE: "use more time_slabs, formulation='volterra', update='all' or "
+        "method='train'",
+        Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
+    }
+
+    def __init__(self, request: Request[GreedyOptions], yardstick: Yardstick) -> None:
+        self.rtol, self.options, self.yardstick = request.rtol, request.options, yardstick
+        system, domain, sizes = yardstick.system, yardstick.domain, yardstick.states
+        self.growth = amplification(system, yardstick.reference, sizes, yardstick.end)
+        self.coupling = Coupling(system, sizes, self.options)
+        lagged = any(map(self.coupling.lagged, self.coupling.blocks))
+        self.longest = _CONTRACTION / max(_stiffness(yardstick), 1e-300) if lagged else math.inf
+        self.nodes = first_nodes(system, domain, self.rtol, self.options)
+        self.tails = np.zeros(1 + len(domain.box))
+        self.share = _SHARE
+
+    def tolerance(self, time: float) -> float:
+        """Tolerance of a slab, in units of the sizes."""
+        return self.options.tolerance or max(self.share * self.rtol / self.growth(time), 1e-13)
+
+    def march(self, number: int, report: Report) -> MarchResult:
+        """March with the present nodes and tolerance."""
+        start, end = self.yardstick.reference.start, self.yardstick.end
+        lengths = SlabLengths(start, end, self.options, self.longest)
+        domain = self.yardstick.domain
+        slabs = LaggedSlabs(self.coupling, domain, self.nodes, self.tolerance, number)
+        result = March(lengths, slabs, self.options.max_slabs).run(start, end, number, report)
+        self.tails = slabs.tails
+        return result
+
+    def refine(self, attempt: Attempt, stalls: int) -> bool:
+        """More nodes where the highest modes are not small, else a tighter tolerance."""
+        nodes, limits = self.nodes, attempt.result.limits
+        self.nodes = nodes.finer(self.tails > _TAIL * self.rtol, self.options)
+        same = self.nodes == nodes
+        stuck = stalls or limits or self.options.tolerance is not None
+        if (stalls and limits) or (same and stuck):
+            return False
+        if same:
+            self.share *= min(max(0.5 * self.rtol / attempt.error, 0.05), 0.5)
+        return True
+
+    def cause(self, status: Status, attempt: Attempt) -> str:
+        """Where the lagged terms were furthest from settled, if that is why."""
+        unsettled = status is Status.NO_CONVERGENCE
+        return _unsettled(attempt.result.records) if unsettled else status.value
 
 
 def solve_greedy(
@@ -42,102 +92,15 @@ def solve_greedy(
 ) -> Outcome:
     """Solve a generated system for the whole box by the classic method.
 
-    Parameters
-    ----------
-    system : System
-        The generated module.
-    domain : Domain
-    request : Request
-    report : callable
-        Called with a ProgressEvent after each accepted slab.
-
-    Returns
-    -------
-    Outcome
-        ``status`` is CONVERGED only if the measured error is within the tolerance asked. Finite
-        elements in time give one slab for each element.
+    Finite elements in time give one slab for each element.
     """
-    rtol, options = request.rtol, request.options
-    timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
-    began = clock.perf_counter()
-    yardstick = Yardstick.of(system, domain, rtol, request.points)
-    reference, end = yardstick.reference, yardstick.end
-    sizes = yardstick.sizes(system)[: system.N_DIFFERENTIAL]
-    stiffness = _stiffness(system, reference, sizes, end)
-    growth = amplification(system, reference, sizes, end)
-    terms = source_terms(system)
-    timings["reference"] = clock.perf_counter() - began
-
-    nodes = first_nodes(system, domain, rtol, options)
-    share = _SHARE
-    records: list[GreedySlabRecord] = []
-    best: Attempt | None = None
-    tried: Sequence[GreedySlabRecord] = ()
-    for attempt in range(options.max_attempts):
-        began = clock.perf_counter()
-        level = share * rtol
-
-        def tolerance(t: float, level: float = level) -> float:
-            return options.tolerance or max(level / growth(t), 1e-13)
-
-        def in_time(lower: float, upper: float, count: int = nodes.time) -> LagrangeElements:
-            return options.shape_functions(lower, upper, count)
-
-        spaces = [
-            options.shape_functions(lower, upper, count)
-            for (lower, upper), count in zip(domain.box, nodes.parameters, strict=True)
-        ]
-        march = March(
-            system,
-            terms,
-            reference.start,
-            end,
-            sizes,
-            stiffness,
-            tolerance,
-            in_time,
-            spaces,
-            options,
-            attempt,
-            report,
-        )
-        result = march.run()
-        records += result.records
-        timings["march"] += clock.perf_counter() - began
-        began = clock.perf_counter()
-        measured = yardstick.measured(result.slabs, sizes)
-        current = Attempt(result.slabs, result.stopped, set(result.limits), measured)
-        timings["check"] += clock.perf_counter() - began
-        error = current.error
-        stalled = best is not None and error > 0.7 * best.error
-        if current.better_than(best):
-            best, tried = current, result.records
-        if not request.points or result.stopped or error <= rtol:
-            break
-        finer = nodes.finer(result.tails > _TAIL * rtol, options)
-        stuck = stalled or result.limits or options.tolerance is not None
-        if (stalled and result.limits) or (finer == nodes and stuck):
-            break
-        if finer == nodes:
-            share *= min(max(0.5 * rtol / error, 0.05), 0.5)
-        nodes = finer
-    assert best is not None
-    status = best.status(yardstick, rtol)
-    cause = _unsettled(tried) if status is Status.NO_CONVERGENCE else None
-    return Outcome(
-        tuple(best.slabs),
-        status,
-        best.message(status, rtol, _REMEDIES, cause),
-        best.measured,
-        tuple(records),
-        timings,
-        yardstick.blow_up,
-    )
+    return solve_in_attempts(GreedyMarcher, system, domain, request, report)
 
 
-def _stiffness(system: System, reference: Reference, sizes: Array, end: float) -> float:
+def _stiffness(yardstick: Yardstick) -> float:
     """Largest row sum norm of the Jacobian over the check points, in units of the sizes."""
-    times = np.linspace(reference.start, end, 101)
+    system, reference, sizes = yardstick.system, yardstick.reference, yardstick.states
+    times = np.linspace(reference.start, yardstick.end, 101)
     values = reference(times)
     n, m, count = values.shape
     jacobian = system.jacobian(times, values, reference.points.T[:, :, None])
@@ -146,7 +109,7 @@ def _stiffness(system: System, reference: Reference, sizes: Array, end: float) -
     return float(scaled.sum(axis=1).max())
 
 
-def _unsettled(records: Sequence[GreedySlabRecord]) -> str:
+def _unsettled(records: Sequence[SlabRecord]) -> str:
     """Where the lagged terms were furthest from settled."""
     worst = max(records, key=lambda record: record.residuals[-1])
     return (

@@ -18,10 +18,11 @@ from rankone.solvers.greedy.enrichment import Enrichment
 from rankone.solvers.greedy.history import EquationRecord
 from rankone.solvers.greedy.operators import Equation, ShapeSpace, assemble
 from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.greedy.terms import SourceTerm
+from rankone.solvers.greedy.terms import evaluation_order, source_terms
+from rankone.system import System
 from rankone.tensors.rank_one_sums import RankOneSum
 
-__all__ = ["LaggedSlab", "SlabResult", "compressed"]
+__all__ = ["Coupling", "LaggedSlab", "SlabResult", "compressed"]
 
 _LARGEST_SOURCE = 4000
 """Rank above which a source is compressed before it is solved for."""
@@ -64,50 +65,58 @@ class SlabResult:
         return max((modes.rank for modes in self.modes), default=0)
 
 
+class Coupling:
+    """The equations of a system one by one, and the order in which they are solved.
+
+    Parameters
+    ----------
+    system : System
+    sizes : ndarray (n,)
+        Size of each state.
+    options : GreedyOptions
+
+    Attributes
+    ----------
+    own, others : list of list of SourceTerm
+        For each equation the terms of its operator, and those of its source.
+    blocks : tuple of tuple of int
+        States that lag each other; the blocks are solved one after the other.
+    """
+
+    def __init__(self, system: System, sizes: Array, options: GreedyOptions) -> None:
+        self.system, self.sizes, self.options = system, sizes, options
+        terms, states = source_terms(system), range(system.N_DIFFERENTIAL)
+        self.own = [[t for t in terms if t.equation == c and t.own] for c in states]
+        self.others = [[t for t in terms if t.equation == c and not t.own] for c in states]
+        self.blocks = evaluation_order(terms, len(states))
+
+    def lagged(self, block: tuple[int, ...]) -> bool:
+        """Whether any term of a block is lagged."""
+        return len(block) > 1 or any(block[0] in term.monomial for term in self.others[block[0]])
+
+
 class LaggedSlab:
     """The lagged iteration on one slab.
 
     Parameters
     ----------
     space : ShapeSpace
-    terms : sequence of SourceTerm
-        All terms of f.
-    blocks : sequence of tuple of int
-        States that lag each other; the blocks are solved one after the other.
+    coupling : Coupling
     start : sequence of RankOneSum
         Values at the parameter nodes of each state at the start of the slab; the factor of time
         is one row of amplitudes.
-    sizes : ndarray (n,)
-        Size of each state.
-    names : sequence of str
-        Names of the states, for the records.
-    options : GreedyOptions
     """
 
-    def __init__(
-        self,
-        space: ShapeSpace,
-        terms: Sequence[SourceTerm],
-        blocks: Sequence[tuple[int, ...]],
-        start: Sequence[RankOneSum],
-        sizes: Array,
-        names: Sequence[str],
-        options: GreedyOptions,
-    ) -> None:
-        self.space = space
-        self.options = options
-        self.blocks = blocks
-        self.names = names
-        states = range(len(start))
-        self._own = [[t for t in terms if t.equation == c and t.own] for c in states]
-        self._others = [[t for t in terms if t.equation == c and not t.own] for c in states]
-        self._equations = [assemble(space, own, options) for own in self._own]
+    def __init__(self, space: ShapeSpace, coupling: Coupling, start: Sequence[RankOneSum]) -> None:
+        self.space, self.coupling, self.options = space, coupling, coupling.options
+        self._equations = [assemble(space, own, self.options) for own in coupling.own]
         self._start = [space.constant_in_time(value) for value in start]
         self._points = list(self._start)
-        self.modes = [RankOneSum.zero(space.sizes) for _ in states]
+        self.modes = [RankOneSum.zero(space.sizes) for _ in start]
         # a residual of the derivative form is a rate: over the slab it adds up to a state
-        per_time = 1.0 if options.formulation == "volterra" else space.time.upper - space.time.lower
-        self._norms = sizes * math.sqrt(space.volume)
+        derivative = self.options.formulation == "derivative"
+        per_time = space.time.upper - space.time.lower if derivative else 1.0
+        self._norms = coupling.sizes * math.sqrt(space.volume)
         self._units = self._norms / per_time
         self._scale = [np.sqrt(weights) for weights in space.weights]
 
@@ -116,9 +125,8 @@ class LaggedSlab:
         changes: list[float] = []
         records: list[EquationRecord] = []
         converged = usable = True
-        for block in self.blocks:
-            lagged = len(block) > 1 or any(block[0] in t.monomial for t in self._others[block[0]])
-            steps, done = self._iterate(block, lagged, tolerance, records)
+        for block in self.coupling.blocks:
+            steps, done = self._iterate(block, tolerance, records)
             if converged and (not done or len(steps) > len(changes)):
                 changes = steps
             converged = converged and done
@@ -132,9 +140,10 @@ class LaggedSlab:
         )
 
     def _iterate(
-        self, block: tuple[int, ...], lagged: bool, tolerance: float, records: list[EquationRecord]
+        self, block: tuple[int, ...], tolerance: float, records: list[EquationRecord]
     ) -> tuple[list[float], bool]:
         """Solve the equations of a block in turn until their unknowns settle."""
+        lagged = self.coupling.lagged(block)
         changes: list[float] = []
         inner = tolerance if not lagged else max(tolerance, 1e-2)
         for iteration in range(self.options.max_iterations if lagged else 1):
@@ -189,7 +198,7 @@ class LaggedSlab:
         self._points[state] = (self._start[state] + self.space.at_points(new)).merged()
         return EquationRecord(
             iteration,
-            self.names[state],
+            self.coupling.system.STATES[state],
             result.records,
             tuple((result.amplitudes / self._norms[state]).tolist()),
             result.residual / unit,
@@ -198,8 +207,8 @@ class LaggedSlab:
 
     def _source(self, state: int) -> RankOneSum:
         """G at the quadrature points: lagged terms, and own terms of the initial value."""
-        parts = [self.space.product(term, self._points) for term in self._others[state]]
-        parts += [self.space.product(term, self._start) for term in self._own[state]]
+        parts = [self.space.product(term, self._points) for term in self.coupling.others[state]]
+        parts += [self.space.product(term, self._start) for term in self.coupling.own[state]]
         source = RankOneSum.joined(parts, self.space.counts)
         if self.options.formulation == "volterra":
             first = self.space.time.integrated(source.factors[0])

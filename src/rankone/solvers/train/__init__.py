@@ -8,9 +8,10 @@ module                  subject
 ``products``            a symmetric environment against two copies of a core
 ``sweep``               two-site alternating sweeps: contraction, truncated SVD, enrichment
 ``convergence``         whether the sweeps on a slab are done, or hopeless
-``nodes``               parameter nodes to begin with
-``march``               adaptive slabs and parameter nodes over the horizon
-``engine``              inner tolerance, check against SciPy, tightening
+``nodes``               parameter nodes: first, refined, coarsened
+``iteration``           the solve of one slab
+``length``              the lengths of slabs
+``engine``              inner tolerances, tightened after the check
 ``options``             limits and discretisation
 ======================  ==========================================================================
 """

@@ -12,7 +12,15 @@ from rankone.arrays import Array
 from rankone.discretization import Basis1D
 from rankone.system import System
 
-__all__ = ["CONSTANT", "LINEAR", "QUADRATIC", "Group", "Key", "ParameterOperators", "term_groups"]
+__all__ = [
+    "CONSTANT",
+    "LINEAR",
+    "QUADRATIC",
+    "GroupKernels",
+    "Key",
+    "ParameterOperators",
+    "term_groups",
+]
 
 CONSTANT, LINEAR, QUADRATIC = 0, 1, 2
 """Degrees in the states."""
@@ -23,7 +31,7 @@ contraction over those parameters, whatever they did before."""
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class GroupKernels:
     """All terms of one degree and one signature: they share every contraction.
 
     Attributes
@@ -49,12 +57,14 @@ class Group:
         return (self.degree, self.signature)
 
 
-def term_groups(system: System) -> tuple[Group, ...]:
+def term_groups(system: System) -> tuple[GroupKernels, ...]:
     """The groups of a generated system, by degree and signature."""
     kernels = (system.CONSTANT, system.LINEAR, system.QUADRATIC)
     adjoints = (system.CONSTANT, system.LINEAR_ADJOINT, system.QUADRATIC_ADJOINT)
     return tuple(
-        Group(degree, signature, kernels[degree][g], adjoints[degree][g], list(system.PAIRED[g]))
+        GroupKernels(
+            degree, signature, kernels[degree][g], adjoints[degree][g], list(system.PAIRED[g])
+        )
         for degree in (CONSTANT, LINEAR, QUADRATIC)
         for g, signature in enumerate(system.SIGNATURES)
         if kernels[degree][g] is not None

@@ -1,24 +1,130 @@
-"""Parameter nodes to begin with: enough for the functions of the parameters that are known."""
+"""Parameter nodes: enough for the known functions first, then as many as the solution needs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
+from rankone.solvers.train.groups import ParameterOperators
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import System
+from rankone.tensors.train import right_orthonormal
 
-__all__ = ["FEW_PARAMETERS", "first_bases"]
+__all__ = ["FEW_PARAMETERS", "ParameterNodes", "first_bases"]
 
 FEW_PARAMETERS = 2
 """Up to so many parameters functions that are known are resolved, and kept, to rounding level."""
 _ROUNDING = 1e-14
 _UNRESOLVED = 1e-12
 """Relative size of the last modes above which a function is not resolved at all."""
+_PROBE_MODES = 3
+"""Number of modes of a probe's terms: higher ones would look like a need for more nodes."""
+
+
+class ParameterNodes:
+    """The bases of all parameters, refined and coarsened on the way, and the operators on them.
+
+    Parameters
+    ----------
+    system : System
+    bases : tuple of Basis1D
+        To begin with.
+    floors : tuple of int
+        Degrees below which they are not coarsened.
+    options : TrainOptions
+        Their limits.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        bases: tuple[Basis1D, ...],
+        floors: tuple[int, ...],
+        options: TrainOptions,
+    ) -> None:
+        self.system, self.options, self.floors = system, options, floors
+        self.bases = bases
+        self.operators = ParameterOperators(system, bases)
+
+    def take(self, bases: tuple[Basis1D, ...]) -> list[Array]:
+        """Take other bases; returns the maps of scaled values from the old to the new."""
+        maps = [old.transfer(new) for old, new in zip(self.bases, bases, strict=True)]
+        self.bases = bases
+        self.operators = ParameterOperators(self.system, bases)
+        return maps
+
+    def refined(
+        self, spectra: Sequence[Array], tolerance: float
+    ) -> tuple[tuple[Basis1D, ...], bool]:
+        """Bases with more nodes where the highest modes are above the tolerance.
+
+        Also whether some would need more nodes than are allowed.
+        """
+        bases, limited = [], False
+        for basis, spectrum in zip(self.bases, spectra, strict=True):
+            finer = basis.refined(self.options.max_degree)
+            needed = basis.tail(spectrum) > tolerance
+            possible = finer.size <= self.options.max_nodes
+            limited = limited or (needed and not possible)
+            bases.append(finer if needed and possible else basis)
+        return tuple(bases), limited
+
+    def coarsened(self, spectra: Sequence[Array], tolerance: float) -> tuple[Basis1D, ...]:
+        """Bases with no more nodes than are needed, if that makes any of them much smaller."""
+        bases = tuple(
+            basis.coarsened(spectrum, tolerance, least)
+            for basis, spectrum, least in zip(self.bases, spectra, self.floors, strict=True)
+        )
+        pairs = zip(bases, self.bases, strict=True)
+        return bases if any(new.size <= 0.75 * old.size for new, old in pairs) else self.bases
+
+    def initial(self, scale: Array) -> list[Array]:
+        """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
+        terms = self.system.INITIAL
+        rank = max(len(terms), 1)
+        first = np.zeros((self.system.N_DIFFERENTIAL, rank))
+        cores = [np.zeros((rank, basis.size, rank)) for basis in self.bases]
+        rows = [
+            self.system.parameter_factors(j, basis.nodes) * np.sqrt(basis.weights)
+            for j, basis in enumerate(self.bases)
+        ]
+        for k, (coefficient, state, factors) in enumerate(terms):
+            first[state, k] = coefficient / scale[state]
+            for core, row, factor in zip(cores, rows, factors, strict=True):
+                core[k, :, k] = row[factor]
+        if not cores:
+            return [first.sum(axis=1, keepdims=True)]
+        cores[-1] = cores[-1].sum(axis=2, keepdims=True)
+        return right_orthonormal([first, *cores])
+
+    def probe(self, count: int, seed: int) -> list[Array]:
+        """Random sums of low-degree functions of one parameter each, as cores 1, ..., d.
+
+        A pair of cores only sees what its frame does not hide. With a frame widened by the
+        constant and by these functions the sweeps find dependences that the initial values do
+        not have.
+        """
+        generator = np.random.default_rng(seed)
+        sums = np.arange(1, count + 1)
+        cores = []
+        for basis in self.bases:
+            constant = np.sqrt(basis.weights)
+            low = np.arange(basis.size) % basis.degree < _PROBE_MODES
+            modes = generator.standard_normal((count, basis.size)) * low
+            modes *= np.sqrt(0.5) / np.linalg.norm(modes, axis=1, keepdims=True)
+            core = np.zeros((count + 1, basis.size, count + 1))
+            core[0, :, 0] = constant
+            core[sums, :, sums] = np.sqrt(0.5) * constant
+            core[sums, :, 0] = modes @ basis.to_modal
+            cores.append(core)
+        cores[-1] = 0.3 * cores[-1][:, :, :1]
+        return cores
 
 
 def first_bases(

@@ -16,8 +16,7 @@ import scipy.linalg
 
 from rankone.arrays import Array
 from rankone.discretization import RadauCollocation
-from rankone.solvers.reference import INSET
-from rankone.solvers.train.groups import CONSTANT, LINEAR, Group
+from rankone.solvers.train.groups import CONSTANT, LINEAR, GroupKernels
 from rankone.system import System
 
 __all__ = ["SlabOperator"]
@@ -54,7 +53,7 @@ class SlabOperator:
         self.start, self.length = start, length
         n, count = scale.size, collocation.count
         self.shape = (n, count)
-        self.times = start + length * (INSET + (1.0 - 2.0 * INSET) * collocation.nodes)
+        self.times = collocation.times(start, length)
         self.phi = system.time_factors(self.times)
         self._units = scale * np.sqrt(count)
         self.jacobian = jacobian * (scale[None, :, None] / scale[:, None, None])
@@ -79,14 +78,14 @@ class SlabOperator:
         """Time factors at K * repeat points."""
         return self.phi if repeat == 1 else np.repeat(self.phi, repeat, axis=1)
 
-    def constant(self, group: Group, phi: Array) -> Array:
+    def constant(self, group: GroupKernels, phi: Array) -> Array:
         return np.asarray(group.kernel(phi) / self._units[:, None])
 
-    def linear(self, group: Group, phi: Array, x: Array) -> Array:
+    def linear(self, group: GroupKernels, phi: Array, x: Array) -> Array:
         units = self._units[:, None, None]
         return np.asarray(group.kernel(phi, x * units) / units)
 
-    def quadratic(self, group: Group, phi: Array, x: Array, env: Array) -> Array:
+    def quadratic(self, group: GroupKernels, phi: Array, x: Array, env: Array) -> Array:
         """Right-hand side of a quadratic group, contracted with env (r, r, s)."""
         x = x * self._units[:, None, None]
         paired = x[group.paired]
@@ -114,7 +113,7 @@ class SlabOperator:
         flat = tests.reshape(n * count, -1)
         return np.asarray((self.solution_operator.T @ flat).reshape(n, count, -1))
 
-    def left(self, group: Group, weighted: Array, x: Array) -> Array:
+    def left(self, group: GroupKernels, weighted: Array, x: Array) -> Array:
         """<weighted_s, group(x)>: (s,), (s, r) or (s, r, r) by the degree of the group.
 
         ``weighted`` is the adjoint of the test functions, (n, K, s).

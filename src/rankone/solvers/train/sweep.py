@@ -22,7 +22,7 @@ from rankone.solvers.train.groups import (
     CONSTANT,
     LINEAR,
     QUADRATIC,
-    Group,
+    GroupKernels,
     Key,
     ParameterOperators,
 )
@@ -41,7 +41,7 @@ class Sweeper:
     ----------
     operator : SlabOperator
         Kernels and preconditioner.
-    groups : tuple of Group
+    groups : tuple of GroupKernels
         The term groups of the system.
     parameters : ParameterOperators
         Diagonal parameter operators on the current bases.
@@ -54,7 +54,7 @@ class Sweeper:
     """
 
     operator: SlabOperator
-    groups: tuple[Group, ...]
+    groups: tuple[GroupKernels, ...]
     parameters: ParameterOperators
     cores: list[Array]
     source: list[Array]
@@ -82,6 +82,17 @@ class Sweeper:
     @property
     def ranks(self) -> tuple[int, ...]:
         return tuple(core.shape[0] for core in self.cores[1:])
+
+    @property
+    def memory(self) -> float:
+        """Estimated bytes that the contractions need."""
+        total = 0.0
+        ranks, bases = (*self.ranks, 1), self.parameters.bases
+        for left, basis, right in zip(ranks[:-1], bases, ranks[1:], strict=True):
+            total += basis.size * (left * left * right + left * right * right) + left**3
+        n, count = self.operator.shape
+        first = bases[0].size * count * n * ranks[1] ** 2 if bases else 0.0
+        return 8.0 * (2.0 * total + 2.0 * first)
 
     def source_in_frame(self) -> Array:
         """Scaled states at the start of the slab in the present frame, (n_differential, r_1)."""

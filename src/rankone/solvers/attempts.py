@@ -1,0 +1,155 @@
+"""One attempt after the other: reference, march, check, tighten, until the measured error fits."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from rankone.domain import Domain
+from rankone.solvers.engine import Report, Request
+from rankone.solvers.march import MarchResult
+from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.solvers.verification import Yardstick
+from rankone.system import System
+
+__all__ = ["Attempt", "Marcher", "solve_in_attempts"]
+
+_STALLED = 0.7
+"""An attempt that leaves more of the error of the best one before has stalled."""
+_CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
+"""Limits in the order in which they explain a failure."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What one pass over the horizon came to.
+
+    Attributes
+    ----------
+    result : MarchResult
+    measured : Measured or None
+    """
+
+    result: MarchResult
+    measured: Measured | None
+
+    @property
+    def error(self) -> float:
+        """Largest measured error; infinite if there is none."""
+        if self.measured is None:
+            return math.inf
+        return max(self.measured.interior, default=0.0)
+
+    def better_than(self, other: Attempt | None) -> bool:
+        """Whether to keep this attempt: it got further, or as far with a smaller error."""
+        if other is None:
+            return True
+        if (self.result.stopped is None) != (other.result.stopped is None):
+            return self.result.stopped is None
+        return self.error < other.error
+
+    def status(self, yardstick: Yardstick, rtol: float) -> Status:
+        """How the solve ended, if this attempt is what it came to."""
+        limits = [status for status in _CAUSES if status in self.result.limits]
+        stopped = self.result.stopped
+        if yardstick.reference.blown is not None:
+            return Status.BLOW_UP
+        if stopped is not None:
+            return limits[0] if stopped is Status.NO_CONVERGENCE and limits else stopped
+        if not yardstick.checked:
+            return Status.UNCHECKED
+        if self.error <= rtol:
+            return Status.CONVERGED
+        return limits[0] if limits else Status.TOLERANCE
+
+    def message(self, status: Status, rtol: float, cause: str) -> str:
+        """The sentence a user reads: how it ended, the figures, and how far it came."""
+        text, slabs = cause, self.result.slabs
+        if self.measured is not None:
+            figures = f"{self.error:.1e} of {rtol:.1e}"
+            if status is not Status.CONVERGED:
+                figures = f"measured error {self.error:.1e}, asked {rtol:.1e}"
+            text += f": {figures}"
+            corner = max(self.measured.corners, default=0.0)
+            if corner > max(rtol, self.error):
+                text += f" (up to {corner:.1e} at the corners of the box)"
+        if self.result.stopped is not None:
+            reached = f"at t = {slabs[-1].end:.6g}" if slabs else "before the first slab"
+            text += f"; stopped {reached}"
+        return text
+
+
+class Marcher(Protocol):
+    """What an engine supplies: marches over the horizon, each finer than the one before."""
+
+    remedies: ClassVar[Mapping[Status, str]]
+    """What to do, by how it ended."""
+
+    def march(self, number: int, report: Report) -> MarchResult:
+        """Solve the horizon, for the ``number``-th time."""
+
+    def refine(self, attempt: Attempt, stalls: int) -> bool:
+        """Ask more of the next march; False when there is nothing left to try.
+
+        ``stalls`` is the number of attempts in a row that hardly lowered the error.
+        """
+
+    def cause(self, status: Status, attempt: Attempt) -> str:
+        """Why it ended with that status; at least ``status.value``."""
+
+
+def solve_in_attempts(
+    prepared: Callable[[Request[Any], Yardstick], Marcher],
+    system: System,
+    domain: Domain,
+    request: Request[Any],
+    report: Report,
+) -> Outcome:
+    """Solve a system: integrate the reference, then march and check until the error fits.
+
+    Parameters
+    ----------
+    prepared : callable
+        The marcher for a request and its yardstick.
+    system : System
+    domain : Domain
+    request : Request
+    report : callable
+        Called with a ProgressEvent after each accepted slab.
+    """
+    timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
+    records: list[SlabRecord] = []
+    best: Attempt | None = None
+    stalls = 0
+    with _timed(timings, "reference"):
+        yardstick = Yardstick.of(system, domain, request.rtol, request.points)
+        marcher = prepared(request, yardstick)
+    for number in range(request.options.max_attempts):
+        with _timed(timings, "march"):
+            result = marcher.march(number, report)
+        with _timed(timings, "check"):
+            attempt = Attempt(result, yardstick.measured(result.slabs))
+        records += result.records
+        stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
+        best = attempt if attempt.better_than(best) else best
+        done = result.stopped or not yardstick.checked or attempt.error <= request.rtol
+        if done or not marcher.refine(attempt, stalls):
+            break
+    assert best is not None
+    status = best.status(yardstick, request.rtol)
+    message = best.message(status, request.rtol, marcher.cause(status, best))
+    if status in marcher.remedies:
+        message += f"; {marcher.remedies[status]}"
+    slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
+    return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    began = clock.perf_counter()
+    yield
+    timings[stage] += clock.perf_counter() - began

@@ -1,0 +1,61 @@
+"""The lengths of slabs: as many as asked for, or as the lagged terms settle."""
+
+from __future__ import annotations
+
+import math
+
+from rankone.solvers.greedy.options import GreedyOptions
+from rankone.solvers.greedy.slabs import GreedyTrial
+from rankone.solvers.march import Span
+from rankone.solvers.outcome import Status
+
+__all__ = ["SlabLengths"]
+
+_SHORTEST = 1e-6
+"""Shortest slab, relative to the horizon."""
+_FEW, _MANY = 10, 16
+"""Lagged iterations after which the next slab is longer, or shorter."""
+_GROW, _SHRINK, _HALVE = 1.5, 0.7, 0.5
+
+
+class SlabLengths:
+    """The controller of the lengths of slabs.
+
+    Parameters
+    ----------
+    start, end : float
+        The horizon.
+    options : GreedyOptions
+    longest : float
+        Of the first slab if the lengths adapt.
+    """
+
+    def __init__(
+        self, start: float, end: float, options: GreedyOptions, longest: float = math.inf
+    ) -> None:
+        self.end, self.horizon = end, end - start
+        self.adaptive = options.time_slabs is None
+        self.length = self.horizon / (options.time_slabs or 1)
+        if self.adaptive:
+            self.length = min(self.length, longest)
+        self._hopeless = False
+
+    def propose(self, start: float) -> Span | Status:
+        """The next of equal slabs that fill what remains."""
+        if self._hopeless:
+            return Status.NO_CONVERGENCE
+        remaining = self.end - start
+        self.length = remaining / math.ceil(remaining / self.length - 1e-9)
+        end = self.end if remaining < 1.01 * self.length else start + self.length
+        return Span(start, self.length, end)
+
+    def adapt(self, span: Span, trial: GreedyTrial) -> bool:
+        """Halve after a rejection, lengthen where few iterations were needed."""
+        if not trial.record.accepted:
+            self.length = _HALVE * span.length
+            self._hopeless = not self.adaptive or self.length <= _SHORTEST * self.horizon
+        elif self.adaptive:
+            iterations = len(trial.record.residuals)
+            factor = _GROW if iterations <= _FEW else _SHRINK if iterations > _MANY else 1.0
+            self.length = span.length * (_HALVE if Status.RANK_LIMIT in trial.limits else factor)
+        return trial.record.accepted

@@ -1,0 +1,140 @@
+"""From slab to slab: shape functions, the lagged iteration, and the states at the end.
+
+With a fixed number of slabs the iteration is taken as far as it came, and the outcome says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.domain import Domain
+from rankone.solvers.greedy.history import GreedySlabRecord
+from rankone.solvers.greedy.lagging import Coupling, LaggedSlab, SlabResult, compressed
+from rankone.solvers.greedy.nodes import Nodes
+from rankone.solvers.greedy.operators import ShapeSpace
+from rankone.solvers.march import Span, Trial
+from rankone.solvers.outcome import Status
+from rankone.tensors.conversion import element_trains
+from rankone.tensors.rank_one_sums import RankOneSum
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["GreedyTrial", "LaggedSlabs"]
+
+_LOST_AT_END = 0.2
+"""What rounding a state at the end of a slab may lose, relative to the slab's tolerance."""
+_THINNED = 0.05
+"""What its trains may lose."""
+
+
+@dataclass(frozen=True)
+class GreedyTrial(Trial):
+    """What the lagged iteration on one slab came to."""
+
+    space: ShapeSpace
+    solved: SlabResult
+
+
+class LaggedSlabs:
+    """The slab solver of one attempt.
+
+    Parameters
+    ----------
+    coupling : Coupling
+        The equations and how they are solved.
+    domain : Domain
+    nodes : Nodes
+    tolerance : callable
+        Tolerance at the time t in units of the sizes.
+    attempt : int
+        Number of the attempt, for the records.
+
+    Attributes
+    ----------
+    tails : ndarray (1 + d,)
+        For time and each parameter the largest part of a state in the two highest modes.
+    """
+
+    def __init__(
+        self,
+        coupling: Coupling,
+        domain: Domain,
+        nodes: Nodes,
+        tolerance: Callable[[float], float],
+        attempt: int,
+    ) -> None:
+        self.coupling, self.options, self.sizes = coupling, coupling.options, coupling.sizes
+        self.nodes, self.tolerance, self.attempt = nodes, tolerance, attempt
+        self.parameters = [
+            self.options.shape_functions(*interval, count)
+            for interval, count in zip(domain.box, nodes.parameters, strict=True)
+        ]
+        self.tails = np.zeros(1 + len(self.parameters))
+        self._values = self._initial()
+
+    def solve(self, span: Span) -> GreedyTrial:
+        """Iterate until the lagged terms settle, or as far as a fixed slab comes."""
+        tolerance = self.tolerance(span.start)
+        time = self.options.shape_functions(span.start, span.end, self.nodes.time)
+        space = ShapeSpace(self.coupling.system, time, self.parameters)
+        with np.errstate(over="ignore", invalid="ignore"):
+            solved = LaggedSlab(space, self.coupling, self._values).solve(tolerance)
+        fixed = self.options.time_slabs is not None
+        accepted = solved.converged or (solved.usable and fixed)
+        limits = set()
+        if accepted and not solved.converged:
+            limits.add(Status.NO_CONVERGENCE)
+        if accepted and solved.residual > tolerance and solved.rank >= self.options.max_modes:
+            limits.add(Status.RANK_LIMIT)
+        record = GreedySlabRecord(
+            self.attempt,
+            span.start,
+            span.end,
+            accepted,
+            tolerance,
+            solved.changes,
+            tuple(modes.rank for modes in solved.modes),
+            tuple(basis.size for basis in space.bases),
+            solved.records,
+        )
+        return GreedyTrial(record, limits, space, solved)
+
+    def accept(self, span: Span, trial: GreedyTrial) -> list[SlabTrain]:
+        """One train for each element in time; the next slab begins at the end of this one."""
+        bases, modes, lost = trial.space.bases, trial.solved.modes, trial.record.tolerance
+        trains, tails = element_trains(bases, self._values, modes, _THINNED * lost * self.sizes)
+        self.tails = np.maximum(self.tails, (tails / self.sizes[:, None]).max(axis=0))
+        self._values = [
+            self._at_end(value, added, _LOST_AT_END * lost * size)
+            for value, added, size in zip(self._values, modes, self.sizes, strict=True)
+        ]
+        return list(trains)
+
+    def _initial(self) -> list[RankOneSum]:
+        """Initial values at the parameter nodes; the factor of time is one row of amplitudes."""
+        system = self.coupling.system
+        rows = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(self.parameters)]
+        sizes = (1, *(basis.size for basis in self.parameters))
+        values: list[list[RankOneSum]] = [[] for _ in range(system.N_DIFFERENTIAL)]
+        for coefficient, state, factors in system.INITIAL:
+            columns = [row[index][:, None] for row, index in zip(rows, factors, strict=True)]
+            values[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
+        return [RankOneSum.joined(parts, sizes) for parts in values]
+
+    def _at_end(self, value: RankOneSum, modes: RankOneSum, tolerance: float) -> RankOneSum:
+        """A state at the end of a slab, in few products.
+
+        ``tolerance`` is the root mean square over the box of what may be lost.
+        """
+        total = value + RankOneSum((modes.factors[0][-1:], *modes.factors[1:]))
+        if not self.parameters or total.rank <= 1:
+            return total.merged()
+        at_end = RankOneSum(total.factors[1:]).scaled(total.factors[0][0]).merged()
+        if at_end.rank > 1:
+            masses = [(b.values.T * b.weights) @ b.values for b in self.parameters]
+            volume = math.prod(basis.upper - basis.lower for basis in self.parameters)
+            at_end = compressed(at_end, masses, tolerance * math.sqrt(volume), self.options)
+        return RankOneSum((np.ones((1, at_end.rank)), *at_end.factors))

@@ -1,0 +1,117 @@
+"""One pass over the horizon, slab after slab.
+
+A march only leads: a controller says how long the next slab is, a slab solver solves it, and the
+controller takes notice of how that went.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from rankone.progress import ProgressEvent
+from rankone.solvers.engine import Report
+from rankone.solvers.outcome import SlabRecord, Status
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["Lengths", "March", "MarchResult", "SlabSolver", "Span", "Trial"]
+
+_REST = 1e-12
+"""What is left of the horizon is nothing below this part of it."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Where a slab lies; ``end`` is ``start + length``, or the very border that it reaches."""
+
+    start: float
+    length: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What the solve of one slab came to.
+
+    Attributes
+    ----------
+    record : SlabRecord
+        ``accepted`` says whether the slab is solved.
+    limits : set of Status
+        Limits that were met.
+    """
+
+    record: SlabRecord
+    limits: set[Status]
+
+
+class Lengths(Protocol):
+    """A controller of the lengths of slabs."""
+
+    def propose(self, start: float) -> Span | Status:
+        """The next slab, or why there is none."""
+
+    def adapt(self, span: Any, trial: Any) -> bool:
+        """Choose the next length after a trial; whether the slab is to be kept."""
+
+
+class SlabSolver(Protocol):
+    """Solves slabs, each from the end of the last one that was accepted."""
+
+    def solve(self, span: Any) -> Trial:
+        """Solve one slab."""
+
+    def accept(self, span: Any, trial: Any) -> list[SlabTrain]:
+        """Move on to the end of the slab; it may be made of several elements."""
+
+
+@dataclass
+class MarchResult:
+    """Slabs solved so far, and why the march ended early (None if it reached the end).
+
+    Attributes
+    ----------
+    slabs : list of SlabTrain
+    records : list of SlabRecord
+        Of all trials.
+    limits : set of Status
+        Limits met on the way.
+    stopped : Status or None
+    """
+
+    slabs: list[SlabTrain] = field(default_factory=list)
+    records: list[SlabRecord] = field(default_factory=list)
+    limits: set[Status] = field(default_factory=set)
+    stopped: Status | None = None
+
+
+@dataclass(frozen=True)
+class March:
+    """A march with a controller and a slab solver, of at most so many trials."""
+
+    lengths: Lengths
+    solver: SlabSolver
+    most: int
+
+    def run(self, start: float, end: float, attempt: int, report: Report) -> MarchResult:
+        """March from start to end; ``report`` is called after each slab that is kept."""
+        result = MarchResult()
+        time = start
+        while end - time > _REST * (end - start):
+            span = self.lengths.propose(time)
+            if isinstance(span, Span) and len(result.records) >= self.most:
+                span = Status.SLAB_LIMIT
+            if isinstance(span, Status):
+                result.stopped = span
+                break
+            trial = self.solver.solve(span)
+            kept = self.lengths.adapt(span, trial)
+            result.records.append(replace(trial.record, accepted=kept))
+            result.limits |= trial.limits
+            if kept:
+                trains = self.solver.accept(span, trial)
+                result.slabs += trains
+                time = span.end
+                place = time, (time - start) / (end - start), attempt, len(result.slabs)
+                report(ProgressEvent(*place, max((r for s in trains for r in s.ranks), default=1)))
+        return result

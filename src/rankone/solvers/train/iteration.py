@@ -1,0 +1,176 @@
+"""The solve of one slab: sweeps until the residual fits, with more parameter nodes on the way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.discretization import Basis1D, RadauCollocation
+from rankone.solvers.outcome import SlabRecord, Status
+from rankone.solvers.train.convergence import Convergence
+from rankone.solvers.train.groups import term_groups
+from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
+from rankone.solvers.train.nodes import FEW_PARAMETERS, ParameterNodes
+from rankone.solvers.train.slab import SlabOperator
+from rankone.solvers.train.sweep import Sweeper
+from rankone.solvers.verification import Yardstick
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, widened
+
+__all__ = ["SlabIteration"]
+
+_COARSEST = 30.0
+"""Tolerance of the first sweep on a slab, at most so many times the final one."""
+_MOST_PROBES = 8
+"""One random sum for each state widens the frame, at most so many."""
+_THINNED = 0.5
+"""Norm of the entries left out of an accepted slab, relative to the resolution."""
+_COARSENED = 0.02
+"""What coarser parameter nodes may lose at the end of a slab, relative to its tolerance."""
+
+
+class SlabIteration:
+    """The slab solver of one attempt.
+
+    Parameters
+    ----------
+    yardstick : Yardstick
+        The Jacobian of a slab is taken along its trajectory at the centre of the box.
+    collocation : RadauCollocation
+    accuracy : Accuracy
+    nodes : ParameterNodes
+    attempt : int
+        Number of the attempt, for the records.
+
+    Attributes
+    ----------
+    guesses : list of Guess
+        The slabs accepted, for the next attempt.
+    """
+
+    def __init__(
+        self,
+        yardstick: Yardstick,
+        collocation: RadauCollocation,
+        accuracy: Accuracy,
+        nodes: ParameterNodes,
+        attempt: int = 0,
+    ) -> None:
+        self.yardstick, self.collocation, self.accuracy = yardstick, collocation, accuracy
+        self.nodes, self.options, self.attempt = nodes, nodes.options, attempt
+        self.scale = yardstick.sizes
+        self.guesses: list[Guess] = []
+        self._groups = term_groups(yardstick.system)
+        self._source = nodes.initial(self.scale)
+        self._second_residual = 1e-2
+        self._trials = 0
+
+    def solve(self, span: TrainSpan) -> TrainTrial:
+        """Sweep on one slab, from its earlier self or from its initial values."""
+        tolerance = self.accuracy.tolerance(span.start)
+        sweeper = self._started(span)
+        limits: set[Status] = set()
+        spectra: list[Array] = []
+        if self.nodes.bases:
+            coarse = min(0.1 * self._second_residual, _COARSEST * tolerance)
+            convergence = Convergence(tolerance, coarse)
+            sweeper, spectra, solved = self._swept(sweeper, convergence, limits)
+        else:
+            convergence = Convergence(tolerance, tolerance)
+            convergence.add(sweeper.settle(tolerance, 40))
+            solved = convergence.solved(limited=False)
+        residuals = tuple(convergence.residuals)
+        if solved:
+            self._second_residual = residuals[min(1, len(residuals) - 1)]
+        self._trials += 1
+        place = self.attempt, span.start, span.end, solved, tolerance
+        sizes = tuple(basis.size for basis in self.nodes.bases)
+        record = SlabRecord(*place, residuals, sweeper.ranks, sizes)
+        return TrainTrial(record, limits, sweeper, spectra)
+
+    def accept(self, span: TrainSpan, trial: TrainTrial) -> list[SlabTrain]:
+        """The slab as polynomial coefficients; the next begins at its end."""
+        sweeper, bases = trial.sweeper, self.nodes.bases
+        cores = [trial.time_modes, *sweeper.cores[1:]]
+        cores = apply_to_modes(cores, [basis.to_modal for basis in bases])
+        if len(bases) > FEW_PARAMETERS:
+            cores = thinned(cores, _THINNED * self.accuracy.resolution)
+        cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
+        self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
+        self._source = self._at_end(trial)
+        return [SlabTrain(span.start, span.end, tuple(cores), bases)]
+
+    def _started(self, span: TrainSpan) -> Sweeper:
+        """A sweeper with a first guess in a widened frame."""
+        operator, guess, bases = self._operator(span), span.guess, self.nodes.bases
+        if guess is None:
+            cores = [operator.initial(self._source[0]), *self._source[1:]]
+        else:
+            maps = [old.transfer(new) for old, new in zip(guess.bases, bases, strict=True)]
+            cores = right_orthonormal(apply_to_modes(guess.cores, maps))
+        if bases:
+            count = min(self.scale.size, _MOST_PROBES)
+            cores = widened(cores, self.nodes.probe(count, seed=self._trials))
+        return self._sweeper(operator, cores)
+
+    def _operator(self, span: TrainSpan) -> SlabOperator:
+        """The operator with the Jacobian along the trajectory at the centre of the box."""
+        system, reference = self.yardstick.system, self.yardstick.reference
+        times = self.collocation.times(span.start, span.length)
+        states = system.with_products(reference(times)[:, 0])
+        jacobian = system.quadratic_jacobian(times, states, reference.points[0][:, None])
+        n = self.scale.size
+        jacobian = np.broadcast_to(jacobian, (n, n, times.size))
+        place = span.start, span.length
+        return SlabOperator(system, self.collocation, *place, self.scale, jacobian)
+
+    def _sweeper(self, operator: SlabOperator, cores: list[Array]) -> Sweeper:
+        groups, operators, source = self._groups, self.nodes.operators, self._source
+        return Sweeper(operator, groups, operators, cores, source, self.options.max_rank)
+
+    def _swept(
+        self, sweeper: Sweeper, convergence: Convergence, limits: set[Status]
+    ) -> tuple[Sweeper, list[Array], bool]:
+        """Sweep until the slab is solved or hopeless: the sweeper, spectra, and whether it is."""
+        tolerance = convergence.tolerance
+        spectra: list[Array] = []
+        sweeper.settle(max(tolerance, 1e-3), 8)
+        while len(convergence.residuals) < self.options.max_sweeps:
+            current = convergence.next_tolerance
+            residual, spectra = sweeper.iterate(current / np.sqrt(sweeper.dimensions))
+            convergence.add(residual)
+            limited = max(sweeper.ranks) >= self.options.max_rank
+            if limited:
+                limits.add(Status.RANK_LIMIT)
+            if convergence.hopeless(limited):
+                break
+            if sweeper.memory > self.options.max_memory:
+                limits.add(Status.MEMORY_LIMIT)
+                break
+            sweeper.settle(0.2 * tolerance, 12)
+            level = max(current, residual if limited else 0.0)
+            bases, too_few = self.nodes.refined(spectra, level)
+            if too_few:
+                limits.add(Status.NODE_LIMIT)
+            if bases != self.nodes.bases:
+                sweeper = self._rebased(sweeper, bases)
+                convergence.restart()
+            elif convergence.solved(limited):
+                return sweeper, spectra, True
+        return sweeper, spectra, False
+
+    def _rebased(self, sweeper: Sweeper, bases: tuple[Basis1D, ...]) -> Sweeper:
+        """The sweeper on other parameter nodes; the start of the slab moves along."""
+        maps = self.nodes.take(bases)
+        self._source = right_orthonormal(apply_to_modes(self._source, maps))
+        cores = right_orthonormal(apply_to_modes(sweeper.cores, maps))
+        return self._sweeper(sweeper.operator, cores)
+
+    def _at_end(self, trial: TrainTrial) -> list[Array]:
+        """The train at the end of the slab, on parameter nodes coarsened to what it needs."""
+        last = trial.sweeper.cores[0][: self.yardstick.system.N_DIFFERENTIAL, -1]
+        source = [last * np.sqrt(self.collocation.count), *trial.sweeper.cores[1:]]
+        bases = self.nodes.coarsened(trial.spectra, _COARSENED * trial.record.tolerance)
+        if bases is self.nodes.bases:
+            return source
+        return right_orthonormal(apply_to_modes(source, self.nodes.take(bases)))

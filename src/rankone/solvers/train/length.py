@@ -1,0 +1,192 @@
+"""The lengths of slabs: what the time nodes resolve, and what the sweeps converge on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.discretization import Basis1D, RadauCollocation
+from rankone.solvers.march import Span, Trial
+from rankone.solvers.outcome import Status
+from rankone.solvers.train.sweep import Sweeper
+from rankone.solvers.verification import Yardstick
+
+__all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
+
+_SHRINK, _SLOW, _GROW = 0.5, 0.7, 1.5
+"""On the length after divergence, many sweeps, few."""
+_REFERENCE_NOISE = 1e-7
+"""Relative size below which the dense output of the reference is not smooth."""
+_PATIENCE = 1.15
+"""After a rejection the length may grow by so much a slab."""
+_UNRESOLVED = 0.8
+"""A slab that ought to be shorter than this part of its length is solved again."""
+_LEAST_FOR_MEMORY = 1e-3
+"""Part of the horizon below which memory is no reason to halve."""
+_SHORTEST = 1e-10
+"""Shortest slab, relative to the horizon."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What is asked of the slabs of one attempt, in units of the sizes.
+
+    Attributes
+    ----------
+    level : float
+        Inner tolerance where errors do not grow.
+    growth : callable
+        Largest later growth of an error made at a time.
+    """
+
+    level: float
+    growth: Callable[[float], float]
+
+    def tolerance(self, time: float) -> float:
+        """Inner tolerance at a time: what is dropped there is amplified until the end."""
+        return max(self.level / self.growth(time), 1e-14)
+
+    @property
+    def resolution(self) -> float:
+        """Largest time mode left out.
+
+        It is not amplified, since the Radau end points are superconvergent.
+        """
+        return 0.1 * self.level
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A slab of an earlier attempt: its place and its cores, a first guess for the next."""
+
+    start: float
+    length: float
+    cores: tuple[Array, ...]
+    bases: tuple[Basis1D, ...]
+
+
+@dataclass(frozen=True)
+class TrainSpan(Span):
+    """Where a slab lies, and its earlier self if there is one."""
+
+    guess: Guess | None = None
+
+
+@dataclass(frozen=True)
+class TrainTrial(Trial):
+    """What the sweeps on one slab came to.
+
+    Attributes
+    ----------
+    sweeper : Sweeper
+    spectra : sequence of ndarray
+        For each parameter the norms of its modes.
+    """
+
+    sweeper: Sweeper
+    spectra: Sequence[Array]
+
+    @cached_property
+    def time_modes(self) -> Array:
+        """Legendre coefficients in time of the scaled states, (n_differential, modes, r_1)."""
+        start = self.sweeper.source_in_frame()[:, None]
+        collocation = self.sweeper.operator.collocation
+        nodes = self.sweeper.cores[0][: len(start)] * np.sqrt(collocation.count)
+        return np.asarray(collocation.to_modal @ np.concatenate([start, nodes], axis=1))
+
+
+class SlabLengths:
+    """The controller of the lengths of slabs.
+
+    Parameters
+    ----------
+    yardstick : Yardstick
+        Its reference has to be resolved; no slab crosses its cuts.
+    collocation : RadauCollocation
+    accuracy : Accuracy
+    guesses : sequence of Guess
+        Slabs of the attempt before.
+    """
+
+    def __init__(
+        self,
+        yardstick: Yardstick,
+        collocation: RadauCollocation,
+        accuracy: Accuracy,
+        guesses: Sequence[Guess] = (),
+    ) -> None:
+        self.yardstick = yardstick
+        self.collocation = collocation
+        self.accuracy = accuracy
+        self.guesses = guesses
+        self.borders = (*yardstick.cuts, yardstick.end)
+        self.horizon = yardstick.end - yardstick.reference.start
+        self.length = self.ceiling = self._proposed = self.horizon
+        self._memory = self._hopeless = False
+
+    def propose(self, start: float) -> TrainSpan | Status:
+        """The next slab: an earlier one, or as long as the reference is resolved on it."""
+        end = self.borders[-1]
+        if self._hopeless:
+            return Status.MEMORY_LIMIT
+        if self.length < min(_SHORTEST * self.horizon, end - start):
+            return Status.NO_CONVERGENCE
+        self._proposed = self.length
+        border = min(b for b in self.borders if b > start + 1e-12 * self.horizon)
+        remaining = border - start
+        guess = self._guess(start)
+        length = guess.length if guess else self.resolved(start, min(self.length, remaining))
+        if guess is None and length < remaining < 1.6 * length:
+            length = 0.5 * remaining
+        if abs(remaining - length) < 1e-9 * remaining:
+            return TrainSpan(start, remaining, border, guess)
+        return TrainSpan(start, length, start + length, guess)
+
+    def adapt(self, span: TrainSpan, trial: TrainTrial) -> bool:
+        """Shorten after a rejection, lengthen where few sweeps were needed."""
+        solved = trial.record.accepted
+        stretch = self._stretch(span, trial) if solved else _SHRINK
+        self._memory = self._memory or Status.MEMORY_LIMIT in trial.limits
+        if not solved or stretch < _UNRESOLVED:
+            self.ceiling = self.length = span.length * max(stretch, 0.2)
+            self._hopeless = self._memory and self.length < _LEAST_FOR_MEMORY * self.horizon
+            return False
+        sweeps = len(trial.record.residuals)
+        factor = _GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0
+        self.length = span.length * min(factor, stretch)
+        self.ceiling *= _PATIENCE
+        if span.end in self.borders:
+            self.length = max(self.length, self._proposed)
+        self.length = min(self.length, self.ceiling)
+        return True
+
+    def resolved(self, start: float, length: float) -> float:
+        """The longest slab, up to ``length``, on which the time nodes resolve the reference."""
+        tolerance = max(self.accuracy.resolution, _REFERENCE_NOISE)
+        scale = self.yardstick.states[:, None, None]
+        nodes = self.collocation
+        for _ in range(60):
+            values = self.yardstick.reference(start + length * nodes.points) / scale
+            tail = float(np.abs((values @ nodes.to_modal.T)[..., -2:]).max())
+            if tail <= tolerance:
+                break
+            length *= min(max(0.9 * (tolerance / tail) ** (1.0 / nodes.count), 0.3), 0.9)
+        return length
+
+    def _stretch(self, span: TrainSpan, trial: TrainTrial) -> float:
+        """Factor on the length at which the highest time modes would be at the tolerance."""
+        tail = float(np.sqrt(np.sum(trial.time_modes[:, -2:] ** 2, axis=(1, 2)).max()))
+        allowed = max(20.0 * self.accuracy.tolerance(span.start), self.accuracy.resolution)
+        return float((allowed / max(tail, 1e-300)) ** (1.0 / self.collocation.count))
+
+    def _guess(self, start: float) -> Guess | None:
+        """The slab of the attempt before that starts here, if it is not too long."""
+        for guess in self.guesses:
+            if abs(guess.start - start) < 1e-12 * (1.0 + abs(start)):
+                longest = min(self.length, self.resolved(start, guess.length))
+                return guess if guess.length <= 1.01 * longest else None
+        return None
