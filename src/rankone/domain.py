@@ -23,15 +23,7 @@ _SAMPLES = 257
 
 @dataclass(frozen=True)
 class Domain:
-    """A horizon in time, and an interval for each parameter.
-
-    Attributes
-    ----------
-    horizon : tuple of float
-        Start and end.
-    box : tuple of tuple of float
-        Lower and upper end for each parameter.
-    """
+    """A horizon in time, and an interval for each parameter."""
 
     horizon: tuple[float, float]
     box: tuple[tuple[float, float], ...]
@@ -55,13 +47,8 @@ class Domain:
     ) -> Domain:
         """The domain with other intervals of some parameters, or another end of the horizon.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Of all parameters, in the order of the box.
-        parameters : mapping, optional
-            New intervals, by names or symbols.
-        t_final : float, optional
+        ``names`` are those of all parameters, ``parameters`` maps some of them, or their symbols,
+        to new intervals.
 
         Raises
         ------

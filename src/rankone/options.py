@@ -84,13 +84,7 @@ class Options:
 
     @classmethod
     def of(cls, /, **changes: Any) -> Self:
-        """Options with changes.
-
-        Raises
-        ------
-        OptionError
-            If an option is unknown or out of its range.
-        """
+        """Options with changes, or an OptionError if one is unknown or out of its range."""
         known = sorted(option.name for option in fields(cls))
         for name in sorted(changes.keys() - known):
             if name in cls.renamed:

@@ -40,3 +40,10 @@ def test_modal_coefficients_reproduce_the_polynomial():
     coefficients = radau.to_modal @ np.exp(points)
     s = np.linspace(0.0, 1.0, 30)
     np.testing.assert_allclose(legendre_values(2 * s - 1, 7) @ coefficients, np.exp(s), atol=1e-7)
+
+
+def test_times_stay_inside_the_slab():
+    times = RadauCollocation.of(5).times(3.0, 0.5)
+    assert times[0] > 3.0
+    assert 3.5 - 1e-8 < times[-1] < 3.5
+    np.testing.assert_allclose(times, 3.0 + 0.5 * RadauCollocation.of(5).nodes, atol=1e-9)

@@ -145,6 +145,12 @@ class Basis1D(ABC):
         highest = spectrum.reshape(self.elements, self.degree)[:, self.degree - top :]
         return float(np.linalg.norm(highest))
 
+    def relative_spectrum(self, values: Array) -> Array:
+        """Size of each mode of functions (rows, size), relative to the largest of its row."""
+        spectra = np.abs((values * np.sqrt(self.weights)) @ self.to_modal.T)
+        largest = spectra.max(axis=1, keepdims=True, initial=1e-300)
+        return np.asarray((spectra / largest).max(axis=0))
+
     def coarsened(self, spectrum: Array, tolerance: float, least: int = 3) -> Self:
         """The smallest basis that keeps a spectrum to ``tolerance``, two modes to spare.
 

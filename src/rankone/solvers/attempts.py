@@ -26,13 +26,7 @@ _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONV
 
 @dataclass(frozen=True)
 class Attempt:
-    """What one pass over the horizon came to.
-
-    Attributes
-    ----------
-    result : MarchResult
-    measured : Measured or None
-    """
+    """What one pass over the horizon came to."""
 
     result: MarchResult
     measured: Measured | None
@@ -109,17 +103,9 @@ def solve_in_attempts(
     request: Request[Any],
     report: Report,
 ) -> Outcome:
-    """Solve a system: integrate the reference, then march and check until the error fits.
+    """Integrate the reference, then march and check until the measured error fits.
 
-    Parameters
-    ----------
-    prepared : callable
-        The marcher for a request and its yardstick.
-    system : System
-    domain : Domain
-    request : Request
-    report : callable
-        Called with a ProgressEvent after each accepted slab.
+    ``prepared`` makes the marcher from the request and its yardstick.
     """
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
     records: list[SlabRecord] = []

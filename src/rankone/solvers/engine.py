@@ -45,17 +45,8 @@ class Request(Generic[AnyOptions]):
 class Engine(Generic[AnyOptions]):
     """A way to solve a generated system for a whole box.
 
-    Attributes
-    ----------
-    name : str
-        The ``method`` of ``solve``.
-    options : type
-        Its options.
-    record : type
-        What its history consists of.
-    solve : callable
-        From a system, a domain, a request and a report to an Outcome, whose ``status`` is
-        CONVERGED only if the measured error is within the tolerance asked.
+    ``name`` is the ``method`` of ``rankone.solve``; ``record`` is what the history consists of. The
+    status of the Outcome is CONVERGED only if the measured error is within the tolerance asked.
     """
 
     name: str
@@ -66,13 +57,7 @@ class Engine(Generic[AnyOptions]):
     def request(
         self, rtol: float, check: bool | int, options: Mapping[str, Any]
     ) -> Request[AnyOptions]:
-        """What is asked, checked: 24 points for ``check=True``, none for False.
-
-        Raises
-        ------
-        OptionError
-            If an option is unknown or out of its range.
-        """
+        """What is asked, or an OptionError: 24 points for ``check=True``, none for False."""
         rtol = checked_number("rtol", rtol, _TIGHTEST, _LOOSEST, float)
         points = (
             _CHECK_POINTS * check if isinstance(check, bool) else checked_number("check", check, 0)

@@ -31,14 +31,9 @@ class Span:
 
 @dataclass(frozen=True)
 class Trial:
-    """What the solve of one slab came to.
+    """What the solve of one slab came to, and the limits that it met.
 
-    Attributes
-    ----------
-    record : SlabRecord
-        ``accepted`` says whether the slab is solved.
-    limits : set of Status
-        Limits that were met.
+    ``record.accepted`` says whether the slab is solved.
     """
 
     record: SlabRecord
@@ -67,16 +62,9 @@ class SlabSolver(Protocol):
 
 @dataclass
 class MarchResult:
-    """Slabs solved so far, and why the march ended early (None if it reached the end).
+    """Slabs solved so far, records of all trials, and the limits met on the way.
 
-    Attributes
-    ----------
-    slabs : list of SlabTrain
-    records : list of SlabRecord
-        Of all trials.
-    limits : set of Status
-        Limits met on the way.
-    stopped : Status or None
+    ``stopped`` says why the march ended early; None if it reached the end.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)

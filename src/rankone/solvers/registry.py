@@ -15,13 +15,7 @@ ENGINES: dict[str, Engine[Any]] = {engine.name: engine for engine in (train.ENGI
 
 
 def engine_named(method: str) -> Engine[Any]:
-    """The engine of a method.
-
-    Raises
-    ------
-    OptionError
-        If there is none of that name.
-    """
+    """The engine of a method, or an OptionError."""
     if not isinstance(method, str) or method not in ENGINES:
         raise OptionError(
             f"method={method!r} is unknown{did_you_mean(str(method), ENGINES)}",

@@ -17,14 +17,7 @@ module                  subject
 """
 
 from rankone.solvers.greedy.engine import ENGINE, solve_greedy
-from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord, ModeRecord
+from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.options import GreedyOptions
 
-__all__ = [
-    "ENGINE",
-    "EquationRecord",
-    "GreedyOptions",
-    "GreedySlabRecord",
-    "ModeRecord",
-    "solve_greedy",
-]
+__all__ = ["ENGINE", "GreedyOptions", "GreedySlabRecord", "solve_greedy"]

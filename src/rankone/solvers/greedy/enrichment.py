@@ -61,6 +61,7 @@ class Enriched:
     records: tuple[ModeRecord, ...]
 
 
+@dataclass
 class Enrichment:
     """Modes of one unknown for one source.
 
@@ -76,32 +77,24 @@ class Enrichment:
     functional : float, optional
         Squared norm of the source over the box; with it the residuals recorded are those of the
         minimal residual, ``||D(U) - G||`` over the box.
-    unit, amplitude_unit : float
+    units : tuple of float
         What residuals and amplitudes are divided by in the records; the tolerance of a run is in
         the unit of residuals.
     """
 
-    def __init__(
-        self,
-        equation: Equation,
-        loads: RankOneSum,
-        options: GreedyOptions,
-        start: RankOneSum | None = None,
-        functional: float | None = None,
-        unit: float = 1.0,
-        amplitude_unit: float = 1.0,
-    ) -> None:
-        self.equation = equation
-        self.options = options
-        self.loads = loads
-        self.functional = functional
-        self.unit = unit
-        self.amplitude_unit = amplitude_unit
-        self._whitened = loads.applied(equation.whitening)
+    equation: Equation
+    loads: RankOneSum
+    options: GreedyOptions
+    start: RankOneSum | None = None
+    functional: float | None = None
+    units: tuple[float, float] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        self._whitened = self.loads.applied(self.equation.whitening)
         self._load_square: float | None = None
         self._random = np.random.default_rng(20140)
-        self._dimensions = range(len(equation.sizes))
-        start = start or RankOneSum.zero(equation.sizes)
+        self._dimensions = range(len(self.equation.sizes))
+        start = self.start or RankOneSum.zero(self.equation.sizes)
         self.factors = list(start.factors)
         self.amplitudes = np.ones(start.rank)
         self._images: list[Array] = [np.zeros(0)] * len(self.factors)
@@ -123,10 +116,11 @@ class Enrichment:
     def run(self, tolerance: float) -> Enriched:
         """Enrich until the residual is at most ``tolerance * unit``, or no longer falls."""
         records: list[ModeRecord] = []
-        limit = tolerance * self.unit
+        unit, amplitude_unit = self.units
+        limit = tolerance * unit
         if self.rank:
             self._update()
-            self._drop(0.02 * tolerance * self.amplitude_unit)
+            self._drop(0.02 * tolerance * amplitude_unit)
         residual = self.residual()
         best = residual, self.factors.copy(), self.amplitudes
         stalled, patience = 0, _STALLED[self.options.update]
@@ -138,9 +132,7 @@ class Enrichment:
             self._update()
             residual = self.residual()
             shown = residual if self.functional is None else self.minimal_residual()
-            records.append(
-                ModeRecord(differences, amplitude / self.amplitude_unit, shown / self.unit)
-            )
+            records.append(ModeRecord(differences, amplitude / amplitude_unit, shown / unit))
             if residual < best[0]:
                 stalled = 0 if residual < _BETTER * best[0] else stalled + 1
                 best = residual, self.factors.copy(), self.amplitudes

@@ -181,26 +181,18 @@ class LaggedSlab:
             rows = zip(source.factors, self._scale, strict=True)
             functional = RankOneSum(tuple(f * row[:, None] for f, row in rows)).norm() ** 2
         before = self.modes[state]
-        warm = self.options.update == "all"
-        enrichment = Enrichment(
-            equation,
-            loads,
-            self.options,
-            before if warm else None,
-            functional,
-            unit,
-            float(self._norms[state]),
-        )
-        result = enrichment.run(tolerance)
+        start, norm = before if self.options.update == "all" else None, float(self._norms[state])
+        units = unit, norm
+        result = Enrichment(equation, loads, self.options, start, functional, units).run(tolerance)
         new = result.modes
-        change = self._distance(before, new) / float(self._norms[state])
+        change = self._distance(before, new) / norm
         self.modes[state] = new
         self._points[state] = (self._start[state] + self.space.at_points(new)).merged()
         return EquationRecord(
             iteration,
             self.coupling.system.STATES[state],
             result.records,
-            tuple((result.amplitudes / self._norms[state]).tolist()),
+            tuple((result.amplitudes / norm).tolist()),
             result.residual / unit,
             change,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import GreedyTrial
@@ -18,6 +19,7 @@ _FEW, _MANY = 10, 16
 _GROW, _SHRINK, _HALVE = 1.5, 0.7, 0.5
 
 
+@dataclass
 class SlabLengths:
     """The controller of the lengths of slabs.
 
@@ -30,14 +32,15 @@ class SlabLengths:
         Of the first slab if the lengths adapt.
     """
 
-    def __init__(
-        self, start: float, end: float, options: GreedyOptions, longest: float = math.inf
-    ) -> None:
-        self.end, self.horizon = end, end - start
-        self.adaptive = options.time_slabs is None
-        self.length = self.horizon / (options.time_slabs or 1)
-        if self.adaptive:
-            self.length = min(self.length, longest)
+    start: float
+    end: float
+    options: GreedyOptions
+    longest: float = math.inf
+
+    def __post_init__(self) -> None:
+        self.horizon, count = self.end - self.start, self.options.time_slabs
+        self.adaptive = count is None
+        self.length = self.horizon / count if count else min(self.horizon, self.longest)
         self._hopeless = False
 
     def propose(self, start: float) -> Span | Status:

@@ -74,9 +74,7 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
 def _resolving(system: System, dimension: int, lower: float, upper: float, tolerance: float) -> int:
     """Nodes that resolve the factors of one parameter to a part of the largest of each."""
     fine = LegendreBasis(lower, upper, _MOST)
-    rows = system.parameter_factors(dimension, fine.nodes) * np.sqrt(fine.weights)
-    spectra = np.abs(rows @ fine.to_modal.T)
-    relative = (spectra / spectra.max(axis=1, keepdims=True, initial=1e-300)).max(axis=0)
+    relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     return int(np.flatnonzero(relative > tolerance).max(initial=0)) + 2
 
 

@@ -110,13 +110,7 @@ class GreedyOptions(Options):
 
     @classmethod
     def of(cls, /, preset: Literal["slides"] | None = None, **changes: Any) -> Self:
-        """Options from a preset and changes to it.
-
-        Raises
-        ------
-        OptionError
-            If the preset or an option is unknown, or out of its range.
-        """
+        """Options from a preset and changes to it, or an OptionError."""
         if preset not in (None, "slides"):
             raise OptionError(f"preset={preset!r} is unknown", remedy="use preset='slides'")
         return super().of(**{**(_SLIDES if preset else {}), **changes})

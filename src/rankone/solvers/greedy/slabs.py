@@ -38,6 +38,7 @@ class GreedyTrial(Trial):
     solved: SlabResult
 
 
+@dataclass
 class LaggedSlabs:
     """The slab solver of one attempt.
 
@@ -58,19 +59,17 @@ class LaggedSlabs:
         For time and each parameter the largest part of a state in the two highest modes.
     """
 
-    def __init__(
-        self,
-        coupling: Coupling,
-        domain: Domain,
-        nodes: Nodes,
-        tolerance: Callable[[float], float],
-        attempt: int,
-    ) -> None:
-        self.coupling, self.options, self.sizes = coupling, coupling.options, coupling.sizes
-        self.nodes, self.tolerance, self.attempt = nodes, tolerance, attempt
+    coupling: Coupling
+    domain: Domain
+    nodes: Nodes
+    tolerance: Callable[[float], float]
+    attempt: int
+
+    def __post_init__(self) -> None:
+        self.options, self.sizes = self.coupling.options, self.coupling.sizes
         self.parameters = [
             self.options.shape_functions(*interval, count)
-            for interval, count in zip(domain.box, nodes.parameters, strict=True)
+            for interval, count in zip(self.domain.box, self.nodes.parameters, strict=True)
         ]
         self.tails = np.zeros(1 + len(self.parameters))
         self._values = self._initial()

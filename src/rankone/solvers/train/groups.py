@@ -12,15 +12,7 @@ from rankone.arrays import Array
 from rankone.discretization import Basis1D
 from rankone.system import System
 
-__all__ = [
-    "CONSTANT",
-    "LINEAR",
-    "QUADRATIC",
-    "GroupKernels",
-    "Key",
-    "ParameterOperators",
-    "term_groups",
-]
+__all__ = ["CONSTANT", "LINEAR", "QUADRATIC", "GroupKernels", "ParameterOperators", "term_groups"]
 
 CONSTANT, LINEAR, QUADRATIC = 0, 1, 2
 """Degrees in the states."""

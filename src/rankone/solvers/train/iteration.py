@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from rankone.arrays import Array
@@ -29,6 +31,7 @@ _COARSENED = 0.02
 """What coarser parameter nodes may lose at the end of a slab, relative to its tolerance."""
 
 
+@dataclass
 class SlabIteration:
     """The slab solver of one attempt.
 
@@ -48,20 +51,17 @@ class SlabIteration:
         The slabs accepted, for the next attempt.
     """
 
-    def __init__(
-        self,
-        yardstick: Yardstick,
-        collocation: RadauCollocation,
-        accuracy: Accuracy,
-        nodes: ParameterNodes,
-        attempt: int = 0,
-    ) -> None:
-        self.yardstick, self.collocation, self.accuracy = yardstick, collocation, accuracy
-        self.nodes, self.options, self.attempt = nodes, nodes.options, attempt
-        self.scale = yardstick.sizes
+    yardstick: Yardstick
+    collocation: RadauCollocation
+    accuracy: Accuracy
+    nodes: ParameterNodes
+    attempt: int = 0
+
+    def __post_init__(self) -> None:
+        self.options, self.scale = self.nodes.options, self.yardstick.sizes
         self.guesses: list[Guess] = []
-        self._groups = term_groups(yardstick.system)
-        self._source = nodes.initial(self.scale)
+        self._groups = term_groups(self.yardstick.system)
+        self._source = self.nodes.initial(self.scale)
         self._second_residual = 1e-2
         self._trials = 0
 

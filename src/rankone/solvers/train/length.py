@@ -35,12 +35,8 @@ _SHORTEST = 1e-10
 class Accuracy:
     """What is asked of the slabs of one attempt, in units of the sizes.
 
-    Attributes
-    ----------
-    level : float
-        Inner tolerance where errors do not grow.
-    growth : callable
-        Largest later growth of an error made at a time.
+    ``level`` is the inner tolerance where errors do not grow, ``growth`` the largest later growth
+    of an error made at a time.
     """
 
     level: float
@@ -52,10 +48,7 @@ class Accuracy:
 
     @property
     def resolution(self) -> float:
-        """Largest time mode left out.
-
-        It is not amplified, since the Radau end points are superconvergent.
-        """
+        """Largest time mode left out: not amplified, as the end points are superconvergent."""
         return 0.1 * self.level
 
 
@@ -78,14 +71,7 @@ class TrainSpan(Span):
 
 @dataclass(frozen=True)
 class TrainTrial(Trial):
-    """What the sweeps on one slab came to.
-
-    Attributes
-    ----------
-    sweeper : Sweeper
-    spectra : sequence of ndarray
-        For each parameter the norms of its modes.
-    """
+    """What the sweeps on one slab came to; ``spectra`` are norms of the modes by parameter."""
 
     sweeper: Sweeper
     spectra: Sequence[Array]
@@ -99,6 +85,7 @@ class TrainTrial(Trial):
         return np.asarray(collocation.to_modal @ np.concatenate([start, nodes], axis=1))
 
 
+@dataclass
 class SlabLengths:
     """The controller of the lengths of slabs.
 
@@ -112,19 +99,15 @@ class SlabLengths:
         Slabs of the attempt before.
     """
 
-    def __init__(
-        self,
-        yardstick: Yardstick,
-        collocation: RadauCollocation,
-        accuracy: Accuracy,
-        guesses: Sequence[Guess] = (),
-    ) -> None:
-        self.yardstick = yardstick
-        self.collocation = collocation
-        self.accuracy = accuracy
-        self.guesses = guesses
-        self.borders = (*yardstick.cuts, yardstick.end)
-        self.horizon = yardstick.end - yardstick.reference.start
+    yardstick: Yardstick
+    collocation: RadauCollocation
+    accuracy: Accuracy
+    guesses: Sequence[Guess] = ()
+
+    def __post_init__(self) -> None:
+        end = self.yardstick.end
+        self.borders = (*self.yardstick.cuts, end)
+        self.horizon = end - self.yardstick.reference.start
         self.length = self.ceiling = self._proposed = self.horizon
         self._memory = self._hopeless = False
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ _PROBE_MODES = 3
 """Number of modes of a probe's terms: higher ones would look like a need for more nodes."""
 
 
+@dataclass
 class ParameterNodes:
     """The bases of all parameters, refined and coarsened on the way, and the operators on them.
 
@@ -41,16 +42,13 @@ class ParameterNodes:
         Their limits.
     """
 
-    def __init__(
-        self,
-        system: System,
-        bases: tuple[Basis1D, ...],
-        floors: tuple[int, ...],
-        options: TrainOptions,
-    ) -> None:
-        self.system, self.options, self.floors = system, options, floors
-        self.bases = bases
-        self.operators = ParameterOperators(system, bases)
+    system: System
+    bases: tuple[Basis1D, ...]
+    floors: tuple[int, ...]
+    options: TrainOptions
+
+    def __post_init__(self) -> None:
+        self.operators = ParameterOperators(self.system, self.bases)
 
     def take(self, bases: tuple[Basis1D, ...]) -> list[Array]:
         """Take other bases; returns the maps of scaled values from the old to the new."""
@@ -161,9 +159,7 @@ def _resolving_degree(
 ) -> int:
     """Smallest degree that resolves the factors of one parameter; 3 if ``most`` does not."""
     fine = replace(basis, degree=most)
-    rows = system.parameter_factors(dimension, fine.nodes) * np.sqrt(fine.weights)
-    spectra = np.abs(rows @ fine.to_modal.T)
-    relative = (spectra / spectra.max(axis=1, keepdims=True, initial=1e-300)).max(axis=0)
+    relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     noise = float(relative[-3:].max())
     if noise > _UNRESOLVED:
         return 3
