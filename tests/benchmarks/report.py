@@ -139,7 +139,7 @@ def _trajectory(system: Any, stiff: bool, repetitions: int) -> tuple[float, str]
     import numpy as np
     from scipy.integrate import solve_ivp
 
-    from rankone.solvers.reference import initial_values
+    from rankone.solvers.integration import initial_values
 
     centre = np.array(system.BOX).mean(axis=1)
     start = initial_values(system, centre[:, None])[:, 0]

@@ -6,7 +6,8 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.solvers.reference import check_points, initial_values, integrate_reference, measure
+from rankone.solvers.integration import initial_values
+from rankone.solvers.reference import check_points, integrate_reference, measure
 from rankone.solvers.sensitivity import amplification
 from tests.problems import REFERENCE
 

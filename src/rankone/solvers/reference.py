@@ -1,37 +1,25 @@
-"""Reference trajectories at single parameter points: the yardstick every solve is held against.
-
-All points are integrated together as one stacked system by SciPy, with the generated pointwise
-right-hand side: DOP853, or Radau where the centre trajectory is stiff.
-"""
+"""Reference trajectories at single parameter points: the yardstick every solve is held against."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.integrate
-import scipy.sparse
 
 from rankone.arrays import Array
-from rankone.discretization.radau import INSET
 from rankone.errors import ConvergenceError
+from rankone.solvers.integration import Stack, initial_values
 from rankone.solvers.outcome import Measured
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Reference", "check_points", "initial_values", "integrate_reference", "measure"]
+__all__ = ["Reference", "check_points", "integrate_reference", "measure"]
 
-_PROBE_STEPS = 100
-"""DOP853 steps after which it is asked whether stability limits the step."""
-_STIFF_PRODUCT = 3.0
-"""Step times decay rate above which it does (stability ends at about 6)."""
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
-_DENSE_STATES = 240
-"""Largest stacked system whose Jacobian is factored densely."""
 
 
 def check_points(
@@ -134,94 +122,42 @@ def integrate_reference(
     ConvergenceError
         If not a single step can be made.
     """
-    n, m = system.N_DIFFERENTIAL, len(points)
+    stack = Stack(system, points, [start, *cuts, end])
     initial = initial_values(system, np.ascontiguousarray(points.T))
     size = np.abs(initial).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
-    tolerances = {"rtol": rtol, "atol": (rtol * 1e-7 * np.broadcast_to(size, (n, m))).ravel()}
-    integration = _Integration(system, points, initial, [start, *cuts, end], tolerances)
-    with np.errstate(all="ignore"):
-        stiff = not integration.run(scipy.integrate.DOP853)
-        if stiff:
-            integration.run(scipy.integrate.Radau, jac=_stacked_jacobian(system, points.T, n, m))
-    if not integration.pieces:
+    steps = _Steps()
+    state, stiff = stack.run(steps, rtol, rtol * 1e-7 * size)
+    if not steps.pieces:
         raise ConvergenceError(
             f"no trajectory can be integrated from t = {start:g}: the right-hand side is not "
             "finite there or varies without bound",
             remedy="check the initial values and the coefficients",
         )
     blown = None
-    reached = integration.times[-1]
+    reached = float(steps.times[-1])
     if reached < end:
-        growth = np.abs(integration.state.reshape(n, m)) / np.maximum(np.abs(initial), size)
+        growth = np.abs(state) / np.maximum(np.abs(initial), size)
         blown = int(np.argmax(np.nan_to_num(growth, nan=np.inf).max(axis=0)))
-    dense = scipy.integrate.OdeSolution(integration.times, integration.pieces)
-    return Reference(points, start, float(reached), stiff, blown, ((m, dense),), n)
+    dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
+    batches = ((len(points), dense),)
+    return Reference(points, start, reached, stiff, blown, batches, system.N_DIFFERENTIAL)
 
 
-@dataclass
-class _Integration:
-    """Stepwise integration of the stacked system over consecutive segments."""
+class _Steps:
+    """The steps of an integration with their dense output."""
 
-    system: System
-    points: Array
-    initial: Array
-    edges: list[float]
-    tolerances: dict[str, Any]
-    times: list[float] = field(default_factory=list)
-    pieces: list[Any] = field(default_factory=list)
-    state: Array = field(default_factory=lambda: np.zeros(0))
+    times: list[float]
+    pieces: list[Any]
 
-    def run(self, method: Any, **options: Any) -> bool:
-        """Integrate until the end or a failure; False if an explicit method meets stiffness."""
-        self.times, self.pieces, self.state = [self.edges[0]], [], self.initial.ravel()
-        for a, b in itertools.pairwise(self.edges):
-            solver = method(
-                self._right_hand_side(a, b), a, self.state, b, **self.tolerances, **options
-            )
-            while solver.status == "running":
-                solver.step()
-                if solver.status == "failed":
-                    return True
-                self.times.append(solver.t)
-                self.pieces.append(solver.dense_output())
-                self.state = solver.y
-                if method is scipy.integrate.DOP853 and len(self.pieces) % _PROBE_STEPS == 0:
-                    decay = self._decay(solver.t)
-                    if decay * solver.step_size > _STIFF_PRODUCT:
-                        return False
-        return True
+    def begin(self, start: float) -> None:
+        """Forget what was, and start."""
+        self.times, self.pieces = [start], []
 
-    def _right_hand_side(self, a: float, b: float) -> Callable[[float, Array], Array]:
-        """The stacked right-hand side on a segment; factors are never taken at its very ends."""
-        rhs, shape = self.system.rhs, self.initial.shape
-        parameters = np.ascontiguousarray(self.points.T)
-        if len(self.edges) == 2:
-            return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
-        least, most = a + INSET * (b - a), b - INSET * (b - a)
-        return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
-
-    def _decay(self, t: float) -> float:
-        """Fastest rate of decay over the points at the present state."""
-        n, m = self.initial.shape
-        jacobian = self.system.jacobian(t, self.state.reshape(n, m), self.points.T)
-        blocks = np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
-        if not np.isfinite(blocks).all():
-            return 0.0
-        return float(-np.linalg.eigvals(blocks).real.min())
-
-
-def initial_values(system: System, parameters: Array) -> Array:
-    """Initial states at parameter points (d, m): shape (n, m)."""
-    m = parameters.shape[1]
-    rows = [system.parameter_factors(j, parameters[j]) for j in range(len(parameters))]
-    values = np.zeros((system.N_DIFFERENTIAL, m))
-    for coefficient, state, factors in system.INITIAL:
-        product = np.full(m, coefficient)
-        for row, index in zip(rows, factors, strict=True):
-            product = product * row[index]
-        values[state] += product
-    return values
+    def add(self, solver: Any) -> None:
+        """Keep a step."""
+        self.times.append(solver.t)
+        self.pieces.append(solver.dense_output())
 
 
 def measure(
@@ -258,18 +194,3 @@ def measure(
     stated = tuple(at_corners.tolist()) if corners else ()
     method = "Radau" if reference.stiff else "DOP853"
     return Measured(tuple(interior.tolist()), stated, m, method)
-
-
-def _stacked_jacobian(system: System, parameters: Array, n: int, m: int) -> Any:
-    """Block Jacobian of the stacked system in the order (state, point)."""
-    rows = (np.arange(n)[:, None, None] * m + np.arange(m)) + np.zeros((n, n, m), dtype=int)
-    columns = (np.arange(n)[None, :, None] * m + np.arange(m)) + np.zeros((n, n, m), dtype=int)
-    shape = (n * m, n * m)
-
-    def jacobian(t: float, y: Array) -> Any:
-        blocks = np.broadcast_to(system.jacobian(t, y.reshape(n, m), parameters), (n, n, m))
-        entries = (blocks.ravel(), (rows.ravel(), columns.ravel()))
-        matrix = scipy.sparse.csc_matrix(entries, shape=shape)
-        return matrix.toarray() if n * m <= _DENSE_STATES else matrix
-
-    return jacobian

@@ -1,0 +1,185 @@
+"""Trajectories at many parameter points, integrated together as one stacked system by SciPy.
+
+DOP853, or Radau where a trajectory is stiff, with the generated pointwise right-hand side.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.integrate
+import scipy.sparse
+
+from rankone.arrays import Array
+from rankone.discretization.radau import INSET
+from rankone.system import System
+
+__all__ = ["Recorder", "Stack", "initial_values"]
+
+_PROBE_STEPS = 100
+"""DOP853 steps after which it is asked whether stability limits the step."""
+_STIFF_PRODUCT = 3.0
+"""Step times decay rate above which it does (stability ends at about 6)."""
+_DENSE_STATES = 240
+"""Largest stacked system whose Jacobian is factored densely."""
+
+
+class Recorder(Protocol):
+    """Takes notice of the steps of an integration."""
+
+    def begin(self, start: float) -> None:
+        """An integration begins, perhaps anew with another method."""
+
+    def add(self, solver: Any) -> None:
+        """A step was made."""
+
+
+class StackedDOP853(scipy.integrate.DOP853):  # type: ignore[misc]
+    """Steps that suit every trajectory: the error is the largest of all, not their mean.
+
+    Parameters
+    ----------
+    states : int
+        States of one trajectory; the stacked vector is in the order (state, trajectory).
+    """
+
+    def __init__(self, *arguments: Any, states: int, **options: Any) -> None:
+        self._states = states
+        super().__init__(*arguments, **options)
+
+    def _estimate_error_norm(self, K: Array, h: float, scale: Array) -> float:
+        """As SciPy's (Hairer, Nørsett & Wanner, II.10), for each trajectory."""
+        fifth, third = (
+            np.square((K.T @ weights) / scale).reshape(self._states, -1).sum(axis=0)
+            for weights in (self.E5, self.E3)
+        )
+        below = np.sqrt((fifth + 0.01 * third) * self._states)
+        return float(abs(h) * np.max(fifth / np.where(below > 0.0, below, 1.0)))
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The system at several parameter points.
+
+    Attributes
+    ----------
+    system : System
+    points : ndarray (m, d)
+    edges : sequence of float
+        Start, times at which the integration is begun anew, end.
+    """
+
+    system: System
+    points: Array
+    edges: Sequence[float]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of states, number of points."""
+        return self.system.N_DIFFERENTIAL, len(self.points)
+
+    def run(
+        self, recorder: Recorder, rtol: float, atol: Array, stiff: bool = False
+    ) -> tuple[Array, bool]:
+        """Integrate until the end or a failure.
+
+        Parameters
+        ----------
+        recorder : Recorder
+        rtol : float
+        atol : ndarray (n, 1)
+        stiff : bool
+            Whether to begin with Radau; otherwise it is taken where DOP853 meets stiffness.
+
+        Returns
+        -------
+        state : ndarray (n, m)
+            After the last step.
+        stiff : bool
+            Whether Radau was used.
+        """
+        n, m = self.shape
+        tolerances = {"rtol": rtol, "atol": np.broadcast_to(atol, (n, m)).ravel()}
+        with np.errstate(all="ignore"):
+            if not stiff:
+                explicit = partial(StackedDOP853, states=n, **tolerances)
+                state = self._steps(explicit, recorder, self._met_stiffness)
+                if state is not None:
+                    return state, False
+            implicit = partial(scipy.integrate.Radau, jac=self._stacked_jacobian(), **tolerances)
+            state = self._steps(implicit, recorder, lambda solver, count: False)
+        assert state is not None
+        return state, True
+
+    def _steps(
+        self, method: Any, recorder: Recorder, give_up: Callable[[Any, int], bool]
+    ) -> Array | None:
+        """Step over all segments; None if the method is given up."""
+        state = initial_values(self.system, np.ascontiguousarray(self.points.T))
+        recorder.begin(self.edges[0])
+        count = 0
+        for a, b in itertools.pairwise(self.edges):
+            solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
+            while solver.status == "running":
+                solver.step()
+                if solver.status == "failed":
+                    return state
+                recorder.add(solver)
+                state, count = solver.y.reshape(self.shape), count + 1
+                if give_up(solver, count):
+                    return None
+        return state
+
+    def _right_hand_side(self, a: float, b: float) -> Callable[[float, Array], Array]:
+        """The stacked right-hand side on a segment; factors are never taken at its very ends."""
+        rhs, shape = self.system.rhs, self.shape
+        parameters = np.ascontiguousarray(self.points.T)
+        if len(self.edges) == 2:
+            return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
+        least, most = a + INSET * (b - a), b - INSET * (b - a)
+        return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
+
+    def _met_stiffness(self, solver: Any, count: int) -> bool:
+        """Whether stability limits the step: the fastest rate of decay at the present state."""
+        if count % _PROBE_STEPS:
+            return False
+        n, m = self.shape
+        jacobian = self.system.jacobian(solver.t, solver.y.reshape(n, m), self.points.T)
+        blocks = np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
+        if not np.isfinite(blocks).all():
+            return False
+        decay = float(-np.linalg.eigvals(blocks).real.min())
+        return bool(decay * solver.step_size > _STIFF_PRODUCT)
+
+    def _stacked_jacobian(self) -> Any:
+        """Block Jacobian of the stacked system in the order (state, point)."""
+        n, m = self.shape
+        rows = (np.arange(n)[:, None, None] * m + np.arange(m)) + np.zeros((n, n, m), dtype=int)
+        columns = (np.arange(n)[None, :, None] * m + np.arange(m)) + np.zeros((n, n, m), dtype=int)
+        jacobian_of, parameters = self.system.jacobian, np.ascontiguousarray(self.points.T)
+
+        def jacobian(t: float, y: Array) -> Any:
+            blocks = np.broadcast_to(jacobian_of(t, y.reshape(n, m), parameters), (n, n, m))
+            entries = (blocks.ravel(), (rows.ravel(), columns.ravel()))
+            matrix = scipy.sparse.csc_matrix(entries, shape=(n * m, n * m))
+            return matrix.toarray() if n * m <= _DENSE_STATES else matrix
+
+        return jacobian
+
+
+def initial_values(system: System, parameters: Array) -> Array:
+    """Initial states at parameter points (d, m): shape (n, m)."""
+    m = parameters.shape[1]
+    rows = [system.parameter_factors(j, parameters[j]) for j in range(len(parameters))]
+    values = np.zeros((system.N_DIFFERENTIAL, m))
+    for coefficient, state, factors in system.INITIAL:
+        product = np.full(m, coefficient)
+        for row, index in zip(rows, factors, strict=True):
+            product = product * row[index]
+        values[state] += product
+    return values
