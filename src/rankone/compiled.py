@@ -111,7 +111,7 @@ class CompiledProblem:
         self,
         rtol: float = 1e-6,
         *,
-        method: Literal["train", "greedy"] = "train",
+        method: Literal["train", "cross", "greedy"] = "train",
         parameters: Mapping[Any, Sequence[float]] | None = None,
         t_final: float | None = None,
         progress: bool | Progress = False,

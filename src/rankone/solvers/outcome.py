@@ -20,6 +20,7 @@ class Status(Enum):
     NODE_LIMIT = "the limit of parameter nodes was reached"
     SLAB_LIMIT = "the limit of time slabs was reached"
     MEMORY_LIMIT = "the memory limit was reached"
+    TRAJECTORY_LIMIT = "the limit of trajectories was reached"
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     BLOW_UP = "a trajectory blows up inside the horizon"
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from rankone.errors import OptionError
-from rankone.solvers import greedy, train
+from rankone.solvers import cross, greedy, train
 from rankone.solvers.engine import Engine
 from rankone.wording import did_you_mean
 
 __all__ = ["ENGINES", "engine_named"]
 
-ENGINES: dict[str, Engine[Any]] = {engine.name: engine for engine in (train.ENGINE, greedy.ENGINE)}
+ENGINES: dict[str, Engine[Any]] = {
+    engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)
+}
 
 
 def engine_named(method: str) -> Engine[Any]:

@@ -1,0 +1,156 @@
+"""The cross engine: interpolate, check against SciPy, ask for more where it does not suffice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.discretization import Basis1D
+from rankone.domain import Domain
+from rankone.progress import ProgressEvent
+from rankone.solvers.attempts import Attempt, solve_in_attempts
+from rankone.solvers.cross.nodes import first_bases, more_nodes
+from rankone.solvers.cross.options import CrossOptions
+from rankone.solvers.cross.record import CrossRecord
+from rankone.solvers.cross.samples import Samples
+from rankone.solvers.cross.sweep import Interpolation, interpolate, left_points, rounded
+from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
+from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
+from rankone.solvers.engine import Engine, Report, Request
+from rankone.solvers.march import MarchResult
+from rankone.solvers.outcome import Outcome, Status
+from rankone.solvers.verification import Yardstick
+from rankone.system import System
+from rankone.tensors.train import apply_to_modes
+
+__all__ = ["ENGINE", "solve_cross"]
+
+_INTEGRATION, _ROW_SPACE, _TAIL, _ROUNDING = 0.05, 0.1, 0.2, 0.1
+"""Shares of the error asked for: integration, row spaces, highest modes, rounding."""
+_LEFT_POINTS = 9
+
+
+class CrossMarcher:
+    """Interpolates the whole horizon at once, each time with more nodes, points or accuracy."""
+
+    remedies: ClassVar[Mapping[Status, str]] = {
+        Status.RANK_LIMIT: "raise max_rank, narrow the box or loosen rtol",
+        Status.NODE_LIMIT: "raise max_nodes, narrow the box or loosen rtol",
+        Status.SLAB_LIMIT: "raise max_slabs or shorten the horizon",
+        Status.TRAJECTORY_LIMIT: "raise max_trajectories, narrow the box or loosen rtol",
+        Status.NO_CONVERGENCE: "narrow the box or shorten the horizon",
+        Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
+    }
+
+    def __init__(self, request: Request[CrossOptions], yardstick: Yardstick) -> None:
+        self.rtol, self.options, self.yardstick = request.rtol, request.options, yardstick
+        self.share, self.left = 1.0, _LEFT_POINTS
+        self.bases: tuple[Basis1D, ...] | None = None
+        self.spectra: list[Array] = []
+        self.integrated = 0
+
+    def march(self, number: int, report: Report) -> MarchResult:
+        """Interpolate over the whole horizon."""
+        result = MarchResult()
+        level = self.share * self.rtol
+        grid = self._grid(level)
+        if grid is None:
+            result.stopped = Status.SLAB_LIMIT
+            return result
+        most = self.options.max_trajectories - self.integrated
+        trajectories = Trajectories(self.yardstick, grid, _INTEGRATION * level, most)
+        try:
+            found, bases = self._interpolated(trajectories, level)
+        except TooManyTrajectories:
+            result.stopped = Status.TRAJECTORY_LIMIT
+            return result
+        except TrajectoryEnds as ends:
+            result.stopped = Status.NO_CONVERGENCE
+            self.ends = ends
+            return result
+        finally:
+            self.integrated += trajectories.count
+        self.bases = bases
+        if found.limited:
+            result.limits.add(Status.RANK_LIMIT)
+        cores = rounded(found.cores, _ROUNDING * level)
+        modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
+        self.spectra = _spectra(modal)
+        result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
+        ranks = tuple(core.shape[0] for core in modal[1:])
+        tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
+        sizes = tuple(basis.size for basis in bases)
+        start, end = grid.breaks[0], grid.breaks[-1]
+        counts = trajectories.count, grid.slabs
+        record = CrossRecord(number, start, end, True, level, tails, ranks, sizes, *counts)
+        result.records.append(record)
+        report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
+        return result
+
+    def _grid(self, level: float) -> TimeGrid | None:
+        """Slabs that resolve the reference, or None if there are too many."""
+        yardstick = self.yardstick
+        start, end = yardstick.reference.start, yardstick.end
+        edges = [start, *(cut for cut in yardstick.cuts if cut < end), end]
+        units = yardstick.states[:, None, None]
+        count = self.options.nodes_in_time(self.rtol)
+        tolerance = max(_TAIL * level, 1e-13)
+        breaks = resolving_breaks(
+            lambda t: yardstick.reference(t) / units,
+            edges,
+            count,
+            tolerance,
+            self.options.max_slabs,
+        )
+        return None if breaks is None else TimeGrid(breaks, count)
+
+    def _interpolated(
+        self, trajectories: Trajectories, level: float
+    ) -> tuple[Interpolation, tuple[Basis1D, ...]]:
+        domain = self.yardstick.domain
+        if not domain.box:
+            return Interpolation([trajectories(np.zeros((1, 0)))], False), ()
+        bases = self.bases or first_bases(trajectories, domain, level, self.options)
+        left = left_points([basis.size for basis in bases], self.left, 20140)
+        samples = Samples(trajectories, bases)
+        tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
+        return interpolate(samples, bases, left, tolerance, self.options.max_rank), bases
+
+    def refine(self, attempt: Attempt, stalls: int) -> bool:
+        """More nodes where the highest modes are not small; more points and accuracy in any case."""
+        if attempt.result.stopped or stalls == 2 or self.bases is None:
+            return False
+        finer = more_nodes(self.bases, self.spectra, _TAIL * self.rtol, self.options.max_nodes)
+        if finer == self.bases or stalls:
+            self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
+        self.left = -(-3 * self.left // 2)
+        self.bases = finer
+        return True
+
+    def cause(self, status: Status, attempt: Attempt) -> str:
+        """The status says it."""
+        return status.value
+
+
+def _spectra(cores: list[Array]) -> list[Array]:
+    """For each parameter the norms of the modes of its core, weighted by what is to its left."""
+    weight = np.asarray(np.linalg.qr(cores[0], mode="r"))
+    spectra = []
+    for core in cores[1:]:
+        weighted = np.tensordot(weight, core, 1)
+        spectra.append(np.sqrt(np.sum(weighted**2, axis=(0, 2))))
+        weight = np.asarray(np.linalg.qr(weighted.reshape(-1, core.shape[2]), mode="r"))
+    return spectra
+
+
+def solve_cross(
+    system: System, domain: Domain, request: Request[CrossOptions], report: Report
+) -> Outcome:
+    """Solve a system for the whole box by cross interpolation of its trajectories."""
+    return solve_in_attempts(CrossMarcher, system, domain, request, report)
+
+
+ENGINE = Engine("cross", CrossOptions, CrossRecord, solve_cross)

@@ -1,0 +1,154 @@
+"""Cross interpolation of trajectories in a tensor train over [(state, time)] | p_1 | ... | p_d.
+
+At bond b the trajectories at (left points) x (nodes of p_b) x (right points) are a matrix with the
+rows (left point, state, time) and the columns (node, right point). Its row space, truncated, gives
+the core b as an interpolation from a skeleton of its columns, which are the right points of the
+next bond. Since each left point brings a whole trajectory, a few of them serve ranks far higher.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from rankone.arrays import Array
+from rankone.discretization import Basis1D
+from rankone.solvers.cross.samples import Integers, Samples
+from rankone.tensors.train import right_orthonormal
+
+__all__ = ["Interpolation", "interpolate", "left_points"]
+
+_FULL_GRID = 700
+"""Number of nodes of the grid up to which all of them are sampled."""
+_EXTRA = 10
+"""Random combinations beyond the number of columns in which a row space is looked for."""
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """A train whose first core is in the basis of the trajectories.
+
+    Attributes
+    ----------
+    cores : list of ndarray
+        Core 0 (basis, r_1); cores j (r_j, n_j, r_{j+1}), scaled by the roots of the weights and
+        right-orthonormal.
+    limited : bool
+        Whether a rank was cut.
+    """
+
+    cores: list[Array]
+    limited: bool
+
+
+def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
+    """For each bond the left points: node indices of the parameters before it, (m, b).
+
+    Random ones, ``count`` of them, or all where the whole grid is small.
+    """
+    generator = np.random.default_rng(seed)
+    points = [np.zeros((1, 0), dtype=np.int64)]
+    full = math.prod(sizes) <= _FULL_GRID
+    for b in range(1, len(sizes)):
+        total = math.prod(sizes[:b])
+        if full or total <= count:
+            chosen = np.arange(total)
+        else:
+            chosen = generator.choice(total, count, replace=False) if total < 1e15 else None
+        if chosen is None:
+            columns = [generator.integers(0, size, count) for size in sizes[:b]]
+            points.append(np.stack(columns, axis=1))
+        else:
+            points.append(np.stack(np.unravel_index(chosen, tuple(sizes[:b])), axis=1))
+    return points
+
+
+def interpolate(
+    samples: Samples,
+    bases: Sequence[Basis1D],
+    left: Sequence[Integers],
+    tolerance: float,
+    max_rank: int,
+) -> Interpolation:
+    """One sweep from the last parameter to the first.
+
+    Parameters
+    ----------
+    samples : Samples
+    bases : sequence of Basis1D
+    left : sequence of ndarray
+        Left points of each bond, see :func:`left_points`.
+    tolerance : float
+        Root mean square of what a row space may miss, over the trajectories of its bond.
+    max_rank : int
+    """
+    generator = np.random.default_rng(20140)
+    right = np.zeros((1, 0), dtype=np.int64)
+    cores: list[Array] = []
+    limited = False
+    for b in range(len(bases) - 1, -1, -1):
+        size = bases[b].size
+        columns = _product(np.arange(size)[:, None], right)
+        block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))
+        matrix = block.reshape(-1, len(columns))
+        allowed = tolerance * math.sqrt(len(left[b]) * len(columns))
+        rows = _row_space(matrix, allowed, generator)
+        limited |= len(rows) > max_rank
+        rows = rows[:max_rank]
+        _, _, pivots = scipy.linalg.qr(rows, mode="economic", pivoting=True, check_finite=False)
+        skeleton = np.sort(pivots[: len(rows)])
+        core = np.linalg.solve(rows[:, skeleton], rows)
+        cores.insert(0, core.reshape(len(rows), size, len(right)))
+        right = columns[skeleton]
+    return Interpolation([samples(right), *_scaled(cores, bases)], limited)
+
+
+def _product(left: Integers, right: Integers) -> Integers:
+    """All pairs of rows, side by side; the right ones run fastest."""
+    return np.concatenate(
+        [np.repeat(left, len(right), axis=0), np.tile(right, (len(left), 1))], axis=1
+    )
+
+
+def _scaled(cores: Sequence[Array], bases: Sequence[Basis1D]) -> list[Array]:
+    """Values at the nodes times the roots of the weights."""
+    pairs = zip(cores, bases, strict=True)
+    return [core * np.sqrt(basis.weights)[:, None] for core, basis in pairs]
+
+
+def _row_space(matrix: Array, tolerance: float, generator: np.random.Generator) -> Array:
+    """Orthonormal rows; what is outside of their span has a norm of at most the tolerance.
+
+    The rows of a tall matrix are combined at random first, which keeps its row space
+    (Halko, Martinsson & Tropp, SIAM Review 53 (2011), section 4).
+    """
+    rows, columns = matrix.shape
+    if rows > 3 * (columns + _EXTRA):
+        mixing = generator.standard_normal((columns + _EXTRA, rows)) / math.sqrt(columns + _EXTRA)
+        matrix = mixing @ matrix
+    if len(matrix) > columns:
+        matrix = np.linalg.qr(matrix, mode="r")
+    _, values, found = scipy.linalg.svd(matrix, full_matrices=False, check_finite=False)
+    tails = np.sqrt(np.cumsum(values[::-1] ** 2)[::-1])
+    return np.asarray(found[: max(int(np.count_nonzero(tails > tolerance)), 1)])
+
+
+def rounded(cores: Sequence[Array], tolerance: float) -> list[Array]:
+    """The same train with the ranks that a tolerance needs, right-orthonormal."""
+    result = right_orthonormal(cores)
+    share = tolerance / math.sqrt(max(len(result) - 1, 1))
+    for j in range(len(result) - 1):
+        core = result[j]
+        left, values, right = scipy.linalg.svd(
+            core.reshape(-1, core.shape[-1]), full_matrices=False, check_finite=False
+        )
+        tails = np.sqrt(np.cumsum(values[::-1] ** 2)[::-1])
+        keep = max(int(np.count_nonzero(tails > share)), 1)
+        result[j] = left[:, :keep].reshape(*core.shape[:-1], keep)
+        carry = values[:keep, None] * right[:keep]
+        result[j + 1] = np.tensordot(carry, result[j + 1], 1)
+    return right_orthonormal(result)

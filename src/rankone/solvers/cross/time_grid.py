@@ -1,0 +1,100 @@
+"""The time axis of sampled trajectories: slabs that resolve the reference, and their nodes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from rankone.arrays import Array
+from rankone.discretization import Basis1D, legendre_values
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["TimeGrid", "resolving_breaks"]
+
+_SHORTEST = 1e-9
+"""Shortest slab, relative to the horizon."""
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Gauss-Legendre nodes on consecutive slabs.
+
+    Attributes
+    ----------
+    breaks : tuple of float
+        Ends of the slabs, ascending.
+    count : int
+        Nodes on each slab.
+    """
+
+    breaks: tuple[float, ...]
+    count: int
+
+    @property
+    def slabs(self) -> int:
+        """Number of slabs."""
+        return len(self.breaks) - 1
+
+    @cached_property
+    def times(self) -> Array:
+        """Nodes of all slabs, ascending, shape (T,)."""
+        xi = 0.5 * (leggauss(self.count)[0] + 1.0)
+        return np.concatenate([a + (b - a) * xi for a, b in itertools.pairwise(self.breaks)])
+
+    def trains(
+        self, first: Array, cores: Sequence[Array], bases: Sequence[Basis1D]
+    ) -> list[SlabTrain]:
+        """One train for each slab, from the states at the nodes, (n, T, r), and the other cores."""
+        to_modal = np.linalg.inv(legendre_values(leggauss(self.count)[0], self.count))
+        trains = []
+        for k, (a, b) in enumerate(itertools.pairwise(self.breaks)):
+            local = to_modal @ first[:, k * self.count : (k + 1) * self.count]
+            trains.append(SlabTrain(a, b, (local, *cores), tuple(bases)))
+        return trains
+
+
+def resolving_breaks(
+    values: Callable[[Array], Array],
+    edges: Sequence[float],
+    count: int,
+    tolerance: float,
+    most: int,
+) -> tuple[float, ...] | None:
+    """Ends of slabs on which ``count`` nodes resolve functions of time; None if too many.
+
+    Slabs are halved until the two highest Legendre modes are below the tolerance.
+
+    Parameters
+    ----------
+    values : callable
+        Functions in units of their sizes at times (T,): shape (..., T).
+    edges : sequence of float
+        Start, times that no slab crosses, end.
+    count : int
+    tolerance : float
+    most : int
+        Largest number of slabs.
+    """
+    xi = 0.5 * (leggauss(count)[0] + 1.0)
+    to_modal = np.linalg.inv(legendre_values(2.0 * xi - 1.0, count))[-2:]
+    waiting, done = list(itertools.pairwise(edges)), []
+    horizon = edges[-1] - edges[0]
+    while waiting:
+        if len(waiting) + len(done) > most:
+            return None
+        times = np.concatenate([a + (b - a) * xi for a, b in waiting])
+        at_nodes = values(times).reshape(-1, len(waiting), count)
+        tails = np.abs(at_nodes @ to_modal.T).max(axis=(0, 2))
+        halves = []
+        for (a, b), tail in zip(waiting, tails, strict=True):
+            if tail <= tolerance or b - a < _SHORTEST * horizon:
+                done.append((a, b))
+            else:
+                halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
+        waiting = halves
+    return (*(a for a, _ in sorted(done)), edges[-1])

@@ -1,0 +1,132 @@
+"""Stacked trajectories on a time grid, held as coefficients in a growing orthonormal basis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.solvers.cross.time_grid import TimeGrid
+from rankone.solvers.integration import Stack
+from rankone.solvers.verification import Yardstick
+
+__all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
+
+_STACKED, _STACKED_STIFF = 1500, 60
+"""Trajectories integrated together, by explicit and by implicit steps."""
+_ABSOLUTE = 1e-5
+"""Absolute tolerance of the integration in units of each state's size, over the relative one."""
+_LOST = 0.3
+"""Singular values left out of the basis, relative to the tolerance."""
+
+
+class TooManyTrajectories(Exception):
+    """The limit of trajectories was met."""
+
+
+class TrajectoryEnds(Exception):
+    """Some trajectory cannot be integrated to the end; ``time`` is how far it came."""
+
+    def __init__(self, time: float, points: Array) -> None:
+        super().__init__(time)
+        self.time, self.points = time, points
+
+
+class Trajectories:
+    """Trajectories at parameter points, in units of the states' sizes.
+
+    A trajectory is a vector (state, time node), scaled so that its norm is the root mean square
+    over the nodes; what the basis misses of it is below the tolerance.
+
+    Parameters
+    ----------
+    yardstick : Yardstick
+    grid : TimeGrid
+    tolerance : float
+        Accuracy of the integration and of the basis.
+    most : int
+        Largest number of trajectories.
+    """
+
+    def __init__(self, yardstick: Yardstick, grid: TimeGrid, tolerance: float, most: int) -> None:
+        self.yardstick, self.grid, self.tolerance, self.most = yardstick, grid, tolerance, most
+        self.count = 0
+        self.units = yardstick.states * np.sqrt(grid.times.size)
+        self.basis = np.zeros((self.units.size * grid.times.size, 0))
+
+    def __call__(self, points: Array) -> Array:
+        """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
+        if self.count + len(points) > self.most:
+            raise TooManyTrajectories
+        chunk = _STACKED_STIFF if self.yardstick.reference.stiff else _STACKED
+        parts = [self._integrated(points[k : k + chunk]) for k in range(0, len(points), chunk)]
+        self.count += len(points)
+        return self._coefficients(np.concatenate(parts, axis=1))
+
+    def states(self, coefficients: Array) -> Array:
+        """States at the nodes from coefficients (rank, r): shape (n, T, r)."""
+        rank, columns = coefficients.shape
+        values = (self.basis[:, :rank] @ coefficients).reshape(self.units.size, -1, columns)
+        return np.asarray(values * self.units[:, None, None])
+
+    def _integrated(self, points: Array) -> Array:
+        """Trajectories at the points, (n T, m)."""
+        yardstick, times = self.yardstick, self.grid.times
+        horizon = yardstick.domain.horizon[0], self.grid.breaks[-1]
+        cuts = [cut for cut in yardstick.cuts if cut < horizon[1]]
+        record = _AtNodes(times, yardstick.states.size, len(points))
+        stack = Stack(yardstick.system, points, [horizon[0], *cuts, horizon[1]])
+        atol = _ABSOLUTE * self.tolerance * yardstick.states[:, None]
+        stack.run(record, self.tolerance, atol, yardstick.reference.stiff)
+        if record.reached < times.size or not np.isfinite(record.values).all():
+            raise TrajectoryEnds(float(times[max(record.reached - 1, 0)]), points)
+        scaled = record.values.transpose(1, 0, 2) / self.units[:, None, None]
+        return scaled.reshape(-1, len(points))
+
+    def _coefficients(self, trajectories: Array) -> Array:
+        """Coefficients in the basis, which grows by what it misses."""
+        found = self.basis.T @ trajectories
+        if self.basis.shape[1] == len(self.basis):
+            return found
+        rest = trajectories - self.basis @ found
+        sizes = np.linalg.norm(rest, axis=0)
+        if sizes.max(initial=0.0) <= self.tolerance:
+            return found
+        new = _range(rest[:, sizes > _LOST * self.tolerance], _LOST * self.tolerance)
+        new, _ = np.linalg.qr(new - self.basis @ (self.basis.T @ new))
+        self.basis = np.concatenate([self.basis, new], axis=1)
+        return np.concatenate([found, new.T @ rest])
+
+
+def _range(columns: Array, tolerance: float) -> Array:
+    """Orthonormal columns in whose span most of the columns lie up to the tolerance."""
+    rows, count = columns.shape
+    if count > 2 * rows:
+        values, vectors = np.linalg.eigh(columns @ columns.T)
+        values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
+    else:
+        vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
+    return vectors[:, : max(int(np.count_nonzero(values > tolerance)), 1)]
+
+
+class _AtNodes:
+    """The states of a stack at given times."""
+
+    def __init__(self, times: Array, states: int, points: int) -> None:
+        self.times, self.values = times, np.empty((times.size, states, points))
+        self.reached = 0
+
+    def begin(self, start: float) -> None:
+        """Start at the first node."""
+        self.reached = 0
+
+    def add(self, solver: Any) -> None:
+        """Keep the states at the nodes that the step passes."""
+        end = int(np.searchsorted(self.times, solver.t, side="right"))
+        if end > self.reached:
+            at = self.times[self.reached : end]
+            self.values[self.reached : end] = solver.dense_output()(at).T.reshape(
+                at.size, *self.values.shape[1:]
+            )
+            self.reached = end
