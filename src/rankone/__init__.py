@@ -28,6 +28,7 @@ from rankone.errors import (
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.solution import Solution, load
+from rankone.solvers.cross import CrossOptions
 from rankone.solvers.greedy import GreedyOptions
 from rankone.solvers.outcome import Status
 from rankone.solvers.train import TrainOptions
@@ -45,6 +46,7 @@ __all__ = [
     "BlowUpError",
     "CompiledProblem",
     "ConvergenceError",
+    "CrossOptions",
     "EvaluationError",
     "ExportError",
     "FirstOrderSystem",

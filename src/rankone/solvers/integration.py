@@ -25,7 +25,7 @@ _PROBE_STEPS = 100
 """DOP853 steps after which it is asked whether stability limits the step."""
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
-_DENSE_STATES = 240
+_DENSE_STATES = 40
 """Largest stacked system whose Jacobian is factored densely."""
 
 
