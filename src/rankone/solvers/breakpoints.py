@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.discretization import ChebyshevBasis
 from rankone.domain import Domain
 from rankone.system import System
@@ -112,6 +113,7 @@ class _Finder:
 
     def pieces(self, a: float, b: float, depth: int = 0) -> list[tuple[float, float, bool]]:
         """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
+        check_time()
         if self.error(a, b) <= _TOLERANCE:
             return [(a, b, True)]
         if depth == _DEEPEST or b - a < 4.0 * self.closest:

@@ -16,6 +16,7 @@ import scipy.integrate
 import scipy.sparse
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.discretization.radau import INSET
 from rankone.system import System
 
@@ -159,6 +160,7 @@ class Stack:
             solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
             while solver.status == "running":
                 solver.step()
+                check_time()
                 if solver.status == "failed":
                     return state
                 recorder.add(solver)

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.discretization import Basis1D
 from rankone.solvers.cross.samples import Integers, Samples
 from rankone.tensors.train import right_orthonormal
@@ -90,6 +91,7 @@ def interpolate(
     cores: list[Array] = []
     limited = False
     for b in range(len(bases) - 1, -1, -1):
+        check_time()
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
         block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.solvers.train.groups import (
     CONSTANT,
     LINEAR,
@@ -286,9 +287,11 @@ class Sweeper:
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
         for b in range(self.dimensions - 1):
+            check_time()
             self._shift_right(b, 1e-3 * tolerance)
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
+            check_time()
             with np.errstate(over="ignore", invalid="ignore"):
                 new, present = self._pair_block(b)
                 change = float(np.linalg.norm(new - present))
