@@ -25,7 +25,8 @@ from rankone.errors import (
     SeparationError,
     StorageError,
 )
-from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.functions import function, table
+from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.solution import Solution, load
 from rankone.solvers.cross import CrossOptions
@@ -50,6 +51,7 @@ __all__ = [
     "EvaluationError",
     "ExportError",
     "FirstOrderSystem",
+    "GeneralTerm",
     "GreedyOptions",
     "OptionError",
     "Problem",
@@ -67,11 +69,13 @@ __all__ = [
     "__version__",
     "compile",
     "first_order",
+    "function",
     "generate_source",
     "load",
     "load_module",
     "quadratic_system",
     "separate",
     "solve",
+    "table",
     "weak_form",
 ]

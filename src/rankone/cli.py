@@ -104,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     solve.add_argument(
         "--save", metavar="PATH", type=Path, help="write the solution to PATH (.npz, see docs)"
     )
+    solve.add_argument("--method", default="train", help="the engine (default: %(default)s)")
     solve.add_argument("--overwrite", action="store_true", help="let --save replace a file")
     solve.add_argument(
         "--check",
@@ -182,7 +183,9 @@ def _solve(arguments: argparse.Namespace) -> int:
     check = True if arguments.check is None else arguments.check or False
     bar = sys.stderr.isatty() and not arguments.quiet
     try:
-        solution = compiled.solve(rtol=arguments.rtol, check=check, progress=bar)
+        solution = compiled.solve(
+            rtol=arguments.rtol, method=arguments.method, check=check, progress=bar
+        )
     except ConvergenceError as error:
         if error.solution is None:
             raise
@@ -234,12 +237,19 @@ def _show(arguments: argparse.Namespace) -> int:
 
     compiled = rankone.compile(load_problem(arguments.file))
     chosen = vars(arguments)
+    flagged = any(chosen[stage.replace("-", "_")] for stage in _STAGES)
+    if not flagged:
+        print("# methods\n")
+        for method, reason in compiled.methods.items():
+            print(f"{method:6} {'applies' if reason is None else f'does not apply: {reason}'}")
+        print()
     asked = [stage for stage in _STAGES if chosen[stage.replace("-", "_")]] or list(_STAGES)
     for number, stage in enumerate(asked):
         title, attribute = _STAGES[stage]
         if len(asked) > 1:
             print(f"{'' if number == 0 else chr(10)}# {title}\n")
-        print(str(getattr(compiled, attribute)).rstrip("\n"))
+        shown = getattr(compiled, attribute)
+        print("none: not all terms separate" if shown is None else str(shown).rstrip("\n"))
     sys.stdout.flush()
     return _SUCCESS
 

@@ -6,7 +6,8 @@ stage            result                 what happens
 first order      ``.first_order``       orders reduced, masses inverted: u' = f(t, p, u)
 weak form        ``.weak_form``         residual times test function, integrated over all dimensions
 separation       ``.separated``         every term factored into functions of one coordinate
-lowering         ``.quadratic``         products of at most two states, terms grouped by factors
+lowering         ``.quadratic``         products of at most two states, terms grouped by factors;
+                                        None if there are terms that do not separate
 code generation  ``.source``            kernels, factors and pointwise functions as readable text
 import           ``.system``            the text is run as a module
 solve            a ``Solution``         an engine enriches separated tensors over a domain
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -30,31 +31,45 @@ from typing import Any, Literal
 
 from threadpoolctl import ThreadpoolController
 
-from rankone.codegen import equation_texts, generate_source, load_module
+from rankone.codegen import (
+    equation_texts,
+    general_equation_texts,
+    general_source,
+    generate_source,
+    load_module,
+)
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError, OptionError
+from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
 from rankone.progress import Progress, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
-from rankone.solvers.registry import engine_named
+from rankone.solvers.registry import ENGINES, engine_named
 from rankone.symbolic import (
     FirstOrderSystem,
     Problem,
     WeakForm,
+    check_known,
     check_moved,
+    check_start,
+    check_tables,
     first_order,
     separate,
     weak_form,
 )
 from rankone.system import System
 from rankone.version import __version__
+from rankone.wording import count
 
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
+
+_ANY_SYSTEM = ("cross",)
+"""Methods that need no separated terms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +87,9 @@ class CompiledProblem:
         Residual times test function, integrated over every dimension.
     separated : SeparatedForm
         The terms, each a product of functions of one coordinate and a monomial.
-    quadratic : QuadraticSystem
-        The right-hand side with products of at most two states, its terms in groups.
+    quadratic : QuadraticSystem or None
+        The right-hand side with products of at most two states, its terms in groups; None if
+        there are terms that do not separate.
     source : str
         Text of the generated module.
     timings : dict of str to float
@@ -84,14 +100,26 @@ class CompiledProblem:
     first_order: FirstOrderSystem
     weak_form: WeakForm
     separated: SeparatedForm
-    quadratic: QuadraticSystem
+    quadratic: QuadraticSystem | None
     source: str
     timings: dict[str, float]
 
     @cached_property
     def system(self) -> System:
         """The generated module; run again from its source after unpickling."""
-        return load_module(self.source, self.problem.name or "system")
+        return load_module(self.source, self.problem.name or "system", self.user_functions)
+
+    @property
+    def user_functions(self) -> Mapping[str, Callable[..., Any]]:
+        """The functions of the user that the source calls, by the names it calls them by."""
+        return namespace_of([*self.first_order.rhs, *self.first_order.initial])
+
+    @property
+    def methods(self) -> dict[str, str | None]:
+        """For each method None if it applies, else the reason why not."""
+        general = self.separated.general
+        reason = general[0].reason if general else None
+        return {name: None if name in _ANY_SYSTEM else reason for name in ENGINES}
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "system"}
@@ -100,9 +128,12 @@ class CompiledProblem:
         clock, *parameters = self.separated.coordinates
         names = ", ".join(state.name for state in self.separated.states)
         box = ", ".join(f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in (clock, *parameters))
+        general = count(len(self.separated.general), "general term")
+        general = f"{general}, " if self.separated.general else ""
         return (
             f"CompiledProblem of {names} over {box}\n"
             f"{len(self.separated.terms)} separated terms, "
+            f"{general}"
             f"{self.source.count(chr(10))} lines generated, "
             f"compiled in {sum(self.timings.values()):.2f} s"
         )
@@ -126,9 +157,10 @@ class CompiledProblem:
         rtol : float
             Largest error asked for, relative to the largest value of each unknown, between 1e-10
             and 0.1. It is measured against SciPy trajectories after the solve.
-        method : {"train", "greedy"}
-            The engine: the tensor train on the preconditioned Volterra form, or the classic
-            proper generalized decomposition with rank-one enrichments.
+        method : {"train", "cross", "greedy"}
+            The engine: the tensor train on the preconditioned Volterra form; trajectories at
+            chosen parameter points, interpolated; or the classic proper generalized decomposition
+            with rank-one enrichments. Right-hand sides that do not separate need "cross".
         parameters : mapping, optional
             Other intervals of parameters, by symbols or names; nothing is compiled again.
         t_final : float, optional
@@ -157,6 +189,8 @@ class CompiledProblem:
             Only with ``on_failure="raise"``.
         OptionError
             An option is unknown or out of its range, or there is no such domain.
+        SeparationError
+            The method needs separated terms, and some term does not separate.
         """
         if on_failure not in ("return", "raise"):
             raise OptionError(
@@ -164,10 +198,12 @@ class CompiledProblem:
             )
         engine = engine_named(method)
         request = engine.request(rtol, check, options)
+        if method not in _ANY_SYSTEM:
+            self.separated.require_separated()
         domain = Domain.of(self.system)
         if parameters or t_final is not None:
             domain = domain.moved(self.system.PARAMETERS, parameters, t_final)
-            check_moved(self.problem, self.separated, domain)
+            check_moved(self.problem, self.first_order, self.separated, self.system, domain)
         began = time.perf_counter()
         with resolve_progress(progress) as report, _one_blas_thread():
             outcome = engine.solve(self.system, domain, request, report)
@@ -203,7 +239,11 @@ class CompiledProblem:
             horizon=(clock.lower, clock.upper),
             rtol=rtol,
             method=method,
-            equations=tuple(equation_texts(self.quadratic)),
+            equations=tuple(
+                general_equation_texts(self.first_order)
+                if self.quadratic is None
+                else equation_texts(self.quadratic)
+            ),
             version=__version__,
             source=self.source,
         )
@@ -222,10 +262,9 @@ def compile_problem(problem: Problem) -> CompiledProblem:
 
     Raises
     ------
-    SeparationError
-        A term does not factor, or is not polynomial in the unknowns.
     ProblemError
-        A coefficient is complex or not finite somewhere in the box.
+        A coefficient is complex or not finite somewhere in the box, or a function cannot be
+        written with NumPy or SciPy.
     """
     if not isinstance(problem, Problem):
         raise OptionError(
@@ -235,17 +274,25 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     timings: dict[str, float] = {}
     with _timed(timings, "first order"):
         system = first_order(problem)
+        check_tables(system, system.coordinates)
     with _timed(timings, "weak form"):
         weak = weak_form(system)
     with _timed(timings, "separation"):
         separated = separate(weak)
+    if separated.general:
+        check_known(system, system.coordinates)
     with _timed(timings, "lowering"):
-        quadratic = quadratic_system(separated)
+        quadratic = None if separated.general else quadratic_system(separated)
     with _timed(timings, "code generation"):
-        source = generate_source(quadratic, problem.name)
+        if quadratic is None:
+            source = general_source(system, problem.name)
+        else:
+            source = generate_source(quadratic, problem.name)
     compiled = CompiledProblem(problem, system, weak, separated, quadratic, source, timings)
     with _timed(timings, "import"):
         _ = compiled.system
+    if separated.general:
+        check_start(system, compiled.system, system.coordinates)
     return compiled
 
 

@@ -12,6 +12,7 @@ here, and SymPy is only named for the types.
 
 from __future__ import annotations
 
+import html
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from rankone.display import aligned_equations, html_table, latex, latex_number, text_table
+from rankone.errors import SeparationError
 from rankone.metadata import Role
 from rankone.wording import count, number
 
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Coordinate",
     "Factor",
+    "GeneralTerm",
     "Group",
     "QuadraticSystem",
     "Role",
@@ -103,6 +106,41 @@ class Term:
         return -self.coefficient if self.coefficient < 0 else self.coefficient
 
 
+@dataclass(frozen=True, slots=True)
+class GeneralTerm:
+    """A term of f in u' = f, or of an initial value, that does not separate.
+
+    Attributes
+    ----------
+    equation : int
+        Index of the state whose equation (or initial value) the term belongs to.
+    expression : Expr
+        The term as the user would write it.
+    initial : bool
+        Whether it belongs to the initial value.
+    reason : str
+        Why it does not separate.
+    remedy : str
+        What to do about it.
+    origin : int or None
+        Number, from 1, of the user's equation it comes from, as far as it comes from one.
+    """
+
+    equation: int
+    expression: sp.Expr
+    initial: bool
+    reason: str
+    remedy: str
+    origin: int | None = None
+
+    @property
+    def error(self) -> SeparationError:
+        """The error for those who need separated terms."""
+        return SeparationError(
+            self.reason, equation=self.origin, term=self.expression, remedy=self.remedy
+        )
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class SeparatedForm:
     """A parametric first-order system as a sum of separated terms.
@@ -119,6 +157,8 @@ class SeparatedForm:
         The residual u' - f = 0, all equations.
     initial : tuple of Term
         The initial values: ``equation`` is the state, ``monomial`` is empty, the time factor one.
+    general : tuple of GeneralTerm
+        What does not separate; the other terms are complete only without any.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -126,22 +166,36 @@ class SeparatedForm:
     factors: tuple[tuple[Factor, ...], ...]
     terms: tuple[Term, ...]
     initial: tuple[Term, ...]
+    general: tuple[GeneralTerm, ...] = ()
+
+    def require_separated(self) -> None:
+        """Raise the SeparationError of the first general term, if there is one."""
+        if self.general:
+            raise self.general[0].error
 
     def __str__(self) -> str:
-        return text_table(self._summary(), self._header(), self._rows())
+        text = text_table(self._summary(), self._header(), self._rows())
+        return "\n".join([text.rstrip("\n"), *self._general_lines()]) if self.general else text
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return html_table(self._summary(), self._header(), self._rows())
+        text = html_table(self._summary(), self._header(), self._rows())
+        if not self.general:
+            return text
+        return text + f"<pre>{html.escape(chr(10).join(self._general_lines()))}</pre>"
 
     def _repr_latex_(self) -> str:
         """Each equation, and each initial value, as a sum of separated products."""
         clock = self.coordinates[0]
-        lines = [f"{self._latex_sum(self.terms, i)} &= 0" for i in range(len(self.states))]
+        lines = []
+        for i in range(len(self.states)):
+            rest = [rf"- \left({text}\right)" for text in self._latex_general(i, initial=False)]
+            lines.append(f"{' '.join([self._latex_sum(self.terms, i), *rest])} &= 0")
         for i, state in enumerate(self.states):
             at_start = rf"\Big|_{{{latex(clock.symbol)} = {clock.lower:g}}}"
-            value = self._latex_sum(self.initial, i)
+            rest = [rf"+ {text}" for text in self._latex_general(i, initial=True)]
+            value = " ".join([self._latex_sum(self.initial, i), *rest]).removeprefix("0 + ")
             lines.append(f"{self._latex_state(state)} {at_start} &= {value}")
         return aligned_equations(lines)
 
@@ -152,7 +206,27 @@ class SeparatedForm:
             (len(self.coordinates), "dimension"),
             (sum(len(distinct) - 1 for distinct in self.factors), "factor"),
         ]
+        if self.general:
+            counts.insert(2, (len(self.general), "general term"))
         return f"Separated form: {', '.join(count(*pair) for pair in counts)} (residual u' - f = 0)"
+
+    def _general_lines(self) -> list[str]:
+        """The general terms, one in a line."""
+        start = f"({self.coordinates[0].lower:g})"
+        return [
+            "General terms, which do not separate:",
+            *(
+                f"  {self.states[term.equation].name}{start if term.initial else ''}: {term.reason}"
+                for term in self.general
+            ),
+        ]
+
+    def _latex_general(self, equation: int, *, initial: bool) -> list[str]:
+        return [
+            latex(term.expression)
+            for term in self.general
+            if term.equation == equation and term.initial == initial
+        ]
 
     def _header(self) -> list[str]:
         return ["equation", "coefficient", "monomial", *(c.name for c in self.coordinates)]

@@ -43,6 +43,9 @@ Kernel = Callable[..., Array]
 class System(Protocol):
     """The names a generated module defines."""
 
+    SEPARATED: bool
+    """Whether the right-hand side separates. Where it does not, the module has ``initial`` in place
+    of ``INITIAL``, and no terms, signatures and kernels."""
     STATES: tuple[str, ...]
     """Differential states, then the auxiliary products."""
     N_DIFFERENTIAL: int
@@ -66,6 +69,12 @@ class System(Protocol):
     QUADRATIC_ADJOINT: tuple[Kernel | None, ...]
     PAIRED: tuple[tuple[int, ...], ...]
     """For each group the second states of its quadratic monomials (the order of z and v)."""
+    CUTS: tuple[tuple[float, ...], ...]
+    """For each coordinate where tables of it jump or kink; only where there are tables."""
+
+    @staticmethod
+    def initial(p: Sequence[Any] | Array) -> Array:
+        """Initial values at p (d, ...), shape (N_DIFFERENTIAL, ...); where nothing separates."""
 
     @staticmethod
     def time_factors(t: Array) -> Array:

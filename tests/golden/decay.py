@@ -16,6 +16,7 @@ Operations: rhs 1, jacobian 0
 
 import numpy as np
 
+SEPARATED = True
 STATES = ("u",)
 N_DIFFERENTIAL = 1
 PRODUCTS = ()

@@ -23,6 +23,7 @@ Operations: rhs 19, jacobian 17, quadratic_jacobian 14
 
 import numpy as np
 
+SEPARATED = True
 STATES = ("x", "y", "w0")
 N_DIFFERENTIAL = 2
 PRODUCTS = ((0, 0),)

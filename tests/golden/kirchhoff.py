@@ -31,6 +31,7 @@ Operations: rhs 31, jacobian 24
 
 import numpy as np
 
+SEPARATED = True
 STATES = ("v0", "v1", "v2", "o0", "o1", "o2")
 N_DIFFERENTIAL = 6
 PRODUCTS = ()

@@ -19,6 +19,7 @@ Operations: rhs 5, jacobian 2
 
 import numpy as np
 
+SEPARATED = True
 STATES = ("x", "y")
 N_DIFFERENTIAL = 2
 PRODUCTS = ()

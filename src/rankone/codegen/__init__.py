@@ -5,6 +5,9 @@
 ``factors``         all known functions of a coordinate
 ``kernels``         the separated right-hand side of a group, on many columns at once
 ``pointwise``       the right-hand side and its Jacobians at points
+``general``         the module of a system that does not separate: pointwise functions alone
+``derivatives``     derivatives of expressions in real symbols
+``definitions``     imports and tables of data
 ``combination``     linear maps of a kernel, written out or as a matrix
 ``sums``            sums of products with few operations
 ``text``, ``names`` layout of Python text; identifiers
@@ -13,7 +16,14 @@
 ==================  ================================================================================
 """
 
+from rankone.codegen.general import general_equation_texts, general_source
 from rankone.codegen.header import equation_texts
 from rankone.codegen.module import generate_source, load_module
 
-__all__ = ["equation_texts", "generate_source", "load_module"]
+__all__ = [
+    "equation_texts",
+    "general_equation_texts",
+    "general_source",
+    "generate_source",
+    "load_module",
+]

@@ -9,7 +9,7 @@ import sympy as sp
 from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions, plain_text
 from rankone.codegen.text import assignment, docstring, table
-from rankone.ir import QuadraticSystem
+from rankone.ir import Coordinate
 
 __all__ = ["coordinate_functions"]
 
@@ -18,14 +18,16 @@ _ARGUMENT = "p"
 _LONGEST_SUMMARY = 90
 
 
-def coordinate_functions(system: QuadraticSystem) -> list[list[str]]:
+def coordinate_functions(
+    coordinates: Sequence[Coordinate], expressions: Sequence[Sequence[sp.Expr]]
+) -> list[list[str]]:
     """``time_factors``, the functions of the parameters and ``parameter_factors``.
 
+    The expressions are those of each coordinate in turn; the first of each is one.
     Parameters whose factors are the same but for the name share one function.
     """
-    clock, *parameters = system.coordinates
-    expressions = [tuple(f.expression for f in distinct) for distinct in system.factors]
-    names = Names(["np", "out"])
+    clock, *parameters = coordinates
+    names = Names(["np", "special", "out"])
     words = [names(parameter.name) for parameter in parameters]
     renamed = [
         tuple(e.xreplace({c.symbol: sp.Symbol(_ARGUMENT)}) for e in found)
@@ -65,7 +67,7 @@ def factor_function(
     name: str, argument: str, symbol: sp.Symbol, expressions: Sequence[sp.Expr], title: str
 ) -> list[str]:
     """A function that evaluates all factors of a coordinate, called ``title``."""
-    names = Names(["np", "out", argument])
+    names = Names(["np", "special", "out", argument])
     shared, texts = common_subexpressions(expressions, {symbol: argument}, names.numbered("c"))
     summary = f"Factors of {title}: {', '.join(map(plain_text, expressions))}."
     if len(summary) > _LONGEST_SUMMARY:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import linecache
 import types
-from typing import cast
+from collections.abc import Callable, Mapping
+from typing import Any, cast
 
+from rankone.codegen.definitions import cut_table, definitions, import_lines
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import header, signature_text, sum_text
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
@@ -35,8 +37,8 @@ def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = N
     Returns
     -------
     str
-        A module that fulfils :class:`rankone.system.System` and imports NumPy alone. The same
-        form gives the same text, byte for byte.
+        A module that fulfils :class:`rankone.system.System` and imports NumPy alone, or SciPy as
+        well where functions need it. The same form gives the same text, byte for byte.
 
     Raises
     ------
@@ -48,17 +50,30 @@ def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = N
     system = form if isinstance(form, QuadraticSystem) else quadratic_system(form)
     pointwise = PointwiseWriter(system)
     functions = pointwise.functions()
-    head = header(system, pointwise.operations, title)
+    factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
+    known = [expression for distinct in factors for expression in distinct]
     blocks = [
-        [*docstring(head, indent=""), "", "import numpy as np", "", *constants(system)],
-        *coordinate_functions(system),
+        *definitions(known),
+        *coordinate_functions(system.coordinates, factors),
         *kernel_functions(system),
         *functions,
     ]
-    return "\n\n\n".join("\n".join(block) for block in blocks if block) + "\n"
+    body = "\n\n\n".join("\n".join(block) for block in blocks if block) + "\n"
+    imports = import_lines(body)
+    head = [
+        *docstring(header(system, pointwise.operations, title, len(imports) > 1), indent=""),
+        "",
+        *imports,
+        "",
+        *constants(system),
+        *cut_table(system.coordinates, known),
+    ]
+    return "\n".join(head) + "\n\n\n" + body
 
 
-def load_module(source: str, name: str) -> System:
+def load_module(
+    source: str, name: str, namespace: Mapping[str, Callable[..., Any]] | None = None
+) -> System:
     """Import generated source, without a file and without an entry in ``sys.modules``.
 
     Tracebacks show the generated lines.
@@ -69,11 +84,14 @@ def load_module(source: str, name: str) -> System:
         Text written by :func:`generate_source`.
     name : str
         Name of the module.
+    namespace : mapping of str to callable, optional
+        Functions of the user that the source calls by these names.
     """
     digest = hashlib.sha256(source.encode()).hexdigest()[:8]
     filename = f"<rankone {name} {digest}>"
     module = types.ModuleType(name)
     module.__file__ = filename
+    module.__dict__.update(namespace or {})
     exec(compile(source, filename, "exec"), module.__dict__)
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     return cast(System, module)
@@ -83,6 +101,7 @@ def constants(system: QuadraticSystem) -> list[str]:
     """The tables that describe the system."""
     clock, *parameters = system.coordinates
     return [
+        "SEPARATED = True",
         *table("STATES", [quoted(name) for name in system.names]),
         f"N_DIFFERENTIAL = {len(system.differential)}",
         *table("PRODUCTS", nested(system.products)),

@@ -17,7 +17,7 @@ from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import assignment, commented, docstring, unpacking
 from rankone.ir import QuadraticSystem, Term
 
-__all__ = ["PointwiseWriter"]
+__all__ = ["Index", "PointwiseWriter", "mask", "shape_line"]
 
 Index = tuple[int, ...]
 
@@ -99,7 +99,7 @@ class PointwiseWriter:
         entries: dict[Index, list[Term]],
     ) -> list[str]:
         """Statements that compute the entries of an array, from the arguments to the return."""
-        names = Names(["np", "t", "u", "x", "shape", "out"])
+        names = Names(["np", "special", "t", "u", "x", "shape", "out"])
         coordinates = self.system.coordinates
         parameter_names = [names(coordinate.name) for coordinate in coordinates[1:]]
         names.taken -= {"u", "x"}  # states are unpacked last and may replace the argument

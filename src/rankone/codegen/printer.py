@@ -17,7 +17,7 @@ from sympy.printing.str import sstr
 from rankone.codegen.text import literal
 from rankone.errors import SeparationError
 
-__all__ = ["common_subexpressions", "numpy_text", "plain_text"]
+__all__ = ["common_subexpressions", "numpy_text", "plain_text", "readable_text"]
 
 UFUNCS = {
     "Abs": "abs",
@@ -41,6 +41,38 @@ UFUNCS = {
     "tanh": "tanh",
 }
 """SymPy functions whose NumPy namesake takes the same arguments."""
+
+SPECIAL = {
+    "Chi": "shichi({})[1]",
+    "Ci": "sici({})[1]",
+    "Ei": "expi({})",
+    "Shi": "shichi({})[0]",
+    "Si": "sici({})[0]",
+    "airyai": "airy({})[0]",
+    "airyaiprime": "airy({})[1]",
+    "airybi": "airy({})[2]",
+    "airybiprime": "airy({})[3]",
+    "besseli": "iv({})",
+    "besselj": "jv({})",
+    "besselk": "kv({})",
+    "bessely": "yv({})",
+    "beta": "beta({})",
+    "elliptic_e": "ellipe({})",
+    "elliptic_k": "ellipk({})",
+    "erf": "erf({})",
+    "erfc": "erfc({})",
+    "erfcinv": "erfcinv({})",
+    "erfi": "erfi({})",
+    "erfinv": "erfinv({})",
+    "expint": "expn({})",
+    "factorial": "gamma({} + 1)",
+    "fresnelc": "fresnel({})[1]",
+    "fresnels": "fresnel({})[0]",
+    "gamma": "gamma({})",
+    "loggamma": "gammaln({})",
+    "zeta": "zeta({})",
+}
+"""SymPy functions that ``scipy.special`` evaluates for real arguments."""
 
 RECIPROCALS = {
     sp.sec: sp.cos,
@@ -161,6 +193,8 @@ class NumPyText(Printer):  # type: ignore[misc]
         name = type(expr).__name__
         if name in UFUNCS:
             return f"np.{UFUNCS[name]}({self.arguments(expr)})"
+        if name in SPECIAL:
+            return f"special.{SPECIAL[name].format(self.arguments(expr))}"
         raise unprintable(name, expr)
 
     def _print_Heaviside(self, expr: sp.Heaviside) -> str:
@@ -168,6 +202,15 @@ class NumPyText(Printer):  # type: ignore[misc]
 
     def _print_sinc(self, expr: sp.Function) -> str:
         return f"np.sinc({self.operand(expr.args[0], PRECEDENCE['Mul'])} / np.pi)"
+
+    def _print_frac(self, expr: sp.Function) -> str:
+        return f"np.mod({self._print(expr.args[0])}, 1.0)"
+
+    def _print_polygamma(self, expr: sp.Function) -> str:
+        order, argument = expr.args
+        if order == 0:
+            return f"special.digamma({self._print(argument)})"
+        return f"special.polygamma({self.arguments(expr)})"
 
     def _print_Mod(self, expr: sp.Mod) -> str:
         return f"np.mod({self.arguments(expr)})"
@@ -240,6 +283,11 @@ def numpy_text(expr: sp.Expr, names: dict[sp.Symbol, str]) -> str:
         if expr.has(function):
             expr = expr.replace(function, lambda arg, inverse=inverse: 1 / inverse(arg))
     return str(NumPyText(names).doprint(expr))
+
+
+def readable_text(expr: sp.Expr) -> str:
+    """Text of an expression for people."""
+    return str(sstr(expr, full_prec=False))
 
 
 def plain_text(expr: sp.Expr) -> str:

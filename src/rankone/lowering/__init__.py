@@ -24,8 +24,10 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     Raises
     ------
     SeparationError
-        If the derivative terms of the form are anything but one ``u'`` for each state.
+        If the form has general terms, or its derivative terms are anything but one ``u'`` for
+        each state.
     """
+    form.require_separated()
     f = right_hand_side(form)
     products, terms = lower(f, len(form.states))
     return QuadraticSystem(

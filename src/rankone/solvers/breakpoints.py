@@ -8,7 +8,7 @@ without a trace; what is found here is given to both.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -40,21 +40,25 @@ def system_breakpoints(
     """Breakpoints of the time factors, and those of the factors of each parameter.
 
     The first factor of every coordinate is one; where it is the only one there is no need to look.
+    Where tables jump or kink is known beforehand.
     """
+    known = getattr(system, "CUTS", ((),) * (1 + len(domain.box)))
     cuts: list[float] = []
     if len(system.time_factors(np.array(domain.horizon))) > 1:
-        cuts = breakpoints(system.time_factors, *domain.horizon)
+        cuts = breakpoints(system.time_factors, *domain.horizon, known[0])
     special: list[list[float]] = []
     for j, (lower, upper) in enumerate(domain.box):
         special.append([])
         if len(system.parameter_factors(j, np.array([lower]))) > 1:
             factors = partial(system.parameter_factors, j)
-            found = breakpoints(factors, lower, upper)
+            found = breakpoints(factors, lower, upper, known[1 + j])
             special[j] = found[:: max(1, -(-len(found) // _MOST))]
     return tuple(cuts), special
 
 
-def breakpoints(function: Callable[[Array], Array], lower: float, upper: float) -> list[float]:
+def breakpoints(
+    function: Callable[[Array], Array], lower: float, upper: float, known: Sequence[float] = ()
+) -> list[float]:
     """Points at which an interval is best cut for a vector of functions.
 
     Parameters
@@ -63,6 +67,8 @@ def breakpoints(function: Callable[[Array], Array], lower: float, upper: float) 
         Maps points (N,) to values (rows, N).
     lower, upper : float
         The interval.
+    known : sequence of float
+        Points that are among them if they are inside.
 
     Returns
     -------
@@ -71,7 +77,7 @@ def breakpoints(function: Callable[[Array], Array], lower: float, upper: float) 
         narrow pieces. Empty for functions that are smooth on the scale of the interval.
     """
     finder = _Finder(function, lower, upper)
-    cuts: list[float] = []
+    cuts = finder.distinct([x for x in known if lower < x < upper])
     for _ in range(4):
         edges = [lower, *cuts, upper]
         pieces = [piece for a, b in itertools.pairwise(edges) for piece in finder.pieces(a, b)]

@@ -197,6 +197,9 @@ class Stack:
 
 def initial_values(system: System, parameters: Array) -> Array:
     """Initial states at parameter points (d, m): shape (n, m)."""
+    if not system.SEPARATED:
+        with np.errstate(all="ignore"):
+            return system.initial(parameters)
     m = parameters.shape[1]
     rows = [system.parameter_factors(j, parameters[j]) for j in range(len(parameters))]
     values = np.zeros((system.N_DIFFERENTIAL, m))

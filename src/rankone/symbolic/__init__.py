@@ -6,6 +6,7 @@
 :mod:`~.first_order`          orders reduced, masses inverted: the first-order system u' = f
 :mod:`~.weak_form`            residual times test function, integrated over every dimension
 :mod:`~.separation`           the separated form, by splitting every product (:mod:`~.splitting`)
+:mod:`~.general`              what does not separate is finite where trajectories start
 :mod:`~.admissible`           every factor is finite and real on its interval, also on that of a
                               problem that is moved (:mod:`~.moving`)
 ============================  =====================================================================
@@ -14,6 +15,7 @@ Only this package and :mod:`rankone.codegen` import SymPy.
 """
 
 from rankone.symbolic.first_order import FirstOrderSystem, first_order
+from rankone.symbolic.general import check_known, check_start, check_tables
 from rankone.symbolic.moving import check_moved
 from rankone.symbolic.problem import Problem
 from rankone.symbolic.separation import separate
@@ -23,7 +25,10 @@ __all__ = [
     "FirstOrderSystem",
     "Problem",
     "WeakForm",
+    "check_known",
     "check_moved",
+    "check_start",
+    "check_tables",
     "first_order",
     "separate",
     "weak_form",

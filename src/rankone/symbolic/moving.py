@@ -9,14 +9,23 @@ from rankone.domain import Domain
 from rankone.errors import OptionError, ProblemError, RankoneWarning
 from rankone.ir import SeparatedForm
 from rankone.symbolic.admissible import located_defect
+from rankone.symbolic.first_order import FirstOrderSystem
+from rankone.symbolic.general import check_known, check_start, check_tables
 from rankone.symbolic.problem import Problem
+from rankone.system import System
 
 __all__ = ["check_moved"]
 
 _REMEDY = "choose other ranges, or compile the problem with these"
 
 
-def check_moved(problem: Problem, form: SeparatedForm, domain: Domain) -> None:
+def check_moved(
+    problem: Problem,
+    first_order: FirstOrderSystem,
+    form: SeparatedForm,
+    system: System,
+    domain: Domain,
+) -> None:
     """Raise unless the problem is well posed on a domain and its separated form holds there.
 
     The form was found on the box of the problem: the signs under its roots are those of that box.
@@ -34,8 +43,20 @@ def check_moved(problem: Problem, form: SeparatedForm, domain: Domain) -> None:
             Problem(problem.equations, (t, *domain.horizon), box, problem.initial)
     except ProblemError as error:
         raise OptionError(str(error), term=error.term) from error
-    for dimension, (lower, upper) in enumerate((domain.horizon, *domain.box)):
-        moved = replace(form.coordinates[dimension], lower=lower, upper=upper)
+    moved_all = [
+        replace(coordinate, lower=lower, upper=upper)
+        for coordinate, (lower, upper) in zip(
+            form.coordinates, (domain.horizon, *domain.box), strict=True
+        )
+    ]
+    try:
+        check_tables(first_order, moved_all)
+        if form.general:
+            check_known(first_order, moved_all)
+            check_start(first_order, system, moved_all)
+    except ProblemError as error:
+        raise OptionError(str(error), term=error.term) from error
+    for dimension, moved in enumerate(moved_all):
         for factor in form.factors[dimension]:
             wrong = located_defect(factor.expression, moved, dimension)
             if wrong is not None:

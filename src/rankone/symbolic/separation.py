@@ -12,8 +12,8 @@ from fractions import Fraction
 
 import sympy as sp
 
-from rankone.errors import OptionError, ProblemError, SeparationError
-from rankone.ir import Coordinate, Factor, SeparatedForm, Term
+from rankone.errors import OptionError, ProblemError
+from rankone.ir import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
 from rankone.symbolic.admissible import located_defect
 from rankone.symbolic.monomials import Monomial, MonomialSum
 from rankone.symbolic.problem import Problem
@@ -22,6 +22,8 @@ from rankone.symbolic.weak_form import WeakForm, weak_form
 from rankone.wording import listing, quote
 
 __all__ = ["separate"]
+
+_AS_IT_IS = "method='cross' takes it as it is; for the other methods"
 
 
 def separate(form: WeakForm | Problem) -> SeparatedForm:
@@ -37,11 +39,10 @@ def separate(form: WeakForm | Problem) -> SeparatedForm:
     SeparatedForm
         The residual u' - f and the initial values. Terms are ordered by equation, then the
         derivative, then by degree, monomial and factors; factors as SymPy orders expressions.
+        Terms that do not factor, or are not polynomial in the unknowns, are listed in ``general``.
 
     Raises
     ------
-    SeparationError
-        If a term does not factor, or is not polynomial in the unknowns.
     ProblemError
         If a factor is not finite and real everywhere on its interval.
     """
@@ -65,6 +66,7 @@ class _Separation:
         pairs = zip(states, weak.states, strict=True)
         self.written = {symbol: state.expression for symbol, state in pairs}
         self.splitter = Splitter(self.coordinates, [*states, *rates])
+        self.general: list[GeneralTerm] = []
 
     def form(self) -> SeparatedForm:
         residuals = [self._split(i, r, initial=False) for i, r in enumerate(self.weak.residuals)]
@@ -79,12 +81,13 @@ class _Separation:
             factors=tuple(tuple(Factor(j, f) for f in distinct) for j, distinct in pairs),
             terms=self._terms(residuals, index),
             initial=self._terms(initial, index),
+            general=tuple(self.general),
         )
 
     # -- splitting --------------------------------------------------------------------------
 
     def _split(self, state: int, expression: sp.Expr, *, initial: bool) -> MonomialSum:
-        """Split one residual or initial value; explain what cannot be split."""
+        """Split one residual or initial value; keep and explain what cannot be split."""
         sums = []
         for term in sp.Add.make_args(expression.xreplace(self.plain)):
             try:
@@ -93,7 +96,8 @@ class _Separation:
                     self._check_powers(monomial)
             except Indivisible as reason:
                 shown = term if initial else -term  # the sign it has in f
-                raise self._explain(reason, shown, state, initial=initial) from None
+                self.general.append(self._explained(reason, shown, state, initial=initial))
+                continue
             sums.append(split)
         return MonomialSum.total(sums)
 
@@ -102,9 +106,10 @@ class _Separation:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
 
-    def _explain(
+    def _explained(
         self, reason: Indivisible, term: sp.Expr, state: int, *, initial: bool
-    ) -> ProblemError:
+    ) -> GeneralTerm:
+        """The term with the reason why it does not split; an error if it is not real."""
         part = reason.part.xreplace(self.written)
         written = term.xreplace(self.written)
         within = "" if part == written else f" in the term {quote(written)}"
@@ -114,34 +119,37 @@ class _Separation:
         names = [c.symbol for c in self.coordinates if c.symbol in reason.part.free_symbols]
         if reason.reason == "not polynomial":
             states = [e for s, e in self.written.items() if s in reason.part.free_symbols]
-            return SeparationError(
+            return GeneralTerm(
+                state,
+                written,
+                initial,
                 f"{message}is not polynomial in {listing(states)}",
-                equation=equation,
-                term=written,
-                remedy="right-hand sides must be polynomial in the unknowns; take the function as "
-                "a further unknown with an equation of its own, such as s = sin(x) with "
-                "s' = cos(x) x'",
+                f"{_AS_IT_IS} take the function as a further unknown with an equation of its own, "
+                "such as s = sin(x) with s' = cos(x) x'",
+                equation,
             )
         if reason.reason == "not real":
             boxes = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self._among(names)]
-            return ProblemError(
+            raise ProblemError(
                 f"{message}is not real for all {', '.join(boxes)}",
                 equation=equation,
                 term=written,
                 remedy="change the box",
-            )
+            ) from None
         way_out = (
             "take it as a further unknown with an equation of its own, such as z' = -k*z, "
             "z(0) = 1 for exp(-k*t)"
             if self.coordinates[0].symbol in names
             else "take the combination as a parameter of its own"
         )
-        return SeparationError(
+        return GeneralTerm(
+            state,
+            written,
+            initial,
             f"{message}couples {listing(names)} and does not factor",
-            equation=equation,
-            term=written,
-            remedy="write it as a sum of products of functions of one coordinate each, or "
+            f"{_AS_IT_IS} write it as a sum of products of functions of one coordinate each, or "
             + way_out,
+            equation,
         )
 
     def _among(self, symbols: Iterable[sp.Symbol]) -> list[Coordinate]:

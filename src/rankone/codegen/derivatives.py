@@ -1,0 +1,109 @@
+"""Derivatives of expressions in real symbols, as numbers need them.
+
+Jumps have the derivative zero, and kinks that of one side: what SymPy would give as a Dirac
+delta, or leave as it stands, is never meant in a Jacobian.
+"""
+
+from __future__ import annotations
+
+import sympy as sp
+from sympy.core.function import ArgumentIndexError
+
+from rankone.errors import ProblemError
+from rankone.wording import quote
+
+__all__ = ["Differentiator"]
+
+_STEPS = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling)
+_LEFT_OVER = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
+
+
+class Differentiator:
+    """Differentiates expressions with respect to one symbol, each subexpression once.
+
+    Parameters
+    ----------
+    symbol : Symbol
+    """
+
+    def __init__(self, symbol: sp.Symbol) -> None:
+        self.symbol = symbol
+        self._known: dict[sp.Expr, sp.Expr] = {symbol: sp.S.One}
+
+    def __call__(self, expression: sp.Expr) -> sp.Expr:
+        """The derivative.
+
+        Raises
+        ------
+        ProblemError
+            If it is not known for some function.
+        """
+        if self.symbol not in expression.free_symbols:
+            return sp.S.Zero
+        if expression not in self._known:
+            self._known[expression] = self._derived(expression)
+        return self._known[expression]
+
+    def _derived(self, expression: sp.Expr) -> sp.Expr:
+        args = expression.args
+        if expression.is_Add:
+            return sp.Add(*map(self, args))
+        if expression.is_Mul:
+            return sp.Add(
+                *(
+                    sp.Mul(*args[:k], self(arg), *args[k + 1 :])
+                    for k, arg in enumerate(args)
+                    if self.symbol in arg.free_symbols
+                )
+            )
+        if expression.is_Pow:
+            return self._power(expression.base, expression.exp, expression)
+        if isinstance(expression, sp.Piecewise):
+            return sp.Piecewise(*((self(value), condition) for value, condition in args))
+        if isinstance(expression, sp.Max | sp.Min):
+            return self._extreme(expression)
+        if isinstance(expression, _STEPS):
+            return sp.S.Zero
+        if isinstance(expression, sp.Abs):
+            return sp.sign(args[0]) * self(args[0])
+        if isinstance(expression, sp.Mod):
+            return self(args[0]) - sp.floor(args[0] / args[1]) * self(args[1])
+        if isinstance(expression, sp.frac):
+            return self(args[0])
+        return self._function(expression)
+
+    def _power(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> sp.Expr:
+        slope = exponent * base ** (exponent - 1) * self(base)
+        if self.symbol in exponent.free_symbols:
+            slope += whole * sp.log(base) * self(exponent)
+        return slope
+
+    def _extreme(self, expression: sp.Expr) -> sp.Expr:
+        """The derivative of whichever argument it is."""
+        first, *others = sorted(expression.args, key=sp.default_sort_key)
+        rest = expression.func(*others)
+        chosen = first >= rest if isinstance(expression, sp.Max) else first <= rest
+        return sp.Piecewise((self(first), chosen), (self(rest), True))
+
+    def _function(self, expression: sp.Expr) -> sp.Expr:
+        """The chain rule."""
+        slope = sp.S.Zero
+        for k, arg in enumerate(expression.args):
+            if self.symbol not in arg.free_symbols:
+                continue
+            try:
+                partial = expression.fdiff(k + 1)
+            except (ArgumentIndexError, AttributeError, NotImplementedError):
+                partial = None
+            if partial is None or partial.has(*_LEFT_OVER):
+                raise ProblemError(
+                    f"the derivative of {quote(expression.func.__name__)} in {quote(expression)} "
+                    f"with respect to its argument {quote(arg)} is not known",
+                    term=expression,
+                    remedy="rewrite it with other functions, or give it with its derivative: "
+                    "rankone.function(name, value, derivative)",
+                )
+            if isinstance(expression, sp.sinc):
+                partial = sp.Piecewise((partial, sp.Ne(arg, 0)), (0, True))
+            slope += partial * self(arg)
+        return slope
