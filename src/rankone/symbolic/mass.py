@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -43,14 +44,14 @@ class MassForm:
     rows: tuple[Row, ...]
     rests: tuple[list[sp.Expr], ...]
 
-    @property
+    @cached_property
     def places(self) -> dict[int, int] | None:
         """For each unknown the equation that has its derivative alone; None if any has several."""
         places = {next(iter(row)): number for number, row in enumerate(self.rows)}
         alone = len(places) == len(self.rows) and all(len(row) == 1 for row in self.rows)
         return places if alone else None
 
-    @property
+    @cached_property
     def matrix(self) -> DomainMatrix:
         """The mass matrix over the field of its entries, which cancels common factors."""
         n = len(self.rows)
