@@ -7,7 +7,6 @@ derivatives, are solved for them exactly, without simplification.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import sympy as sp
 
@@ -33,6 +32,8 @@ class Stage:
         Time, then the parameters.
     states : tuple of State
         The unknowns, then the derivatives that became states.
+    functions : tuple of Expr
+        The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative.
     initial : tuple of Expr
         For each state its initial value, an expression of the parameters.
     origins : tuple of (int or None)
@@ -42,14 +43,9 @@ class Stage:
 
     coordinates: tuple[Coordinate, ...]
     states: tuple[State, ...]
+    functions: tuple[sp.Expr, ...]
     initial: tuple[sp.Expr, ...]
     origins: tuple[int | None, ...]
-
-    @cached_property
-    def functions(self) -> tuple[sp.Expr, ...]:
-        """The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative."""
-        time = self.coordinates[0].symbol
-        return tuple(sp.Function(state.name)(time) for state in self.states)
 
     def _initial_texts(self) -> list[str]:
         names = (state.name for state in self.states)
@@ -65,7 +61,7 @@ class FirstOrderSystem(Stage):
 
     Attributes
     ----------
-    coordinates, states, initial, origins
+    coordinates, states, functions, initial, origins
         As for every :class:`Stage`.
     rhs : tuple of Expr
         For each state the right-hand side of its derivative, in the states' ``functions``.
@@ -105,6 +101,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     return FirstOrderSystem(
         coordinates=problem.coordinates,
         states=states,
+        functions=tuple(functions.values()),
         rhs=tuple(highest.get(rate, rate).xreplace(functions) for rate in rates),
         initial=tuple(problem.initial.values()),
         origins=tuple(origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions),

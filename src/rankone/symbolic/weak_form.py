@@ -26,7 +26,7 @@ class WeakForm(Stage):
 
     Attributes
     ----------
-    coordinates, states, initial, origins
+    coordinates, states, functions, initial, origins
         As for every :class:`~rankone.symbolic.first_order.Stage`; equation ``i`` is tested with
         the test function of state ``i``.
     residuals : tuple of Expr
@@ -82,6 +82,7 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
     return WeakForm(
         coordinates=system.coordinates,
         states=system.states,
+        functions=system.functions,
         residuals=tuple(rate - f for rate, f in zip(rates, system.rhs, strict=True)),
         initial=system.initial,
         origins=system.origins,
