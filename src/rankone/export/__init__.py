@@ -19,10 +19,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from rankone.errors import ExportError
 from rankone.export.packing import States, pack
-from rankone.export.standalone import Compiled, standalone_source
+from rankone.export.standalone import standalone_source
 from rankone.files import free_target, write_files
 from rankone.solution_core import SolutionCore
 
@@ -30,7 +31,7 @@ __all__ = ["export_model", "export_solver", "solver_target"]
 
 
 def export_solver(
-    compiled: Compiled,
+    compiled: Any,
     path: str | PathLike[str],
     *,
     method: str = "train",
@@ -41,7 +42,8 @@ def export_solver(
     Parameters
     ----------
     compiled : CompiledProblem
-        Anything with the ``source`` of a generated module, the ``separated`` form and ``metadata``.
+        Or anything with the ``source`` of a generated module, its ``problem``, its ``separated``
+        form and ``metadata``.
     path : path-like
         Ends in ``.py``.
     method : {"train", "greedy"}
@@ -61,7 +63,9 @@ def export_solver(
         If there is no such method.
     """
     target = solver_target(path, overwrite)
-    write_files({target: standalone_source(compiled, method)}, overwrite, ExportError)
+    given = compiled.separated, compiled.source, compiled.metadata(method=method)
+    text = standalone_source(compiled.problem.name, *given)
+    write_files({target: text}, overwrite, ExportError)
     return target
 
 
