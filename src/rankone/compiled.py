@@ -47,7 +47,7 @@ from rankone.options import refuse_positional
 from rankone.progress import Report, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
-from rankone.solvers.registry import ENGINES, engine_named
+from rankone.solvers.registry import AUTO, ENGINES, engines_for
 from rankone.solvers.task import Asked, Task
 from rankone.symbolic import (
     FirstOrderSystem,
@@ -69,7 +69,7 @@ __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
 
-_ANY_SYSTEM = ("cross",)
+_ANY_SYSTEM = (AUTO, "cross")
 """Methods that need no separated terms."""
 
 
@@ -143,11 +143,12 @@ class CompiledProblem:
         self,
         rtol: float = 1e-6,
         *arguments: Any,
-        method: Literal["train", "cross", "greedy"] = "train",
+        method: Literal["auto", "cross", "train", "greedy"] = "auto",
         parameters: Mapping[Any, Sequence[float]] | None = None,
         t_final: float | None = None,
         progress: bool | Report = False,
         check: bool | int = True,
+        max_seconds: float | None = None,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
     ) -> Solution:
@@ -171,12 +172,16 @@ class CompiledProblem:
         check : bool or int
             Number of random check points (24 for True). False skips the check; the solution then
             does not count as a success.
+        max_seconds : float, optional
+            Time limit; the best solution so far is returned, with ``success`` False. Without one no
+            further attempt is begun after 20 seconds.
         on_failure : {"return", "raise"}
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.
         **options
-            Limits and discretisation of the engine: :class:`rankone.TrainOptions` or
-            :class:`rankone.GreedyOptions`; for the latter also ``preset="slides"``.
+            Limits and discretisation of the engine: :class:`rankone.CrossOptions`,
+            :class:`rankone.TrainOptions` or :class:`rankone.GreedyOptions`; for the latter also
+            ``preset="slides"``.
 
         Returns
         -------
@@ -198,11 +203,13 @@ class CompiledProblem:
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
-        engine = engine_named(method, options)
-        if engine.name not in _ANY_SYSTEM:
+        separated = not self.separated.general
+        count = len(self.separated.coordinates) - 1
+        engines = engines_for(method, options, count, separated=separated)
+        if method not in _ANY_SYSTEM:
             self.separated.require_separated()
-        asked = Asked(rtol, parameters, t_final, check, options)
-        task = Task.of(engine, self.system, asked, "method", "progress", "on_failure")
+        asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
+        task = Task.of(engines, self.system, asked, "method", "progress", "on_failure")
         if parameters or t_final is not None:
             check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
         began = time.perf_counter()

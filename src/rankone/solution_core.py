@@ -169,6 +169,11 @@ class SolutionCore:
         return dict(zip(self.states, measured.interior, strict=True))
 
     @property
+    def method(self) -> str:
+        """Name of the engine that found it."""
+        return self.metadata.method
+
+    @property
     def rtol(self) -> float:
         """Relative tolerance asked for."""
         return self.metadata.rtol

@@ -39,7 +39,7 @@ def solve_system(
     asked: Asked,
 ) -> SolutionCore:
     """Solve the system on its own box and horizon, or on others."""
-    solution = SolutionCore(*Task.of(engine, system, asked).run(metadata))
+    solution = SolutionCore(*Task.of((engine,), system, asked).run(metadata))
     raise_blow_up(solution)
     return solution
 

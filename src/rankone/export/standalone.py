@@ -19,7 +19,7 @@ from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
-from rankone.solvers.registry import engine_named
+from rankone.solvers.registry import engines_for
 from rankone.system import System
 from rankone.version import __version__
 
@@ -79,7 +79,7 @@ def standalone_source(
     ExportError
         If a part of the library cannot be carried over.
     """
-    engine = engine_named(metadata.method)
+    engine, *_ = engines_for(metadata.method)
     module = _GeneratedModule(source)
     sections, imports = carry(
         [
@@ -244,6 +244,7 @@ def solve(
     parameters: Mapping[str, Sequence[float]] | None = None,
     t_final: float | None = None,
     check: bool | int = True,
+    max_seconds: float | None = None,
     **options: Any,
 ) -> Solution:
     """Solve for every parameter value at once.
@@ -259,6 +260,8 @@ def solve(
         Another end of the horizon.
     check : bool or int
         Number of random check points, 24 for True; without any the error is not known.
+    max_seconds : float, optional
+        Time limit; the best solution so far is returned.
     **options
         See `{options}`.
 
@@ -273,7 +276,7 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    asked = Asked(rtol, parameters, t_final, check, options)
+    asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
     return solve_system(ENGINE, SYSTEM, METADATA, asked)
 
 

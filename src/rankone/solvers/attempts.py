@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+from rankone.deadline import OutOfTimeError, seconds_left
 from rankone.domain import Domain
 from rankone.progress import Report
 from rankone.solvers.engine import Request
@@ -19,6 +20,8 @@ from rankone.system import System
 
 __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
+_PATIENCE = 20.0
+"""Seconds after which no further attempt is begun if no time limit was asked for."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -113,9 +116,14 @@ def solve_in_attempts(
     records: list[SlabRecord] = []
     best: Attempt | None = None
     stalls = 0
-    with _timed(timings, "reference"):
-        yardstick = Yardstick.of(system, domain, request.rtol, request.points)
-        marcher = prepared(request, yardstick)
+    began = clock.perf_counter()
+    try:
+        with _timed(timings, "reference"):
+            yardstick = Yardstick.of(system, domain, request.rtol, request.points)
+            marcher = prepared(request, yardstick)
+    except OutOfTimeError:
+        message = f"{Status.TIME_LIMIT.value} by the reference trajectories; raise max_seconds"
+        return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
         with _timed(timings, "march"):
             result = marcher.march(index, report)
@@ -124,14 +132,21 @@ def solve_in_attempts(
         records += result.records
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         best = attempt if attempt.better_than(best) else best
+        out_of_time = result.stopped is Status.TIME_LIMIT
         done = result.stopped or not yardstick.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
+        if clock.perf_counter() - began > _PATIENCE and math.isinf(seconds_left()):
+            out_of_time = True
+            break
     assert best is not None
     status = best.status(yardstick, request.rtol)
+    if out_of_time and status is not Status.CONVERGED:
+        status = Status.TIME_LIMIT
     message = best.message(status, request.rtol, marcher.cause(status, best))
-    if status in marcher.remedies:
-        message += f"; {marcher.remedies[status]}"
+    remedies = {Status.TIME_LIMIT: "raise max_seconds", **marcher.remedies}
+    if status in remedies:
+        message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
     return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -20,6 +21,7 @@ class Status(Enum):
     NODE_LIMIT = "the limit of parameter nodes was reached"
     SLAB_LIMIT = "the limit of time slabs was reached"
     MEMORY_LIMIT = "the memory limit was reached"
+    TIME_LIMIT = "the time limit was reached"
     TRAJECTORY_LIMIT = "the limit of trajectories was reached"
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     BLOW_UP = "a trajectory blows up inside the horizon"
@@ -107,3 +109,8 @@ class Outcome:
     history: tuple[SlabRecord, ...]
     timings: dict[str, float] = field(default_factory=dict)
     blow_up: tuple[float, tuple[float, ...]] | None = None
+
+    @property
+    def error(self) -> float:
+        """Largest measured error; infinite if there is none."""
+        return math.inf if self.measured is None else max(self.measured.interior, default=0.0)

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import OutOfTimeError
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
@@ -70,6 +71,9 @@ class CrossMarcher:
             found, bases = self._interpolated(trajectories, level)
         except TooManyTrajectories:
             result.stopped = Status.TRAJECTORY_LIMIT
+            return result
+        except OutOfTimeError:
+            result.stopped = Status.TIME_LIMIT
             return result
         except TrajectoryEnds as ends:
             result.stopped = Status.NO_CONVERGENCE
