@@ -10,11 +10,12 @@ from __future__ import annotations
 import ast
 import itertools
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from rankone.codegen.names import is_identifier
 from rankone.codegen.text import WIDTH, docstring, literal, quoted
+from rankone.errors import ExportError
 from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names
 from rankone.metadata import SolutionMetadata
@@ -22,6 +23,7 @@ from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engine_named
 from rankone.system import System
 from rankone.version import __version__
+from rankone.wording import quote
 
 __all__ = ["Compiled", "standalone_source"]
 
@@ -40,6 +42,14 @@ class Compiled(Protocol):
     @property
     def source(self) -> str:
         """Text of the generated module."""
+
+    @property
+    def methods(self) -> dict[str, str | None]:
+        """For each method None if it applies, else the reason why not."""
+
+    @property
+    def user_functions(self) -> Mapping[str, object]:
+        """Functions that the source calls and does not define."""
 
     def metadata(self, rtol: float, method: str) -> SolutionMetadata:
         """What a solution says was asked."""
@@ -87,6 +97,19 @@ def standalone_source(compiled: Compiled, method: str = "train") -> str:
         If a part of the library cannot be carried over.
     """
     engine = engine_named(method)
+    reason = compiled.methods[method]
+    if reason is not None:
+        raise ExportError(
+            f"a solver by method={method!r} cannot be exported: {reason}",
+            remedy="export with method='cross'",
+        )
+    if compiled.user_functions:
+        named = min(compiled.user_functions).removeprefix("f_")
+        raise ExportError(
+            f"the function {quote(named)} is a Python callable, which cannot be written to a file",
+            term=named,
+            remedy="give it as a formula or a table (rankone.table)",
+        )
     metadata = compiled.metadata(1e-6, method)
     module = _GeneratedModule(compiled.source)
     sections, imports = carry(
@@ -94,12 +117,12 @@ def standalone_source(compiled: Compiled, method: str = "train") -> str:
             f"{engine.solve.__module__}:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
-        reserved={*module.names, *_OWN_NAMES},
+        reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
         renamed={_CORE: "Solution"},
         order=_part,
         titles=_TITLES,
     )
-    imports |= {
+    imports |= module.imports | {
         Import("types", "SimpleNamespace", "SimpleNamespace"),
         Import("sys", None, "sys"),
         Import("numpy", None, "np"),
@@ -119,7 +142,17 @@ class _GeneratedModule:
     def __init__(self, source: str) -> None:
         tree = ast.parse(source)
         lines = source.splitlines()
-        body = [node for node in tree.body if not isinstance(node, ast.Expr | ast.Import)]
+        body = [
+            node
+            for node in tree.body
+            if not isinstance(node, ast.Expr | ast.Import | ast.ImportFrom)
+        ]
+        self.imports = {
+            Import(node.module, alias.name, alias.asname or alias.name)
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and node.module
+            for alias in node.names
+        }
         self.docstring = (ast.get_docstring(tree) or "").splitlines()
         self.kernels: dict[str, list[str]] = {}
         self.names: set[str] = set()
@@ -219,10 +252,12 @@ def _usage(metadata: SolutionMetadata) -> list[str]:
 
 def _system_object(module: _GeneratedModule) -> str:
     """The names that engines ask for as one object."""
+    present = {*module.names, *module.kernels}
     methods = (name for name, item in vars(System).items() if isinstance(item, staticmethod))
     entries = [
         line
         for name in (*System.__annotations__, *methods)
+        if name in present
         for line in _argument(name, module.kernels.get(name, name))
     ]
     return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
