@@ -56,6 +56,7 @@ SMOOTH = [
     sp.besselj(1, k * x),
     sp.airyai(x),
     sp.Ei(x),
+    sp.LambertW(x * y),
     sp.sinc(x),
     sp.atan2(y, x),
     sp.sec(x / 2),

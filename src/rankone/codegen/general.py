@@ -151,8 +151,8 @@ class _Writer:
 
     def __init__(self, system: ExplicitSystem) -> None:
         self.n, self.system = len(system.states), system
-        self.states = [sp.Dummy(state.name, real=True) for state in system.states]
-        self.coordinates = [sp.Dummy(c.name, real=True) for c in system.coordinates]
+        self.states = [sp.Symbol(state.name, real=True) for state in system.states]
+        self.coordinates = [sp.Symbol(c.name, real=True) for c in system.coordinates]
         real = dict(zip(system.functions, self.states, strict=True))
         symbols = {c.symbol: s for c, s in zip(system.coordinates, self.coordinates, strict=True)}
         self.real = {**real, **symbols}
