@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -94,8 +96,8 @@ CASES = {
 def exact(rhs, start, end, values, times):
     """An independent trajectory, begun anew at the kinks of the input."""
     state, done = np.array(start, float), {}
-    edges = sorted({0.0, *INPUT_TIMES[INPUT_TIMES < end], end})
-    for a, b in zip(edges, edges[1:]):
+    edges = sorted({0.0, *INPUT_TIMES[end > INPUT_TIMES], end})
+    for a, b in itertools.pairwise(edges):
         inside = [s for s in times if a <= s <= b]
         run = scipy.integrate.solve_ivp(
             lambda s, u: rhs(s, u, *values),
@@ -178,3 +180,20 @@ def test_what_is_not_finite_is_named(rhs, initial, message):
     asked = problem(rhs, {n: (1, 2) for n in ("k", "m") if n in used}, initial, (0, 1))
     with pytest.raises(ro.ProblemError, match=message):
         ro.compile(asked)
+
+
+def test_without_parameters_and_with_awkward_names():
+    u, p = sp.Function("u")(t), sp.Function("p")(t)
+    rhs = {u: -sp.sin(u) * p, p: -sp.exp(-t * p)}
+    solution = ro.solve(problem(rhs, {}, {u: 1, p: 1}, (0, 1)), RTOL, method="cross")
+    run = scipy.integrate.solve_ivp(
+        lambda s, y: [-np.sin(y[0]) * y[1], -np.exp(-s * y[1])], (0, 1), [1, 1], rtol=1e-10
+    )
+    np.testing.assert_allclose(solution(t=1.0), run.y[:, -1], atol=5 * RTOL)
+
+
+def test_a_table_may_be_called_like_anything_else():
+    for name in ("k1", "rhs", "np"):
+        force = ro.table([0, 1], [0, 1], name=name)
+        asked = problem({x: -k1 * sp.sin(x) + force(t)}, {k1: (1, 2)}, {x: 1}, (0, 1))
+        assert ro.solve(asked, RTOL, method="cross").success
