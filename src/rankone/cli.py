@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "-o", "--output", metavar="PATH", type=Path, required=True, help="a .py file"
     )
-    export.add_argument("--method", default="train", help="the engine (default: %(default)s)")
+    export.add_argument("--method", default="auto", help="the engine (default: %(default)s)")
     export.add_argument("--overwrite", action="store_true", help="replace an existing file")
     export.set_defaults(run=_export)
     return parser

@@ -228,7 +228,7 @@ class CompiledProblem:
         self,
         path: str | PathLike[str],
         *arguments: Any,
-        method: str = "train",
+        method: str = "auto",
         overwrite: bool = False,
     ) -> Path:
         """Write a standalone solver; see :func:`rankone.export.export_solver`."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
 from threadpoolctl import threadpool_limits
 
 import rankone as ro
@@ -119,6 +120,37 @@ def test_the_classic_method_is_exported_as_well(name, tmp_path):
         slab = next(slab for slab in wanted.slabs if point[0] <= slab.end)
         exact = slab(point[:1], point[1:, None])[:, 0]
         np.testing.assert_allclose(values[:, k], exact, rtol=0, atol=1e-12 * np.abs(values).max())
+
+
+def _general() -> ro.CompiledProblem:
+    """Functions of unknowns, SciPy's among them, a table and an initial value that couples."""
+    force = ro.table([0, 0.5, 1.2, 2], [0, 1, -1, 0.5], name="force")
+    t, k, m = sp.symbols("t k m")
+    x = sp.Function("x")(t)
+    rhs = -k * sp.sin(x) + sp.erf(m * x) + force(t)
+    return ro.compile(
+        ro.Problem([sp.Eq(x.diff(t), rhs)], (t, 0, 2), {k: (1, 2), m: (0.5, 1)}, {x: 1 / (k + m)})
+    )
+
+
+@pytest.mark.parametrize("build", [lambda: compiled("decay"), _general], ids=["decay", "general"])
+def test_the_cross_method_is_exported_as_well(build, tmp_path):
+    problem = build()
+    problem.export(tmp_path / "solver.py", method="cross")
+    wanted = problem.solve(1e-4, method="cross")
+    where = points(wanted, 50)
+    np.savez(tmp_path / "points.npz", **where)
+    script = ALONE + (
+        "s = solver.solve(rtol=1e-4)\n"
+        "np.save('values.npy', s(dict(np.load('points.npz'))))\n"
+        "assert s.success and s.metadata.method == 'cross'\n"
+        "assert np.array_equal(solver.load(s.save('s.npz'))(s.time[1], s.parameters and "
+        "{n: b[0] for n, b in s.parameters.items()}), s(s.time[1], "
+        "{n: b[0] for n, b in s.parameters.items()}))\n"
+    )
+    run = alone(tmp_path, script=script)
+    assert run.returncode == 0, run.stderr
+    np.testing.assert_allclose(np.load(tmp_path / "values.npy"), wanted(where), 1e-9, 1e-9)
 
 
 def test_other_box_and_horizon(folder):
@@ -237,7 +269,7 @@ def test_saved_by_the_program(folder):
         run = alone(folder, "--load", "damaged.npz")
         assert run.returncode == 2
         assert "damaged.npz` is" in run.stderr
-    solved("decay").save(folder / "decay.npz")
+    compiled("decay").solve(1e-3, method="cross").save(folder / "decay.npz")
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
     assert "other equations" in run.stderr
@@ -265,7 +297,7 @@ def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
     assert answer["values"]["x"] == pytest.approx(4.0, rel=2e-3)
 
 
-@pytest.mark.parametrize("method", ["train", "greedy"])
+@pytest.mark.parametrize("method", ["train", "cross", "greedy"])
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_formatted(name, method, tmp_path):
     pytest.importorskip("ruff")
@@ -292,20 +324,12 @@ def test_identical_bytes(tmp_path):
         assert target.read_bytes() == first
 
 
-@pytest.mark.parametrize("method", ["train", "greedy"])
+@pytest.mark.parametrize("method", ["train", "cross", "greedy"])
 def test_reads_from_top_to_bottom(method):
     """Parts in order, no marks for linters or cross references, documented parameters."""
     source = source_of(compiled("kirchhoff"), method)
     parts = [
         f"# {part}\n# ==="
-        for part in (
-            "System",
-            "Foundations",
-            "Engine",
-            "Evaluation",
-            "Files",
-            "Command line",
-        )
         for part in ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
     ]
     places = [source.index(part) for part in parts]

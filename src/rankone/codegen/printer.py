@@ -206,6 +206,12 @@ class NumPyText(Printer):  # type: ignore[misc]
     def _print_frac(self, expr: sp.Function) -> str:
         return f"np.mod({self._print(expr.args[0])}, 1.0)"
 
+    def _print_LambertW(self, expr: sp.Function) -> str:
+        if len(expr.args) > 1:
+            raise unprintable("LambertW", expr)
+        text = self._print(expr.args[0])
+        return f"np.where({text} >= -1 / np.e, special.lambertw({text}).real, np.nan)"
+
     def _print_polygamma(self, expr: sp.Function) -> str:
         order, argument = expr.args
         if order == 0:
@@ -254,7 +260,7 @@ class NumPyText(Printer):  # type: ignore[misc]
         raise unprintable(type(expr).__name__, expr)
 
 
-CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.sinc)
+CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.LambertW, sp.frac, sp.sinc)
 """Expressions printed as a call, whatever SymPy says of their precedence."""
 
 

@@ -26,6 +26,8 @@ from rankone.export.packing import States, pack
 from rankone.export.standalone import standalone_source
 from rankone.files import free_target, write_files
 from rankone.solution_core import SolutionCore
+from rankone.solvers.registry import AUTO, engines_for
+from rankone.wording import quote
 
 __all__ = ["export_model", "export_solver", "solver_target"]
 
@@ -34,7 +36,7 @@ def export_solver(
     compiled: Any,
     path: str | PathLike[str],
     *,
-    method: str = "train",
+    method: str = "auto",
     overwrite: bool = False,
 ) -> Path:
     """Write a standalone solver: one Python file that needs only NumPy and SciPy.
@@ -43,11 +45,11 @@ def export_solver(
     ----------
     compiled : CompiledProblem
         Or anything with the ``source`` of a generated module, its ``problem``, its ``separated``
-        form and ``metadata``.
+        form, ``methods``, ``user_functions`` and ``metadata``.
     path : path-like
         Ends in ``.py``.
-    method : {"train", "greedy"}
-        The engine.
+    method : {"auto", "train", "cross", "greedy"}
+        The engine; ``"auto"`` takes the one that ``solve`` tries first.
     overwrite : bool
         Whether to replace an existing file.
 
@@ -58,12 +60,31 @@ def export_solver(
     Raises
     ------
     ExportError
-        If the path has another suffix, exists or cannot be written.
+        If the path has another suffix, exists or cannot be written, or the method does not take
+        the system.
     OptionError
         If there is no such method.
     """
     target = solver_target(path, overwrite)
-    given = compiled.separated, compiled.source, compiled.metadata(method=method)
+    form = compiled.separated
+    engine, *_ = engines_for(
+        method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
+    )
+    method = engine.name
+    reason = compiled.methods[method]
+    if reason is not None:
+        raise ExportError(
+            f"a solver by method={method!r} cannot be exported: {reason}",
+            remedy="export with method='cross'",
+        )
+    if compiled.user_functions:
+        named = min(compiled.user_functions).removeprefix("f_")
+        raise ExportError(
+            f"the function {quote(named)} is a Python callable, which cannot be written to a file",
+            term=named,
+            remedy="give it as a formula or a table (rankone.table)",
+        )
+    given = form, compiled.source, compiled.metadata(method=method)
     text = standalone_source(compiled.problem.name, *given)
     write_files({target: text}, overwrite, ExportError)
     return target

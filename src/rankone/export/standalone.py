@@ -86,12 +86,12 @@ def standalone_source(
             f"rankone.solvers.{engine.name}:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
-        reserved={*module.names, *_OWN_NAMES},
+        reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
         renamed={_CORE: "Solution"},
         order=_part,
         titles=_TITLES,
     )
-    imports |= {
+    imports |= module.imports | {
         Import("types", "SimpleNamespace", "SimpleNamespace"),
         Import("sys", None, "sys"),
         Import("numpy", None, "np"),
@@ -112,7 +112,17 @@ class _GeneratedModule:
     def __init__(self, source: str) -> None:
         tree = ast.parse(source)
         lines = source.splitlines()
-        body = [node for node in tree.body if not isinstance(node, ast.Expr | ast.Import)]
+        body = [
+            node
+            for node in tree.body
+            if not isinstance(node, ast.Expr | ast.Import | ast.ImportFrom)
+        ]
+        self.imports = {
+            Import(node.module, alias.name, alias.asname or alias.name)
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and node.module
+            for alias in node.names
+        }
         self.docstring = (ast.get_docstring(tree) or "").splitlines()
         self.kernels: dict[str, list[str]] = {}
         self.names: set[str] = set()
@@ -215,10 +225,12 @@ def _usage(metadata: SolutionMetadata) -> list[str]:
 
 def _system_object(module: _GeneratedModule) -> str:
     """The names that engines ask for as one object."""
+    present = {*module.names, *module.kernels}
     methods = (name for name, item in vars(System).items() if isinstance(item, staticmethod))
     entries = [
         line
         for name in (*System.__annotations__, *methods)
+        if name in present
         for line in _argument(name, module.kernels.get(name, name))
     ]
     return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])

@@ -21,7 +21,9 @@ ENGINES: dict[str, Engine[Any]] = {
 }
 
 
-def engines_for(method: str, options: Collection[str], separated: bool) -> tuple[Engine[Any], ...]:
+def engines_for(
+    method: str, options: Collection[str] = (), parameters: int = 0, *, separated: bool = True
+) -> tuple[Engine[Any], ...]:
     """The engines that are tried for a method, with the options given.
 
     ======  ===================  ================================================================

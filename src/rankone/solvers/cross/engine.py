@@ -29,7 +29,7 @@ from rankone.tensors.train import apply_to_modes
 
 __all__ = ["ENGINE", "solve_cross"]
 
-_INTEGRATION, _ROW_SPACE, _TAIL, _ROUNDING = 0.1, 0.1, 0.1, 0.1
+_INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
 _LEFT_POINTS = 9
 _CALIBRATED = 8
@@ -121,7 +121,7 @@ class CrossMarcher:
         edges = [start, *(cut for cut in yardstick.cuts if cut < end), end]
         units = yardstick.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
-        tolerance = max(_TAIL * level, 1e-13)
+        tolerance = max(_HIGHEST * level, 1e-13)
         most = self.options.max_slabs
 
         def values(t: Array) -> Array:
@@ -146,7 +146,7 @@ class CrossMarcher:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
         if attempt.result.stopped or stalls == 2 or self.bases is None:
             return False
-        finer = more_nodes(self.bases, self.spectra, _TAIL * self.rtol, self.options.max_nodes)
+        finer = more_nodes(self.bases, self.spectra, _HIGHEST * self.rtol, self.options.max_nodes)
         if finer == self.bases or stalls:
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
         self.left = -(-3 * self.left // 2)
