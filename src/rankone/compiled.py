@@ -66,7 +66,6 @@ class CompiledProblem:
 
     Attributes
     ----------
-    problem : Problem
     first_order : FirstOrderSystem
         The equations solved for the derivatives.
     weak_form : WeakForm
@@ -215,10 +214,6 @@ class CompiledProblem:
 
 def compile_problem(problem: Problem) -> CompiledProblem:
     """Compile a problem: every stage up to the generated module.
-
-    Parameters
-    ----------
-    problem : Problem
 
     Returns
     -------

@@ -43,7 +43,6 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
 
     Parameters
     ----------
-    solution : Solution
     slab : int
         Slab of the first three plots of ``method="greedy"``: an index into the accepted slabs of
         the last attempt.
@@ -89,7 +88,6 @@ def plot_modes(
 
     Parameters
     ----------
-    solution : Solution
     unknown : symbol or str, optional
         May be left out if there is only one.
     modes : int

@@ -198,10 +198,6 @@ def load(path: str | PathLike[str]) -> Solution:
 
     Nothing in the file is executed.
 
-    Parameters
-    ----------
-    path : path-like
-
     Returns
     -------
     Solution

@@ -231,7 +231,6 @@ class UnknownView:
 
     Attributes
     ----------
-    solution : SolutionCore
     name : str
         Name of the unknown, or of a derivative that is a state.
     """

@@ -63,8 +63,6 @@ def write(
     ----------
     path : path-like
         Ends in ``.npz``.
-    outcome : Outcome
-    metadata : SolutionMetadata
     overwrite : bool
         Whether to replace an existing file.
 
@@ -91,7 +89,6 @@ def read(
 
     Parameters
     ----------
-    path : path-like
     records : mapping of str to type
         For each method the class of the records of its history.
 

@@ -296,18 +296,8 @@ def test_identical_bytes(tmp_path):
 def test_reads_from_top_to_bottom(method):
     """Parts in order, no marks for linters or cross references, documented parameters."""
     source = source_of(compiled("kirchhoff"), method)
-    parts = [
-        f"# {part}\n# ==="
-        for part in (
-            "System",
-            "Foundations",
-            "Engine",
-            "Evaluation",
-            "Files",
-            "Command line",
-        )
-        for part in ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
-    ]
+    titles = ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
+    parts = [f"# {title}\n# ===" for title in titles]
     places = [source.index(part) for part in parts]
     assert places == sorted(places)
     assert source.index("METADATA = ") > source.index("class Solution:") > places[3]

@@ -86,7 +86,6 @@ def export_model(
 
     Parameters
     ----------
-    solution : Solution
     path : path-like
         ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
         are many coefficients; ``.c`` writes C99 source and its header ``.h``.

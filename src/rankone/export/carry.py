@@ -35,7 +35,6 @@ class Section:
 
     Attributes
     ----------
-    module : str
     title : str
         First line of its docstring, or the title asked for.
     prose : tuple of str

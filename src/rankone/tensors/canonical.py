@@ -271,7 +271,6 @@ def canonical_form(
 
     Parameters
     ----------
-    slabs : sequence of SlabTrain
     names : sequence of str
         Time, then the parameters.
     row : int
