@@ -292,7 +292,7 @@ def canonical_form(
     RankoneWarning
         If ``max_rank`` terms do not suffice.
     """
-    rtol = checked_number("rtol", rtol, 1e-13, 1.0, float)
+    rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
     max_rank = checked_number("max_rank", max_rank, 1)
     axes = _common_axes(slabs, names)
     train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)
