@@ -206,8 +206,7 @@ def load(path: str | PathLike[str]) -> Solution:
     Raises
     ------
     StorageError
-        If there is no such file, it is not a rankone solution, it is damaged, or a newer version
-        of rankone wrote it.
+        As for :func:`rankone.storage.read`.
     """
     return Solution(*read(path, {name: engine.record for name, engine in ENGINES.items()}))
 

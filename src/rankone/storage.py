@@ -57,23 +57,9 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write what was solved to a file.
+    """Write what was solved to a file; paths and errors are those of :func:`target`.
 
-    Parameters
-    ----------
-    path : path-like
-        Ends in ``.npz``.
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    StorageError
-        As for :func:`target`. A file is either complete or not there, also after an interrupt.
+    A file is either complete or not there, also after an interrupt.
     """
     place = target(path, overwrite)
     write_files({place: npz(_arrays(outcome, metadata))}, overwrite, StorageError)

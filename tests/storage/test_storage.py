@@ -247,5 +247,5 @@ def test_unknowns_are_asked_for_by_role(tmp_path: Path) -> None:
 def test_a_method_that_is_not_known_is_refused(tmp_path: Path) -> None:
     metadata = replace(SOLUTION.metadata, method="magic")
     path = Solution(SOLUTION.outcome, metadata).save(tmp_path / "solution.npz")
-    with pytest.raises(StorageError, match="method='magic', which is not known here; .* train"):
+    with pytest.raises(StorageError, match=r"method='magic', which is not known here; .* train"):
         load(path)
