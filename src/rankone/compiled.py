@@ -145,10 +145,6 @@ class CompiledProblem:
             Limits and discretisation of the engine: :class:`rankone.TrainOptions` or
             :class:`rankone.GreedyOptions`; for the latter also ``preset="slides"``.
 
-        Returns
-        -------
-        Solution
-
         Raises
         ------
         BlowUpError
@@ -214,10 +210,6 @@ class CompiledProblem:
 
 def compile_problem(problem: Problem) -> CompiledProblem:
     """Compile a problem: every stage up to the generated module.
-
-    Returns
-    -------
-    CompiledProblem
 
     Raises
     ------

@@ -47,10 +47,6 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
         Slab of the first three plots of ``method="greedy"``: an index into the accepted slabs of
         the last attempt.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-
     Raises
     ------
     RankoneError
@@ -94,10 +90,6 @@ def plot_modes(
         Most modes drawn; the amplitudes are always shown for all.
     rtol : float
         Tolerance of the canonical form.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------

@@ -209,10 +209,6 @@ class SolutionCore:
         overwrite : bool
             Whether to replace an existing file.
 
-        Returns
-        -------
-        Path
-
         Raises
         ------
         StorageError

@@ -51,10 +51,6 @@ def export_solver(
     overwrite : bool
         Whether to replace an existing file.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     ExportError
@@ -95,10 +91,6 @@ def export_model(
         Whether to replace existing files.
     allow_failed : bool
         Whether a solution may be exported that is not a success.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------

@@ -262,10 +262,6 @@ def solve(
     **options
         See `{options}`.
 
-    Returns
-    -------
-    Solution
-
     Raises
     ------
     BlowUpError
