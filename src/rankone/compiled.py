@@ -81,7 +81,6 @@ class CompiledProblem:
 
     Attributes
     ----------
-    problem : Problem
     first_order : FirstOrderSystem
         The equations solved for the derivatives.
     weak_form : WeakForm
@@ -183,10 +182,6 @@ class CompiledProblem:
             :class:`rankone.TrainOptions` or :class:`rankone.GreedyOptions`; for the latter also
             ``preset="slides"``.
 
-        Returns
-        -------
-        Solution
-
         Raises
         ------
         BlowUpError
@@ -262,14 +257,6 @@ class CompiledProblem:
 
 def compile_problem(problem: Problem) -> CompiledProblem:
     """Compile a problem: every stage up to the generated module.
-
-    Parameters
-    ----------
-    problem : Problem
-
-    Returns
-    -------
-    CompiledProblem
 
     Raises
     ------

@@ -61,7 +61,6 @@ class State:
         The unknown's name, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``).
     expression : Expr
         The applied function, its derivative or the product of states, as the user would write it.
-    role : Role
     """
 
     name: str

@@ -214,10 +214,6 @@ class SolutionCore:
         overwrite : bool
             Whether to replace an existing file.
 
-        Returns
-        -------
-        Path
-
         Raises
         ------
         StorageError
@@ -236,7 +232,6 @@ class UnknownView:
 
     Attributes
     ----------
-    solution : SolutionCore
     name : str
         Name of the unknown, or of a derivative that is a state.
     """

@@ -57,25 +57,9 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write what was solved to a file.
+    """Write what was solved to a file; paths and errors are those of :func:`target`.
 
-    Parameters
-    ----------
-    path : path-like
-        Ends in ``.npz``.
-    outcome : Outcome
-    metadata : SolutionMetadata
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    StorageError
-        As for :func:`target`. A file is either complete or not there, also after an interrupt.
+    A file is either complete or not there, also after an interrupt.
     """
     place = target(path, overwrite)
     write_files({place: npz(_arrays(outcome, metadata))}, overwrite, StorageError)
@@ -91,7 +75,6 @@ def read(
 
     Parameters
     ----------
-    path : path-like
     records : mapping of str to type
         For each method the class of the records of its history.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -17,7 +18,7 @@ from threadpoolctl import threadpool_limits
 import rankone as ro
 from rankone.cli import main
 from rankone.errors import ExportError, OptionError
-from rankone.export.carry import carry, import_lines
+from rankone.export.carry import _narrow, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
 from rankone.metadata import SolutionMetadata
@@ -190,6 +191,11 @@ def test_other_box_and_horizon(folder):
             "OptionError",
             "unknown option 'rtl' (did you mean `rtol`?); remedy: choose from basis",
         ),
+        (
+            "solver.solve(zzz=1)",
+            "OptionError",
+            "time_nodes; solve itself takes rtol, parameters, t_final, check",
+        ),
         ("solver.solve(check=-1)", "OptionError", "check=-1"),
         ("solver.load('nothing.npz')", "StorageError", "nothing.npz"),
         ("solver.load('solver.py')", "StorageError", "solver.py"),
@@ -328,10 +334,8 @@ def test_identical_bytes(tmp_path):
 def test_reads_from_top_to_bottom(method):
     """Parts in order, no marks for linters or cross references, documented parameters."""
     source = source_of(compiled("kirchhoff"), method)
-    parts = [
-        f"# {part}\n# ==="
-        for part in ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
-    ]
+    titles = ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
+    parts = [f"# {title}\n# ===" for title in titles]
     places = [source.index(part) for part in parts]
     assert places == sorted(places)
     assert source.index("METADATA = ") > source.index("class Solution:") > places[3]
@@ -339,6 +343,47 @@ def test_reads_from_top_to_bottom(method):
         assert mark not in source
     assert "max_attempts : int" in source
     assert "Largest error asked for, relative to the size of each unknown" in source
+
+
+@pytest.mark.parametrize("method", ["train", "greedy"])
+def test_sections_open_with_prose_of_their_own(method):
+    """Prose stays as it is laid out, apart from what follows, without places of the sources."""
+    source = source_of(compiled("kirchhoff"), method)
+    assert "docs/" not in source
+    table = (ROOT / "src" / "rankone" / "system.py").read_text(encoding="utf-8")
+    lines = table[table.index("=====") : table.index("``phi`` is")].splitlines()
+    assert "\n".join(f"# {line}".rstrip() for line in lines) in source
+    for section in source.split("\n# == ")[1:]:
+        head = list(
+            itertools.takewhile(lambda line: line.startswith("#"), section.splitlines()[1:])
+        )
+        assert section.splitlines()[1 + len(head)] == "", section[:200]
+
+
+def test_running_text_is_filled_and_tables_are_not():
+    long = "word " * 25
+    assert max(map(len, _narrow(long).splitlines())) <= 98
+    for laid_out in (f"=====  =====\n{long}", f"    {long}"):
+        assert _narrow(laid_out) == laid_out
+
+
+def test_a_solution_by_another_method_is_refused(tmp_path):
+    problem = compiled("decay")
+    problem.export(tmp_path / "solver.py")
+    problem.solve(1e-3, method="greedy").save(tmp_path / "greedy.npz")
+    run = alone(tmp_path, "--load", "greedy.npz")
+    assert run.returncode == 2
+    assert "a solution by method='greedy', which is not known here" in run.stderr
+    script = "s = solver.solve(1e-3); print(repr(s))"
+    assert alone(tmp_path, script=ALONE + script).stdout.startswith("Solution of u: success, the")
+
+
+def test_a_pole_is_refused(tmp_path):
+    problem = ro.Problem.from_strings({"x": "-x/k"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
+    ro.compile(problem).export(tmp_path / "solver.py")
+    run = alone(tmp_path, "--rtol", "1e-3", "--box", "k=-1:2")
+    assert run.returncode == 2
+    assert "not finite for `k` in [-1, 2]" in run.stderr
 
 
 def test_long_texts_are_wrapped():

@@ -53,10 +53,6 @@ def export_solver(
     overwrite : bool
         Whether to replace an existing file.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     ExportError
@@ -107,7 +103,6 @@ def export_model(
 
     Parameters
     ----------
-    solution : Solution
     path : path-like
         ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
         are many coefficients; ``.c`` writes C99 source and its header ``.h``.
@@ -117,10 +112,6 @@ def export_model(
         Whether to replace existing files.
     allow_failed : bool
         Whether a solution may be exported that is not a success.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------

@@ -36,7 +36,6 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 
     Parameters
     ----------
-    model : PackedModel
     path : Path
         Where the source will be.
 

@@ -277,10 +277,6 @@ def solve(
     **options
         See `{options}`.
 
-    Returns
-    -------
-    Solution
-
     Raises
     ------
     BlowUpError

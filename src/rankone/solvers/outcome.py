@@ -38,7 +38,6 @@ class SlabRecord:
         the check asks for it.
     start, end : float
         The slab.
-    accepted : bool
     tolerance : float
         Inner tolerance of the slab, in units of each state's size.
     residuals : tuple of float
@@ -90,12 +89,10 @@ class Outcome:
     ----------
     slabs : tuple of SlabTrain
         Consecutive slabs, all differential states.
-    status : Status
     message : str
         One or two sentences: how it ended, why, and what to do.
     measured : Measured or None
         None when no check was made.
-    history : tuple of SlabRecord
     timings : dict of str to float
         Seconds by stage: ``reference``, ``march``, ``check``.
     blow_up : tuple or None

@@ -70,7 +70,6 @@ class Reference:
         The point whose trajectory blows up at ``end``.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
-    states : int
     """
 
     points: Array
@@ -108,7 +107,6 @@ def integrate_reference(
 
     Parameters
     ----------
-    system : System
     points : ndarray (m, d)
     start, end : float
     rtol : float
@@ -167,8 +165,6 @@ def measure(
 
     Parameters
     ----------
-    slabs : sequence of SlabTrain
-    reference : Reference
     scale : ndarray (n,)
         Size of each state over the interior points. Errors at corners are relative to the largest
         value over the corners, where that is larger.

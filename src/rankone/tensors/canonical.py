@@ -269,31 +269,18 @@ def canonical_form(
 ) -> CanonicalForm:
     """Write one state of consecutive slabs in canonical form.
 
+    Tolerance, errors and warnings are those of :meth:`~rankone.solution.Solution.to_canonical`.
+
     Parameters
     ----------
-    slabs : sequence of SlabTrain
     names : sequence of str
         Time, then the parameters.
     row : int
         Position of the state.
     label : str
         Name of the state.
-    rtol : float
-        Tolerance in the mean square, relative to the state's mean square; at least 1e-13.
-    max_rank : int
-        Most terms.
-
-    Raises
-    ------
-    OptionError
-        If an option is out of its range.
-
-    Warns
-    -----
-    RankoneWarning
-        If ``max_rank`` terms do not suffice.
     """
-    rtol = checked_number("rtol", rtol, 1e-13, 1.0, float)
+    rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
     max_rank = checked_number("max_rank", max_rank, 1)
     axes = _common_axes(slabs, names)
     train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)

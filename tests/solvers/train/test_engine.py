@@ -245,7 +245,7 @@ def test_rtol_out_of_range(rtol):
         ({"max_ranks": 5}, r"'max_ranks' \(did you mean `max_rank`\?\); remedy: choose from basis"),
         (
             {"rtoll": 1e-3},
-            r"'rtoll' \(did you mean `rtol`\?\); .*; solve itself takes rtol, method",
+            r"'rtoll' \(did you mean `rtol`\?\); .*; solve itself takes rtol, parameters",
         ),
         ({"method": "trian"}, r"method='trian' is unknown \(did you mean `train`\?\)"),
         ({"method": ["train"]}, "is unknown"),
