@@ -29,6 +29,7 @@ from rankone.functions import function, table
 from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.solution import Solution, load
+from rankone.solvers.cross import CrossOptions
 from rankone.solvers.greedy import GreedyOptions
 from rankone.solvers.outcome import Status
 from rankone.solvers.train import TrainOptions
@@ -46,6 +47,7 @@ __all__ = [
     "BlowUpError",
     "CompiledProblem",
     "ConvergenceError",
+    "CrossOptions",
     "EvaluationError",
     "ExportError",
     "FirstOrderSystem",

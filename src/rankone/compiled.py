@@ -38,16 +38,17 @@ from rankone.codegen import (
     generate_source,
     load_module,
 )
-from rankone.domain import Domain
 from rankone.errors import ConvergenceError, OptionError
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
-from rankone.progress import Progress, resolve_progress
+from rankone.options import refuse_positional
+from rankone.progress import Report, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
 from rankone.solvers.registry import ENGINES, engine_named
+from rankone.solvers.task import Asked, Task
 from rankone.symbolic import (
     FirstOrderSystem,
     Problem,
@@ -141,11 +142,11 @@ class CompiledProblem:
     def solve(
         self,
         rtol: float = 1e-6,
-        *,
+        *arguments: Any,
         method: Literal["train", "cross", "greedy"] = "train",
         parameters: Mapping[Any, Sequence[float]] | None = None,
         t_final: float | None = None,
-        progress: bool | Progress = False,
+        progress: bool | Report = False,
         check: bool | int = True,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
@@ -196,22 +197,20 @@ class CompiledProblem:
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
-        engine = engine_named(method)
-        request = engine.request(rtol, check, options)
-        if method not in _ANY_SYSTEM:
+        refuse_positional(arguments, "method")
+        engine = engine_named(method, options)
+        if engine.name not in _ANY_SYSTEM:
             self.separated.require_separated()
-        domain = Domain.of(self.system)
+        asked = Asked(rtol, parameters, t_final, check, options)
+        task = Task.of(engine, self.system, asked, "method", "progress", "on_failure")
         if parameters or t_final is not None:
-            domain = domain.moved(self.system.PARAMETERS, parameters, t_final)
-            check_moved(self.problem, self.first_order, self.separated, self.system, domain)
+            check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
         began = time.perf_counter()
         with resolve_progress(progress) as report, _one_blas_thread():
-            outcome = engine.solve(self.system, domain, request, report)
+            outcome, metadata = task.run(self.metadata(), report)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        metadata = self.metadata(request.rtol, method)
-        metadata = replace(metadata, horizon=domain.horizon, box=domain.box)
         solution = Solution(replace(outcome, timings=timings), metadata)
         raise_blow_up(solution)
         if on_failure == "raise" and not solution.success:
@@ -219,9 +218,14 @@ class CompiledProblem:
         return solution
 
     def export(
-        self, path: str | PathLike[str], *, method: str = "train", overwrite: bool = False
+        self,
+        path: str | PathLike[str],
+        *arguments: Any,
+        method: str = "train",
+        overwrite: bool = False,
     ) -> Path:
         """Write a standalone solver; see :func:`rankone.export.export_solver`."""
+        refuse_positional(arguments, "method")
         from rankone.export import export_solver
 
         return export_solver(self, path, method=method, overwrite=overwrite)
@@ -296,12 +300,14 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     return compiled
 
 
-def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution:
+def solve_problem(
+    problem: Problem, rtol: float = 1e-6, *arguments: Any, **options: Any
+) -> Solution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 
     See :meth:`CompiledProblem.solve` for the options.
     """
-    return compile_problem(problem).solve(rtol, **options)
+    return compile_problem(problem).solve(rtol, *arguments, **options)
 
 
 @contextmanager

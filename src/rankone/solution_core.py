@@ -106,6 +106,10 @@ class SolutionCore:
             )
         return UnknownView(self, name)
 
+    def __repr__(self) -> str:
+        success = "success" if self.success else "no success"
+        return f"Solution of {', '.join(self.unknowns)}: {success}, {self.message}"
+
     def __iter__(self) -> Any:
         raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
 

@@ -41,6 +41,12 @@ import solver
 """
 
 
+def source_of(problem: ro.CompiledProblem, method: str = "train") -> str:
+    """Text of the standalone solver."""
+    given = problem.separated, problem.source, problem.metadata(method=method)
+    return standalone_source(problem.problem.name, *given)
+
+
 def alone(folder: Path, *arguments: str, script: str | None = None) -> subprocess.CompletedProcess:
     """Run the solver in the folder, or a script that imports it, without the library."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
@@ -321,13 +327,14 @@ def test_identical_bytes(tmp_path):
 @pytest.mark.parametrize("method", ["train", "greedy"])
 def test_reads_from_top_to_bottom(method):
     """Parts in order, no marks for linters or cross references, documented parameters."""
-    source = standalone_source(compiled("kirchhoff"), method)
+    source = source_of(compiled("kirchhoff"), method)
     parts = [
-        f"# {part}\n# ===" for part in ("System", "Engine", "Evaluation", "Files", "Command line")
+        f"# {part}\n# ==="
+        for part in ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
     ]
     places = [source.index(part) for part in parts]
     assert places == sorted(places)
-    assert source.index("METADATA = ") > source.index("class Solution:") > places[2]
+    assert source.index("METADATA = ") > source.index("class Solution:") > places[3]
     for mark in ("# noqa", "type: ignore", ":class:", ":func:", "SolutionCore"):
         assert mark not in source
     assert "max_attempts : int" in source
@@ -337,7 +344,7 @@ def test_reads_from_top_to_bottom(method):
 def test_long_texts_are_wrapped():
     terms = " + ".join(f"{k}*a**{k}*x" for k in range(1, 20))
     problem = ro.Problem.from_strings({"x": terms}, {"x": 1}, {"a": (0, 0.1)}, (0, 1))
-    source = standalone_source(ro.compile(problem))
+    source = source_of(ro.compile(problem))
     assert max(map(len, source.splitlines())) <= 100
     metadata = source[source.index("METADATA = ") :]
     given = {"SolutionMetadata": SolutionMetadata}
@@ -346,7 +353,7 @@ def test_long_texts_are_wrapped():
 
 
 def test_header():
-    source = standalone_source(compiled("lotka_volterra"))
+    source = source_of(compiled("lotka_volterra"))
     head = source[: source.index("import argparse")]
     for text in ("x' = 1.5*x - x*y", "x0 in [8, 12]", "Operations: rhs 5", "coefficient  monomial"):
         assert text in head
@@ -397,7 +404,7 @@ def test_command_line(tmp_path, capsys):
     source = ROOT / "examples" / "decay.py"
     target = tmp_path / "solver.py"
     assert main(["export", str(source), "-o", str(target)]) == 0
-    assert target.read_text() == standalone_source(compiled("decay"))
+    assert target.read_text() == source_of(compiled("decay"))
     assert main(["export", str(source), "-o", str(target)]) == 2
     assert "exists" in capsys.readouterr().err
     assert main(["export", str(source), "-o", str(target), "--overwrite"]) == 0

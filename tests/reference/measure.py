@@ -38,10 +38,12 @@ class Independent:
         ``initial(p)``: a sequence of n initial values, each a number or a row.
     box : tuple of (float, float)
     end : float
-        The horizon; time starts at zero.
+        The end of the horizon.
     sizes : tuple of float
         Orders of magnitude of the unknowns, for the absolute tolerance of the trajectories.
     stiff : bool
+    start : float
+        The beginning of the horizon.
     """
 
     rhs: Callable[[float, Array, Array], list[Array]]
@@ -50,6 +52,7 @@ class Independent:
     end: float
     sizes: tuple[float, ...]
     stiff: bool = False
+    start: float = 0.0
 
 
 @cache
@@ -57,7 +60,7 @@ def _trajectories(system: Independent) -> tuple[Array, Array, Array]:
     """Parameters (d, m), times (T,) and states (n, m, T)."""
     lower, upper = np.array(system.box).T
     points = np.random.default_rng(SEED).uniform(lower, upper, (POINTS, lower.size)).T
-    times = np.linspace(0.0, system.end, TIMES)
+    times = np.linspace(system.start, system.end, TIMES)
     start = np.stack([np.broadcast_to(value, POINTS) for value in system.initial(points)])
     start = start.astype(float)
     n = len(start)
@@ -72,7 +75,7 @@ def _trajectories(system: Independent) -> tuple[Array, Array, Array]:
         options = {"method": "Radau", "jac_sparsity": blocks}
     result = scipy.integrate.solve_ivp(
         stacked,
-        (0.0, system.end),
+        (system.start, system.end),
         start.ravel(),
         t_eval=times,
         rtol=1e-11,

@@ -19,13 +19,13 @@ from tests.problems import REFERENCE
 
 
 def test_engines_are_found_by_name() -> None:
-    assert list(ENGINES) == ["train", "greedy"]
+    assert list(ENGINES) == ["train", "cross", "greedy"]
     assert all(engine_named(name).name == name for name in ENGINES)
 
 
 @pytest.mark.parametrize("name", ["gredy", "", None, 3, ["train"]])
 def test_other_names_are_refused(name: typing.Any) -> None:
-    with pytest.raises(OptionError, match=r"is unknown.*choose from train, greedy"):
+    with pytest.raises(OptionError, match=r"is unknown.*choose from train, cross, greedy"):
         engine_named(name)
 
 

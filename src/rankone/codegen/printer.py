@@ -297,9 +297,10 @@ def readable_text(expr: sp.Expr) -> str:
 
 
 def plain_text(expr: sp.Expr) -> str:
-    """Text of an expression for people, in parentheses if it is a sum or a quotient."""
+    """Text for people, in parentheses if it is a sum or a quotient other than ``1/k``."""
     text = str(sstr(expr))
     quotient = isinstance(expr, sp.Mul | sp.Pow | sp.Rational) and "/" in text
+    quotient = quotient and not text.startswith("1/")
     return f"({text})" if quotient or isinstance(expr, sp.Add) else text
 
 

@@ -19,18 +19,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from rankone.errors import ExportError
 from rankone.export.packing import States, pack
-from rankone.export.standalone import Compiled, standalone_source
+from rankone.export.standalone import standalone_source
 from rankone.files import free_target, write_files
 from rankone.solution_core import SolutionCore
+from rankone.wording import quote
 
 __all__ = ["export_model", "export_solver", "solver_target"]
 
 
 def export_solver(
-    compiled: Compiled,
+    compiled: Any,
     path: str | PathLike[str],
     *,
     method: str = "train",
@@ -41,10 +43,11 @@ def export_solver(
     Parameters
     ----------
     compiled : CompiledProblem
-        Anything with the ``source`` of a generated module, the ``separated`` form and ``metadata``.
+        Or anything with the ``source`` of a generated module, its ``problem``, its ``separated``
+        form, its ``methods`` and ``user_functions``, and ``metadata``.
     path : path-like
         Ends in ``.py``.
-    method : {"train", "greedy"}
+    method : {"train", "cross", "greedy"}
         The engine.
     overwrite : bool
         Whether to replace an existing file.
@@ -56,13 +59,34 @@ def export_solver(
     Raises
     ------
     ExportError
-        If the path has another suffix, exists or cannot be written.
+        If the path has another suffix, exists or cannot be written, the method does not apply
+        to the problem, or the problem has functions of the user.
     OptionError
         If there is no such method.
     """
     target = solver_target(path, overwrite)
-    write_files({target: standalone_source(compiled, method)}, overwrite, ExportError)
+    _check_exportable(compiled, method)
+    given = compiled.separated, compiled.source, compiled.metadata(method=method)
+    text = standalone_source(compiled.problem.name, *given)
+    write_files({target: text}, overwrite, ExportError)
     return target
+
+
+def _check_exportable(compiled: Any, method: str) -> None:
+    """Raise an ExportError unless a solver by that method can be written."""
+    reason = compiled.methods.get(method) if isinstance(method, str) else None
+    if reason is not None:
+        raise ExportError(
+            f"a solver by method={method!r} cannot be exported: {reason}",
+            remedy="export with method='cross'",
+        )
+    if compiled.user_functions:
+        named = min(compiled.user_functions).removeprefix("f_")
+        raise ExportError(
+            f"the function {quote(named)} is a Python callable, which cannot be written to a file",
+            term=named,
+            remedy="give it as a formula or a table (rankone.table)",
+        )
 
 
 def solver_target(path: str | PathLike[str], overwrite: bool = False) -> Path:

@@ -51,8 +51,7 @@ class Section:
 
     def __str__(self) -> str:
         comment = [f"# {line}".rstrip() for line in ("", *self.prose)] if self.prose else []
-        attached = self.text.startswith(("def ", "class ", "@", "#"))
-        return "\n".join([banner(self.title), *comment, *([] if attached else [""]), self.text])
+        return "\n".join([banner(self.title), *comment, "", "", self.text])
 
 
 def banner(title: str) -> str:
@@ -128,8 +127,10 @@ def _section(module: SourceModule, text: str, title: str | None) -> Section:
 
 
 def _narrow(paragraph: str) -> str:
-    """A paragraph that leaves room for the comment sign."""
-    if all(len(line) <= _WIDTH - 2 for line in paragraph.splitlines()):
+    """A paragraph that leaves room for the comment sign; only running text is filled anew."""
+    lines = paragraph.splitlines()
+    laid_out = any(line.startswith(" ") or "===" in line for line in lines)
+    if laid_out or all(len(line) <= _WIDTH - 2 for line in lines):
         return paragraph
     return textwrap.fill(paragraph, _WIDTH - 2, break_on_hyphens=False)
 

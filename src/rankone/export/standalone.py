@@ -10,12 +10,11 @@ from __future__ import annotations
 import ast
 import itertools
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from rankone.codegen.names import is_identifier
 from rankone.codegen.text import WIDTH, docstring, literal, quoted
-from rankone.errors import ExportError
 from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names
 from rankone.metadata import SolutionMetadata
@@ -23,50 +22,27 @@ from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engine_named
 from rankone.system import System
 from rankone.version import __version__
-from rankone.wording import quote
 
-__all__ = ["Compiled", "standalone_source"]
-
-
-class Compiled(Protocol):
-    """A compiled problem, as far as the exporter needs it."""
-
-    @property
-    def problem(self) -> Any:
-        """The problem; its name is shown in the header."""
-
-    @property
-    def separated(self) -> object:
-        """The separated form, shown in the header."""
-
-    @property
-    def source(self) -> str:
-        """Text of the generated module."""
-
-    @property
-    def methods(self) -> dict[str, str | None]:
-        """For each method None if it applies, else the reason why not."""
-
-    @property
-    def user_functions(self) -> Mapping[str, object]:
-        """Functions that the source calls and does not define."""
-
-    def metadata(self, rtol: float, method: str) -> SolutionMetadata:
-        """What a solution says was asked."""
+__all__ = ["standalone_source"]
 
 
 _PROGRAM = "rankone.export.program"
 _CORE = "rankone.solution_core:SolutionCore"
 _PARTS: dict[str, tuple[str, ...]] = {
+    "Foundations": (
+        *("arrays", "errors", "wording", "options", "progress", "domain", "system"),
+        *(f"discretization.{name}" for name in ("basis", "finite_elements", "radau")),
+    ),
     "Engine": (),
     "Evaluation": ("tensors.evaluator", "coordinates", "metadata", "solution_core"),
     "Files": ("files", "plain_data", "storage"),
     "Command line": ("export.program",),
 }
-"""Modules in each part of the file; the first part has all that are in no other."""
+"""Modules in each part of the file; the engine has all that are in no other."""
 _TITLES = {
     "rankone.errors": "Errors: what was given, what was expected, what to do",
     "rankone.progress": "Progress",
+    "rankone.domain": "Domain: horizon, box and known factors on it",
     "rankone.solution_core": "Solutions: evaluation, how good they are, saving",
     _PROGRAM: "Solve, load and the command line",
 }
@@ -75,14 +51,21 @@ _KERNELS = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJO
 _OWN_NAMES = ("SYSTEM", "METADATA", "Solution", "solve", "load", "np", "os", "sys")
 
 
-def standalone_source(compiled: Compiled, method: str = "train") -> str:
+def standalone_source(
+    title: str | None, separated: object, source: str, metadata: SolutionMetadata
+) -> str:
     """Text of the standalone solver of a problem.
 
     Parameters
     ----------
-    compiled : CompiledProblem
-    method : str
-        The engine.
+    title : str or None
+        Name of the problem.
+    separated : SeparatedForm
+        Shown in the header.
+    source : str
+        Text of the generated module.
+    metadata : SolutionMetadata
+        What a solution of the problem says was asked, the engine among it.
 
     Returns
     -------
@@ -96,25 +79,11 @@ def standalone_source(compiled: Compiled, method: str = "train") -> str:
     ExportError
         If a part of the library cannot be carried over.
     """
-    engine = engine_named(method)
-    reason = compiled.methods[method]
-    if reason is not None:
-        raise ExportError(
-            f"a solver by method={method!r} cannot be exported: {reason}",
-            remedy="export with method='cross'",
-        )
-    if compiled.user_functions:
-        named = min(compiled.user_functions).removeprefix("f_")
-        raise ExportError(
-            f"the function {quote(named)} is a Python callable, which cannot be written to a file",
-            term=named,
-            remedy="give it as a formula or a table (rankone.table)",
-        )
-    metadata = compiled.metadata(1e-6, method)
-    module = _GeneratedModule(compiled.source)
+    engine = engine_named(metadata.method)
+    module = _GeneratedModule(source)
     sections, imports = carry(
         [
-            f"{engine.solve.__module__}:ENGINE",
+            f"rankone.solvers.{engine.name}:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
         reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
@@ -128,7 +97,8 @@ def standalone_source(compiled: Compiled, method: str = "train") -> str:
         Import("numpy", None, "np"),
     }
     blocks = [
-        f"{_head(compiled, metadata, module, imports)}\n\n{_heading('System')}\n\n{module.text}",
+        _head(title, separated, metadata, module, imports)
+        + f"\n\n{_heading('System')}\n\n{module.text}",
         _system_object(module),
         *_engine_to_command_line(sections),
         _end(engine, metadata),
@@ -170,7 +140,10 @@ class _GeneratedModule:
 def _part(module: str) -> int:
     """Position of the part of the file that a module of the library belongs to."""
     own = module.removeprefix("rankone.")
-    return next((k for k, modules in enumerate(_PARTS.values()) if own in modules), 0)
+    return next(
+        (k for k, modules in enumerate(_PARTS.values()) if own in modules),
+        list(_PARTS).index("Engine"),
+    )
 
 
 def _engine_to_command_line(sections: Iterable[Section]) -> Iterable[str]:
@@ -187,16 +160,16 @@ def _heading(title: str) -> str:
 
 
 def _head(
-    compiled: Compiled,
+    title: str | None,
+    separated: object,
     metadata: SolutionMetadata,
     module: _GeneratedModule,
     imports: set[Import],
 ) -> str:
     """The docstring and the imports."""
-    separated = (line.rstrip() for line in str(compiled.separated).splitlines())
+    table = (line.rstrip() for line in str(separated).splitlines())
     lines = [
-        f"{compiled.problem.name or ', '.join(metadata.unknowns)}: a solver for every parameter "
-        "value at once.",
+        f"{title or ', '.join(metadata.unknowns)}: a solver for every parameter value at once.",
         "",
         *textwrap.wrap(
             f'Generated by rankone {__version__} (method="{metadata.method}"). Needs Python 3.11 '
@@ -205,7 +178,7 @@ def _head(
         ),
         *module.docstring[3:],
         "",
-        *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in separated),
+        *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in table),
         "",
         *_usage(metadata),
     ]
@@ -312,7 +285,8 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    return solve_system(ENGINE, SYSTEM, METADATA, rtol, parameters, t_final, check, options)
+    asked = Asked(rtol, parameters, t_final, check, options)
+    return solve_system(ENGINE, SYSTEM, METADATA, asked)
 
 
 def load(path: str) -> Solution:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from rankone.domain import Domain
-from rankone.solvers.engine import Report, Request
+from rankone.progress import Report
+from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.solvers.verification import Yardstick
@@ -83,8 +84,8 @@ class Marcher(Protocol):
     remedies: ClassVar[Mapping[Status, str]]
     """What to do, by how it ended."""
 
-    def march(self, number: int, report: Report) -> MarchResult:
-        """Solve the horizon, for the ``number``-th time."""
+    def march(self, index: int, report: Report) -> MarchResult:
+        """Solve the horizon; ``index`` counts the attempts from 0."""
 
     def refine(self, attempt: Attempt, stalls: int) -> bool:
         """Ask more of the next march; False when there is nothing left to try.
@@ -93,7 +94,8 @@ class Marcher(Protocol):
         """
 
     def cause(self, status: Status, attempt: Attempt) -> str:
-        """Why it ended with that status; at least ``status.value``."""
+        """Why it ended with that status."""
+        return status.value
 
 
 def solve_in_attempts(
@@ -114,9 +116,9 @@ def solve_in_attempts(
     with _timed(timings, "reference"):
         yardstick = Yardstick.of(system, domain, request.rtol, request.points)
         marcher = prepared(request, yardstick)
-    for number in range(request.options.max_attempts):
+    for index in range(request.options.max_attempts):
         with _timed(timings, "march"):
-            result = marcher.march(number, report)
+            result = marcher.march(index, report)
         with _timed(timings, "check"):
             attempt = Attempt(result, yardstick.measured(result.slabs))
         records += result.records

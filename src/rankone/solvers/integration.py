@@ -16,17 +16,20 @@ import scipy.integrate
 import scipy.sparse
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.discretization.radau import INSET
 from rankone.system import System
 
 __all__ = ["Recorder", "Stack", "initial_values"]
 
-_PROBE_STEPS = 100
-"""DOP853 steps after which it is asked whether stability limits the step."""
+_FIRST_PROBE, _PROBE_STEPS = 30, 100
+"""DOP853 steps after which it is asked whether stability limits the step, first and then."""
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
-_DENSE_STATES = 240
-"""Largest stacked system whose Jacobian is factored densely."""
+
+
+_IMPLICIT = 5.0
+"""Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
 
 
 class Recorder(Protocol):
@@ -60,6 +63,35 @@ class StackedDOP853(scipy.integrate.DOP853):  # type: ignore[misc]
         )
         below = np.sqrt((fifth + 0.01 * third) * self._states)
         return float(abs(h) * np.max(fifth / np.where(below > 0.0, below, 1.0)))
+
+
+class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
+    """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
+
+    Parameters
+    ----------
+    blocks : callable
+        Jacobians (m, n, n) at a time and a stacked state.
+    """
+
+    def __init__(
+        self, *arguments: Any, blocks: Callable[[float, Array], Array], **options: Any
+    ) -> None:
+        self._blocks = blocks
+        super().__init__(*arguments, **options)
+        self.J = blocks(self.t, self.y)
+        self.I = np.eye(self.J.shape[1])
+        self.lu, self.solve_lu = np.linalg.inv, self._solve
+
+    def _validate_jac(self, *_: Any) -> Any:
+        """The Jacobian as a function; what stands in for its first value is not used."""
+        return lambda t, y, f=None: self._blocks(t, y), scipy.sparse.csc_matrix((self.n, self.n))
+
+    @staticmethod
+    def _solve(inverses: Array, right: Array) -> Array:
+        m, n, _ = inverses.shape
+        solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
+        return np.ascontiguousarray(solved.T).ravel()
 
 
 @dataclass(frozen=True)
@@ -104,14 +136,15 @@ class Stack:
             Whether Radau was used.
         """
         n, m = self.shape
-        tolerances = {"rtol": rtol, "atol": np.broadcast_to(atol, (n, m)).ravel()}
+        absolute = np.broadcast_to(atol, (n, m)).ravel()
         with np.errstate(all="ignore"):
             if not stiff:
-                explicit = partial(StackedDOP853, states=n, **tolerances)
+                explicit = partial(StackedDOP853, states=n, rtol=rtol, atol=absolute)
                 state = self._steps(explicit, recorder, self._met_stiffness)
                 if state is not None:
                     return state, False
-            implicit = partial(scipy.integrate.Radau, jac=self._stacked_jacobian(), **tolerances)
+            loose = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
+            implicit = partial(StackedRadau, blocks=self._blocks, **loose)
             state = self._steps(implicit, recorder, lambda solver, count: False)
         assert state is not None
         return state, True
@@ -127,6 +160,7 @@ class Stack:
             solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
             while solver.status == "running":
                 solver.step()
+                check_time()
                 if solver.status == "failed":
                     return state
                 recorder.add(solver)
@@ -146,30 +180,19 @@ class Stack:
 
     def _met_stiffness(self, solver: Any, count: int) -> bool:
         """Whether stability limits the step: the fastest rate of decay at the present state."""
-        if count % _PROBE_STEPS:
+        if count != _FIRST_PROBE and count % _PROBE_STEPS:
             return False
-        n, m = self.shape
-        jacobian = self.system.jacobian(solver.t, solver.y.reshape(n, m), self.points.T)
-        blocks = np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
+        blocks = self._blocks(solver.t, solver.y)
         if not np.isfinite(blocks).all():
             return False
         decay = float(-np.linalg.eigvals(blocks).real.min())
         return bool(decay * solver.step_size > _STIFF_PRODUCT)
 
-    def _stacked_jacobian(self) -> Any:
-        """Block Jacobian of the stacked system in the order (state, point)."""
+    def _blocks(self, t: float, y: Array) -> Array:
+        """Jacobian of each trajectory, (m, n, n)."""
         n, m = self.shape
-        rows = (np.arange(n)[:, None, None] * m + np.arange(m)) + np.zeros((n, n, m), dtype=int)
-        columns = (np.arange(n)[None, :, None] * m + np.arange(m)) + np.zeros((n, n, m), dtype=int)
-        jacobian_of, parameters = self.system.jacobian, np.ascontiguousarray(self.points.T)
-
-        def jacobian(t: float, y: Array) -> Any:
-            blocks = np.broadcast_to(jacobian_of(t, y.reshape(n, m), parameters), (n, n, m))
-            entries = (blocks.ravel(), (rows.ravel(), columns.ravel()))
-            matrix = scipy.sparse.csc_matrix(entries, shape=(n * m, n * m))
-            return matrix.toarray() if n * m <= _DENSE_STATES else matrix
-
-        return jacobian
+        jacobian = self.system.jacobian(t, y.reshape(n, m), self.points.T)
+        return np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
 
 
 def initial_values(system: System, parameters: Array) -> Array:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from rankone.progress import ProgressEvent
-from rankone.solvers.engine import Report
+from rankone.progress import ProgressEvent, Report
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 

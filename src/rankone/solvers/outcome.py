@@ -32,7 +32,7 @@ class SlabRecord:
     Attributes
     ----------
     attempt : int
-        Number of the solve (0, 1, ...): a solve is repeated with a tighter inner tolerance when
+        Index of the attempt, from 0: a solve is repeated with a tighter inner tolerance when
         the check asks for it.
     start, end : float
         The slab.

@@ -12,8 +12,8 @@ module                  subject
 ``options``             limits and discretisation
 ======================  ==========================================================================
 
-A function of the parameters whose values are trajectories is interpolated (compare ALS-Cross: Dolgov
-& Scheichl, SIAM/ASA J. Uncertainty Quantification 7 (2019), 260; DMRG-cross: Savostyanov &
+A function of the parameters whose values are trajectories is interpolated (compare ALS-Cross:
+Dolgov & Scheichl, SIAM/ASA J. Uncertainty Quantification 7 (2019), 260; DMRG-cross: Savostyanov &
 Oseledets, 2011). It needs the pointwise right-hand side alone, and nothing that is left out is
 amplified by the flow: each trajectory starts from its own exact initial value.
 """

@@ -28,9 +28,11 @@ from rankone.tensors.train import apply_to_modes
 
 __all__ = ["ENGINE", "solve_cross"]
 
-_INTEGRATION, _ROW_SPACE, _TAIL, _ROUNDING = 0.05, 0.1, 0.2, 0.1
+_INTEGRATION, _ROW_SPACE, _TAIL, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
 _LEFT_POINTS = 9
+_CALIBRATED = 8
+"""Reference points at which the error of the integration is measured."""
 
 
 class CrossMarcher:
@@ -51,6 +53,7 @@ class CrossMarcher:
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
         self.integrated = 0
+        self.tolerance = 0.3 * _INTEGRATION * request.rtol
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
@@ -61,8 +64,9 @@ class CrossMarcher:
             result.stopped = Status.SLAB_LIMIT
             return result
         most = self.options.max_trajectories - self.integrated
-        trajectories = Trajectories(self.yardstick, grid, _INTEGRATION * level, most)
+        trajectories = Trajectories(self.yardstick, grid, self.tolerance, most)
         try:
+            self._calibrate(trajectories, _INTEGRATION * level)
             found, bases = self._interpolated(trajectories, level)
         except TooManyTrajectories:
             result.stopped = Status.TRAJECTORY_LIMIT
@@ -76,6 +80,8 @@ class CrossMarcher:
         self.bases = bases
         if found.limited:
             result.limits.add(Status.RANK_LIMIT)
+        if any(basis.size >= self.options.max_nodes for basis in bases):
+            result.limits.add(Status.NODE_LIMIT)
         cores = rounded(found.cores, _ROUNDING * level)
         modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
         self.spectra = _spectra(modal)
@@ -90,6 +96,20 @@ class CrossMarcher:
         report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
         return result
 
+    def _calibrate(self, trajectories: Trajectories, wanted: float) -> None:
+        """Choose the tolerance of the integration by its error at points that are known."""
+        if self.yardstick.reference.stiff:
+            trajectories.tolerance = self.tolerance = 0.5 * wanted
+            return
+        for _ in range(3):
+            error = trajectories.integration_error(_CALIBRATED)
+            if wanted / 10.0 <= error <= wanted:
+                break
+            change = min(max(0.5 * wanted / max(error, 1e-300), 1e-3), 4.0)
+            trajectories.tolerance = self.tolerance = max(change * self.tolerance, 1e-13)
+            if change > 1.0:
+                break
+
     def _grid(self, level: float) -> TimeGrid | None:
         """Slabs that resolve the reference, or None if there are too many."""
         yardstick = self.yardstick
@@ -98,13 +118,12 @@ class CrossMarcher:
         units = yardstick.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
         tolerance = max(_TAIL * level, 1e-13)
-        breaks = resolving_breaks(
-            lambda t: yardstick.reference(t) / units,
-            edges,
-            count,
-            tolerance,
-            self.options.max_slabs,
-        )
+        most = self.options.max_slabs
+
+        def values(t: Array) -> Array:
+            return yardstick.reference(t) / units
+
+        breaks = resolving_breaks(values, edges, count, tolerance, most)
         return None if breaks is None else TimeGrid(breaks, count)
 
     def _interpolated(
@@ -120,7 +139,7 @@ class CrossMarcher:
         return interpolate(samples, bases, left, tolerance, self.options.max_rank), bases
 
     def refine(self, attempt: Attempt, stalls: int) -> bool:
-        """More nodes where the highest modes are not small; more points and accuracy in any case."""
+        """More nodes where the highest modes are not small, more points, or more accuracy."""
         if attempt.result.stopped or stalls == 2 or self.bases is None:
             return False
         finer = more_nodes(self.bases, self.spectra, _TAIL * self.rtol, self.options.max_nodes)

@@ -16,10 +16,12 @@ from rankone.solvers.cross.trajectories import Trajectories
 __all__ = ["first_bases", "more_nodes"]
 
 _OFF_CENTRE = 0.35
-"""Distance of the second line of each parameter from the centre, in widths of the other intervals."""
+"""Distance of the second line of a parameter from the centre, in widths of the other intervals."""
+_TAIL = 0.03
+"""What the modes left out may make up, relative to the error asked for."""
 _SLOWEST = 0.95
 """Largest ratio of successive modes that is believed."""
-_FARTHEST = 2.5
+_FARTHEST = 3.0
 """Largest number of nodes predicted, over that of the lines."""
 
 
@@ -32,7 +34,7 @@ def first_bases(
     geometrically, which tells how many are needed beyond those of the line.
     """
     kind = BASES[options.basis]
-    count = min(max(round(3.0 + 1.2 * -math.log10(rtol)), 5), options.max_nodes)
+    count = min(max(round(4.0 + 1.4 * -math.log10(rtol)), 6), options.max_nodes)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
     coefficients = trajectories(_lines(domain, bases))
     lines = coefficients.reshape(-1, len(bases), 2, count)
@@ -40,7 +42,7 @@ def first_bases(
     for j, basis in enumerate(bases):
         values = lines[:, j] * np.sqrt(basis.weights)
         spectrum = np.linalg.norm(values @ basis.to_modal.T, axis=0).max(axis=0)
-        wanted = needed(spectrum, 0.1 * rtol)
+        wanted = needed(spectrum, _TAIL * rtol)
         found.append(replace(basis, degree=min(max(wanted, 3), options.max_nodes)))
     return tuple(found)
 

@@ -16,16 +16,20 @@ import numpy as np
 import scipy.linalg
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.discretization import Basis1D
 from rankone.solvers.cross.samples import Integers, Samples
 from rankone.tensors.train import right_orthonormal
+from rankone.tensors.truncation import truncated_svd
 
 __all__ = ["Interpolation", "interpolate", "left_points"]
 
-_FULL_GRID = 700
+_FULL_GRID = 1600
 """Number of nodes of the grid up to which all of them are sampled."""
-_EXTRA = 10
-"""Random combinations beyond the number of columns in which a row space is looked for."""
+_EXCHANGES, _VOLUME = 100, 1.1
+"""Most exchanges of columns of a skeleton, and the factor on its volume that is worth one."""
+_EXTRA = 16
+"""Expected rank of a bond: twice that of the next one, and so many more."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +60,10 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     for b in range(1, len(sizes)):
         total = math.prod(sizes[:b])
         if full or total <= count:
-            chosen = np.arange(total)
+            columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
         else:
-            chosen = generator.choice(total, count, replace=False) if total < 1e15 else None
-        if chosen is None:
             columns = [generator.integers(0, size, count) for size in sizes[:b]]
-            points.append(np.stack(columns, axis=1))
-        else:
-            points.append(np.stack(np.unravel_index(chosen, tuple(sizes[:b])), axis=1))
+        points.append(np.stack(columns, axis=1).astype(np.int64))
     return points
 
 
@@ -91,20 +91,51 @@ def interpolate(
     cores: list[Array] = []
     limited = False
     for b in range(len(bases) - 1, -1, -1):
+        check_time()
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
         block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))
         matrix = block.reshape(-1, len(columns))
         allowed = tolerance * math.sqrt(len(left[b]) * len(columns))
-        rows = _row_space(matrix, allowed, generator)
-        limited |= len(rows) > max_rank
-        rows = rows[:max_rank]
-        _, _, pivots = scipy.linalg.qr(rows, mode="economic", pivoting=True, check_finite=False)
-        skeleton = np.sort(pivots[: len(rows)])
-        core = np.linalg.solve(rows[:, skeleton], rows)
+        guess = generator.standard_normal((2 * len(right) + _EXTRA, len(columns)))
+        _, values, rows = truncated_svd(matrix, allowed, max_rank, guess)
+        limited |= values.size == max_rank
+        skeleton, core = _skeleton(rows)
         cores.insert(0, core.reshape(len(rows), size, len(right)))
         right = columns[skeleton]
     return Interpolation([samples(right), *_scaled(cores, bases)], limited)
+
+
+def _skeleton(rows: Array) -> tuple[Integers, Array]:
+    """Columns from which all others are interpolated with small coefficients, and these.
+
+    Columns are exchanged as long as that enlarges the volume of the skeleton by a tenth
+    (Goreinov et al., How to find a good submatrix, 2010).
+
+    Parameters
+    ----------
+    rows : ndarray (r, N)
+        Orthonormal.
+
+    Returns
+    -------
+    skeleton : ndarray (r,)
+    coefficients : ndarray (r, N)
+        ``rows = rows[:, skeleton] @ coefficients``.
+    """
+    rank = len(rows)
+    _, _, pivots = scipy.linalg.qr(rows, mode="economic", pivoting=True, check_finite=False)
+    skeleton = pivots[:rank].astype(np.int64)
+    coefficients = np.asarray(np.linalg.solve(rows[:, skeleton], rows))
+    for _ in range(_EXCHANGES):
+        i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
+        if abs(coefficients[i, j]) < _VOLUME:
+            break
+        change = coefficients[:, j].copy()
+        change[i] -= 1.0
+        coefficients -= np.outer(change / coefficients[i, j], coefficients[i])
+        skeleton[i] = j
+    return skeleton, coefficients
 
 
 def _product(left: Integers, right: Integers) -> Integers:
@@ -118,23 +149,6 @@ def _scaled(cores: Sequence[Array], bases: Sequence[Basis1D]) -> list[Array]:
     """Values at the nodes times the roots of the weights."""
     pairs = zip(cores, bases, strict=True)
     return [core * np.sqrt(basis.weights)[:, None] for core, basis in pairs]
-
-
-def _row_space(matrix: Array, tolerance: float, generator: np.random.Generator) -> Array:
-    """Orthonormal rows; what is outside of their span has a norm of at most the tolerance.
-
-    The rows of a tall matrix are combined at random first, which keeps its row space
-    (Halko, Martinsson & Tropp, SIAM Review 53 (2011), section 4).
-    """
-    rows, columns = matrix.shape
-    if rows > 3 * (columns + _EXTRA):
-        mixing = generator.standard_normal((columns + _EXTRA, rows)) / math.sqrt(columns + _EXTRA)
-        matrix = mixing @ matrix
-    if len(matrix) > columns:
-        matrix = np.linalg.qr(matrix, mode="r")
-    _, values, found = scipy.linalg.svd(matrix, full_matrices=False, check_finite=False)
-    tails = np.sqrt(np.cumsum(values[::-1] ** 2)[::-1])
-    return np.asarray(found[: max(int(np.count_nonzero(tails > tolerance)), 1)])
 
 
 def rounded(cores: Sequence[Array], tolerance: float) -> list[Array]:

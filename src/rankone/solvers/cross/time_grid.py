@@ -16,8 +16,10 @@ from rankone.tensors.slab import SlabTrain
 
 __all__ = ["TimeGrid", "resolving_breaks"]
 
-_SHORTEST = 1e-9
+_SHORTEST = 1e-12
 """Shortest slab, relative to the horizon."""
+_PROBES = np.array([-0.999999, -0.97, -0.31, 0.42, 0.98, 0.999999])
+"""Where interpolation in time is tried, on [-1, 1]: beside the ends, where it may jump."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def resolving_breaks(
 ) -> tuple[float, ...] | None:
     """Ends of slabs on which ``count`` nodes resolve functions of time; None if too many.
 
-    Slabs are halved until the two highest Legendre modes are below the tolerance.
+    Slabs are halved until the polynomial through the nodes is close at the ends and in between.
 
     Parameters
     ----------
@@ -80,19 +82,22 @@ def resolving_breaks(
     most : int
         Largest number of slabs.
     """
-    xi = 0.5 * (leggauss(count)[0] + 1.0)
-    to_modal = np.linalg.inv(legendre_values(2.0 * xi - 1.0, count))[-2:]
-    waiting, done = list(itertools.pairwise(edges)), []
+    xi = leggauss(count)[0]
+    to_modal = np.linalg.inv(legendre_values(xi, count))
+    at_probes = legendre_values(_PROBES, count) @ to_modal
+    inside = 0.5 * (np.concatenate([xi, _PROBES]) + 1.0)
+    waiting = list(itertools.pairwise(edges))
+    done: list[tuple[float, float]] = []
     horizon = edges[-1] - edges[0]
     while waiting:
         if len(waiting) + len(done) > most:
             return None
-        times = np.concatenate([a + (b - a) * xi for a, b in waiting])
-        at_nodes = values(times).reshape(-1, len(waiting), count)
-        tails = np.abs(at_nodes @ to_modal.T).max(axis=(0, 2))
+        times = np.concatenate([a + (b - a) * inside for a, b in waiting])
+        found = values(times).reshape(-1, len(waiting), inside.size)
+        missed = np.abs(found[..., count:] - found[..., :count] @ at_probes.T).max(axis=(0, 2))
         halves = []
-        for (a, b), tail in zip(waiting, tails, strict=True):
-            if tail <= tolerance or b - a < _SHORTEST * horizon:
+        for (a, b), error in zip(waiting, missed, strict=True):
+            if error <= tolerance or b - a < _SHORTEST * horizon:
                 done.append((a, b))
             else:
                 halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]

@@ -13,7 +13,7 @@ from rankone.solvers.verification import Yardstick
 
 __all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
 
-_STACKED, _STACKED_STIFF = 1500, 60
+_STACKED, _STACKED_STIFF = 1500, 300
 """Trajectories integrated together, by explicit and by implicit steps."""
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
@@ -70,6 +70,16 @@ class Trajectories:
         values = (self.basis[:, :rank] @ coefficients).reshape(self.units.size, -1, columns)
         return np.asarray(values * self.units[:, None, None])
 
+    def integration_error(self, points: int) -> float:
+        """Largest error of the integration at some of the reference's points, in units of sizes."""
+        reference = self.yardstick.reference
+        chosen = reference.points[:points]
+        exact = reference(self.grid.times)[:, :points] / self.units[:, None, None]
+        found = self._integrated(chosen).reshape(self.units.size, -1, len(chosen))
+        self.count += len(chosen)
+        errors = np.abs(found - exact.transpose(0, 2, 1))
+        return float(errors.max() * np.sqrt(self.grid.times.size))
+
     def _integrated(self, points: Array) -> Array:
         """Trajectories at the points, (n T, m)."""
         yardstick, times = self.yardstick, self.grid.times
@@ -82,7 +92,7 @@ class Trajectories:
         if record.reached < times.size or not np.isfinite(record.values).all():
             raise TrajectoryEnds(float(times[max(record.reached - 1, 0)]), points)
         scaled = record.values.transpose(1, 0, 2) / self.units[:, None, None]
-        return scaled.reshape(-1, len(points))
+        return np.asarray(scaled.reshape(-1, len(points)))
 
     def _coefficients(self, trajectories: Array) -> Array:
         """Coefficients in the basis, which grows by what it misses."""
@@ -107,7 +117,7 @@ def _range(columns: Array, tolerance: float) -> Array:
         values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
     else:
         vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return vectors[:, : max(int(np.count_nonzero(values > tolerance)), 1)]
+    return np.asarray(vectors)[:, : max(int(np.count_nonzero(values > tolerance)), 1)]
 
 
 class _AtNodes:

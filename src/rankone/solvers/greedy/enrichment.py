@@ -22,6 +22,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.solvers.greedy.history import ModeRecord
 from rankone.solvers.greedy.operators import Equation
 from rankone.solvers.greedy.options import GreedyOptions
@@ -125,6 +126,7 @@ class Enrichment:
         best = residual, self.factors.copy(), self.amplitudes
         stalled, patience = 0, _STALLED[self.options.update]
         while residual > limit and self.rank < self.options.max_modes and stalled < patience:
+            check_time()
             mode, amplitude, differences = self._fixed_point()
             if mode is None:
                 break

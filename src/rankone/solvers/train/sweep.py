@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.solvers.train.groups import (
     CONSTANT,
     LINEAR,
@@ -26,8 +27,8 @@ from rankone.solvers.train.groups import (
     Key,
     ParameterOperators,
 )
-from rankone.solvers.train.products import left_products, multiplicity, right_products, unpack
 from rankone.solvers.train.slab import SlabOperator
+from rankone.solvers.train.symmetric import left_products, multiplicity, right_products, unpack
 from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]
@@ -278,7 +279,7 @@ class Sweeper:
         """One sweep; the centre starts and ends at core 0.
 
         On the way right the cores are only orthogonalised; on the way left every pair is solved.
-        Solving pairs in both directions converges no faster per unit of work (docs/engine.md).
+        Solving pairs in both directions converges no faster per unit of work.
 
         Returns the residual (largest change of a pair) and, for each parameter, the norms of its
         modes, shape (nodes,). The residual is infinite where the iteration overflowed.
@@ -286,9 +287,11 @@ class Sweeper:
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
         for b in range(self.dimensions - 1):
+            check_time()
             self._shift_right(b, 1e-3 * tolerance)
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
+            check_time()
             with np.errstate(over="ignore", invalid="ignore"):
                 new, present = self._pair_block(b)
                 change = float(np.linalg.norm(new - present))

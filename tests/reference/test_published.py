@@ -1,0 +1,102 @@
+"""The published systems: both statements of each agree, and their trajectories exist."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy.integrate
+import sympy as sp
+
+import rankone as ro
+from tests.reference.published import KINDS, PUBLISHED
+
+POINTS, TIMES = 8, 12
+
+
+@cache
+def _run(name):
+    """Parameters (d, m), times (T,) and states (n, m, T) of one stacked integration."""
+    system = PUBLISHED[name].independent
+    lower, upper = np.array(system.box).T
+    p = np.random.default_rng(42).uniform(lower, upper, (POINTS, lower.size)).T
+    start = np.stack([np.broadcast_to(value, POINTS) for value in system.initial(p)]).astype(float)
+    times = np.linspace(system.start, system.end, TIMES)
+
+    def stacked(t, y):
+        rows = system.rhs(t, y.reshape(start.shape), p)
+        return np.stack([np.broadcast_to(row, POINTS) for row in rows]).ravel()
+
+    result = scipy.integrate.solve_ivp(
+        stacked,
+        (system.start, system.end),
+        start.ravel(),
+        method="LSODA" if system.stiff else "DOP853",
+        t_eval=times,
+        rtol=1e-8,
+        atol=np.repeat(1e-10 * np.array(system.sizes), POINTS),
+    )
+    assert result.success, result.message
+    return p, times, result.y.reshape(*start.shape, TIMES)
+
+
+def test_the_suite_is_large_and_varied():
+    assert len(PUBLISHED) >= 42
+    assert {entry.kind for entry in PUBLISHED.values()} == set(KINDS)
+    assert all(1 <= len(entry.parameters) <= 6 for entry in PUBLISHED.values())
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_trajectories_reach_the_end(name):
+    _, _, states = _run(name)
+    system = PUBLISHED[name].independent
+    largest = np.abs(states).max(axis=(1, 2)) / np.array(system.sizes)
+    least = 1e-3 if system.stiff else 0.1  # peaks of fast transients fall between the times
+    assert np.isfinite(states).all()
+    assert np.all((largest > least) & (largest < 10.0)), largest
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_the_statement_by_hand_is_the_symbolic_one(name):
+    entry = PUBLISHED[name]
+    first = ro.first_order(entry.problem())
+    time, *parameters = (coordinate.symbol for coordinate in first.coordinates)
+    assert tuple(state.name for state in first.states) == entry.unknowns
+    rhs = sp.lambdify([time, first.functions, parameters], first.rhs, "numpy", cse=True)
+    initial = sp.lambdify([parameters], first.initial, "numpy")
+
+    p, times, states = _run(name)
+    for ours, theirs in zip(entry.independent.initial(p), initial(p), strict=True):
+        np.testing.assert_allclose(*np.broadcast_arrays(ours, theirs), rtol=1e-13, atol=0.0)
+    # off the trajectories, so that stiff terms do not cancel
+    around = states * np.random.default_rng(7).uniform(0.8, 1.2, states.shape)
+    rates = np.empty((2, *states.shape))
+    for k, t in enumerate(times):
+        u = around[:, :, k]
+        for side, function in enumerate((rhs, entry.independent.rhs)):
+            for row, values in enumerate(function(t, u, p)):
+                rates[side, row, :, k] = values
+    size = np.abs(rates[0]).max(axis=(1, 2), keepdims=True)
+    assert np.all(np.abs(rates[0] - rates[1]) <= 1e-10 * size)
+
+
+@pytest.mark.parametrize(
+    ("name", "centre", "end", "first"),
+    [
+        ("pollu", (0.35, 26.6, 1.63e4), 60.0, 0.5646255480022769e-1),
+        ("hires", (1.71, 7e-4, 280.0), 321.8122, 0.7371312573325668e-3),
+    ],
+)
+def test_reference_values_of_the_ivp_test_set(name, centre, end, first):
+    system = PUBLISHED[name].independent
+    p = np.array(centre)[:, None]
+    result = scipy.integrate.solve_ivp(
+        lambda t, y: np.array([np.ravel(row)[0] for row in system.rhs(t, y[:, None], p)]),
+        (0.0, end),
+        system.initial(p),
+        method="LSODA",
+        rtol=1e-9,
+        atol=1e-12 * np.array(system.sizes),
+    )
+    assert result.y[0, -1] == pytest.approx(first, rel=1e-6)
