@@ -58,7 +58,7 @@ def test_compiling_warns_of_a_parameter_that_appears_nowhere():
     ("arguments", "options", "message"),
     [
         ((1e-3, "greedy"), {}, "'greedy' is given by position; remedy: .* method='greedy'"),
-        ((1e-3,), {"preset": "slides"}, "'preset' belongs to method='greedy', not to method='trai"),
+        ((1e-3,), {"preset": "slides"}, "'preset' belongs to method='greedy', not to method='auto"),
         ((1e-3,), {"method": "greedy", "max_rank": 3}, "'max_rank' belongs to method='train'"),
         (
             (1e-3,),

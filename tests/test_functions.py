@@ -116,7 +116,7 @@ def test_a_solver_with_a_function_of_the_user_is_not_exported(tmp_path):
     with pytest.raises(ro.ExportError, match="function `square` is a Python callable"):
         compiled.export(tmp_path / "solver.py", method="cross")
     with pytest.raises(ro.ExportError, match="method='train' cannot be exported"):
-        compiled.export(tmp_path / "solver.py")
+        compiled.export(tmp_path / "solver.py", method="train")
     assert not list(tmp_path.iterdir())
 
 

@@ -56,8 +56,8 @@ def export_solver(
     Raises
     ------
     ExportError
-        If the path has another suffix, exists or cannot be written, or the method does not take
-        the system.
+        If the path has another suffix, exists or cannot be written, the method does not apply
+        to the problem, or the problem has functions of the user.
     OptionError
         If there is no such method.
     """
@@ -66,8 +66,16 @@ def export_solver(
     engine, *_ = engines_for(
         method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
     )
-    method = engine.name
-    reason = compiled.methods[method]
+    _check_exportable(compiled, engine.name)
+    given = form, compiled.source, compiled.metadata(method=engine.name)
+    text = standalone_source(compiled.problem.name, *given)
+    write_files({target: text}, overwrite, ExportError)
+    return target
+
+
+def _check_exportable(compiled: Any, method: str) -> None:
+    """Raise an ExportError unless a solver by that method can be written."""
+    reason = compiled.methods.get(method) if isinstance(method, str) else None
     if reason is not None:
         raise ExportError(
             f"a solver by method={method!r} cannot be exported: {reason}",
@@ -80,10 +88,6 @@ def export_solver(
             term=named,
             remedy="give it as a formula or a table (rankone.table)",
         )
-    given = form, compiled.source, compiled.metadata(method=method)
-    text = standalone_source(compiled.problem.name, *given)
-    write_files({target: text}, overwrite, ExportError)
-    return target
 
 
 def solver_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
