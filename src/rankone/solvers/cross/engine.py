@@ -146,12 +146,18 @@ class CrossMarcher:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
         if attempt.result.stopped or stalls == 2 or self.bases is None:
             return False
-        finer = more_nodes(self.bases, self.spectra, _HIGHEST * self.rtol, self.options.max_nodes)
+        finer = self._finer(self.bases)
         if finer == self.bases or stalls:
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
+            finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
         self.bases = finer
         return True
+
+    def _finer(self, bases: tuple[Basis1D, ...]) -> tuple[Basis1D, ...]:
+        """Bases with more nodes where the highest modes found are not small."""
+        tolerance = _HIGHEST * self.share * self.rtol
+        return more_nodes(bases, self.spectra, tolerance, self.options.max_nodes)
 
     def cause(self, status: Status, attempt: Attempt) -> str:
         """The status says it."""
