@@ -30,7 +30,8 @@ from rankone.tensors.slab import SlabTrain
 __all__ = ["FORMAT", "FORMAT_VERSION", "read", "target", "write"]
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""The newest version: 2 if there are elements of unequal size, else 1 is written."""
 _PLAIN = ("status", "message", "measured", "timings", "blow_up")
 """Fields of an outcome that the header holds as they are."""
 
@@ -137,11 +138,11 @@ def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
         slabs.append({"start": slab.start, "end": slab.end, "bases": used})
     header = {
         "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format_version": 2 if any(basis.breaks for basis in bases) else 1,
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
         **{name: getattr(outcome, name) for name in _PLAIN},
         "history": outcome.history,
-        "bases": [{"kind": basis.kind, **plain(basis)} for basis in bases],
+        "bases": [_plain_basis(basis) for basis in bases],
         "slabs": slabs,
     }
     arrays = {"header": np.array(json.dumps(plain(header), allow_nan=False))}
@@ -149,6 +150,12 @@ def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
         for j, core in enumerate(slab.cores):
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
     return arrays
+
+
+def _plain_basis(basis: Basis1D) -> dict[str, Any]:
+    """The fields of a basis; breaks only if there are any."""
+    fields = {"kind": basis.kind, **plain(basis)}
+    return fields if basis.breaks else {k: v for k, v in fields.items() if k != "breaks"}
 
 
 # --- reading -----------------------------------------------------------------------------------
@@ -187,7 +194,7 @@ def _outcome(
     header: Mapping[str, Any], record: type[SlabRecord], arrays: Mapping[str, Any]
 ) -> Outcome:
     hints = get_type_hints(Outcome)
-    bases = [rebuilt(BASES[fields["kind"]], fields) for fields in header["bases"]]
+    bases = [_basis(fields, header["format_version"]) for fields in header["bases"]]
     slabs = [
         _slab(i, fields, tuple(bases[k] for k in fields["bases"]), arrays)
         for i, fields in enumerate(header["slabs"])
@@ -197,6 +204,14 @@ def _outcome(
         history=tuple(rebuilt(record, entry) for entry in header["history"]),
         **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
     )
+
+
+def _basis(fields: Mapping[str, Any], version: int) -> Basis1D:
+    """One basis; breaks are part of the format since version 2 and fit the number of elements."""
+    basis: Basis1D = rebuilt(BASES[fields["kind"]], fields)
+    if basis.breaks and (version < 2 or basis.elements != fields["elements"]):
+        raise ValueError("the breaks of a basis do not fit")
+    return basis
 
 
 def _slab(

@@ -15,7 +15,8 @@ from collections.abc import Callable
 import numpy as np
 
 from rankone.discretization import ChebyshevBasis
-from rankone.solution import Solution, SolutionMetadata
+from rankone.metadata import SolutionMetadata
+from rankone.solution import Solution
 from rankone.solvers.outcome import Outcome, Status
 from rankone.tensors.slab import SlabTrain
 
@@ -53,7 +54,13 @@ def random_solution(
     names = tuple(f"u{i}" for i in range(states))
     parameters = tuple(f"p{j}" for j in range(len(modes)))
     metadata = SolutionMetadata(
-        names, names, parameters, ((0.0, 1.0),) * len(modes), "t", (0.0, 1.0), 1e-6
+        states=names,
+        roles=("unknown",) * states,
+        parameters=parameters,
+        box=((0.0, 1.0),) * len(modes),
+        time="t",
+        horizon=(0.0, 1.0),
+        rtol=1e-6,
     )
     return Solution(Outcome(tuple(trains), Status.UNCHECKED, "", None, ()), metadata)
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
 import rankone as ro
-from rankone.discretization import ChebyshevBasis, LegendreBasis
+from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
 
-__all__ = ["compiled", "points", "solved", "synthetic"]
+__all__ = ["compiled", "points", "solved", "synthetic", "synthetic_with_breaks"]
 
 
 @cache
@@ -42,14 +43,34 @@ def points(solution: ro.Solution, count: int, seed: int = 0) -> dict[str, np.nda
 @cache
 def synthetic(status: Status = Status.CONVERGED) -> ro.Solution:
     """Random trains: two slabs, both bases, several elements, awkward names, a state not asked."""
+    bases = (
+        ChebyshevBasis(-2.0, 3.0, 4, 3),
+        LegendreBasis(0.1, 0.7, 5, 2),
+        LegendreBasis(1.0, 2.0, 1, 1),
+    )
+    return _random([bases, bases], status)
+
+
+@cache
+def synthetic_with_breaks() -> ro.Solution:
+    """As before with elements of unequal size, others in each slab, beside equal ones."""
+    first = (
+        ChebyshevBasis(-2.0, 3.0, 4, breaks=(-1.9, 0.3, 0.8, 2.5)),
+        LegendreBasis(0.1, 0.7, 5, 2),
+        LegendreBasis(1.0, 2.0, 1, breaks=(1.7,)),
+    )
+    second = (
+        ChebyshevBasis(-2.0, 3.0, 5, 3),
+        LegendreBasis(0.1, 0.7, 5, breaks=(0.2, 0.25)),
+        LegendreBasis(1.0, 2.0, 1, 1),
+    )
+    return _random([first, second], Status.CONVERGED)
+
+
+def _random(bases_of_slabs: Sequence[tuple[Basis1D, ...]], status: Status) -> ro.Solution:
     rng = np.random.default_rng(7)
     slabs = []
-    for start, end in ((-1.0, 0.25), (0.25, 2.0)):
-        bases = (
-            ChebyshevBasis(-2.0, 3.0, 4, 3),
-            LegendreBasis(0.1, 0.7, 5, 2),
-            LegendreBasis(1.0, 2.0, 1, 1),
-        )
+    for (start, end), bases in zip(((-1.0, 0.25), (0.25, 2.0)), bases_of_slabs, strict=True):
         ranks = (3, 5, 9, 2, 1)
         sizes = (6, *(basis.size for basis in bases))
         cores = tuple(

@@ -20,7 +20,7 @@ from rankone.errors import ExportError, OptionError
 from rankone.export.model_c import c_identifier
 from rankone.export.model_python import keywords
 from rankone.solvers.outcome import Status
-from tests.export.solutions import points, solved, synthetic
+from tests.export.solutions import points, solved, synthetic, synthetic_with_breaks
 from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +35,7 @@ SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover
 SOLUTIONS = {
     **{name: lambda name=name: solved(name) for name in EXAMPLES},
     "synthetic": synthetic,
+    "unequal": synthetic_with_breaks,
 }
 
 
@@ -73,10 +74,9 @@ def slab_gradient(solution, where):
         for j in range(len(names)):
             basis = None if j == 0 else slab.bases[j - 1]
             lower, upper = (slab.start, slab.end) if j == 0 else (basis.lower, basis.upper)
-            elements = 1 if j == 0 else basis.elements
-            width = (upper - lower) / elements
-            e = min(int((centre[j, k] - lower) / width), elements - 1)
-            a = lower + e * width
+            edges = np.array([lower, upper]) if j == 0 else basis.edges
+            e = np.searchsorted(edges[1:-1], centre[j, k], side="right")
+            a, width = edges[e], edges[e + 1] - edges[e]
             sample = np.repeat(centre[:, k : k + 1], nodes.size, axis=1)
             sample[j] = a + 0.5 * width * (nodes + 1.0)
             values = slab(sample[0], sample[1:])[: len(solution.unknowns)]
@@ -140,7 +140,7 @@ def test_python_beside(tmp_path):
     assert "a.npz" in large[0].read_text()
 
 
-@pytest.mark.parametrize("name", ["decay", "linear", "kirchhoff", "synthetic"])
+@pytest.mark.parametrize("name", ["decay", "linear", "kirchhoff", "synthetic", "unequal"])
 def test_python_formatted(name, tmp_path):
     pytest.importorskip("ruff")
     file = SOLUTIONS[name]().export(tmp_path / "model.py")
@@ -301,7 +301,7 @@ def test_c_agrees(name, tmp_path):
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", ["decay", "kirchhoff", "synthetic"])
+@pytest.mark.parametrize("name", ["decay", "kirchhoff", "synthetic", "unequal"])
 def test_c_single_precision(name, tmp_path):
     solution = SOLUTIONS[name]()
     solution.export(tmp_path / "model.c")
@@ -310,6 +310,45 @@ def test_c_single_precision(name, tmp_path):
     rows = np.r_[0, 10:500]  # at the end of a slab the rounded time is on either side
     wanted = solution(where)
     assert np.all(np.abs(values - wanted)[:, rows] <= 2e-4 * sizes(wanted))
+
+
+def border_points(solution):
+    """Points on the breaks of every parameter of every slab, by name."""
+    slabs = solution.outcome.slabs
+    rows = []
+    for slab in slabs:
+        middle = [0.5 * (slab.start + slab.end), *(0.5 * (b.lower + b.upper) for b in slab.bases)]
+        for j, basis in enumerate(slab.bases, 1):
+            rows += [[*middle[:j], edge, *middle[j + 1 :]] for edge in basis.breaks]
+    names = [solution.metadata.time, *solution.parameters]
+    return dict(zip(names, np.transpose(rows), strict=True))
+
+
+def test_python_on_breaks(tmp_path):
+    """A break belongs to the later element."""
+    solution = synthetic_with_breaks()
+    model = imported(solution.export(tmp_path / "model.py"))
+    where = border_points(solution)
+    wanted = solution(where)
+    np.testing.assert_allclose(model.value(where), wanted, atol=1e-12 * np.abs(wanted).max())
+
+
+@needs_compiler
+def test_c_on_breaks(tmp_path):
+    solution = synthetic_with_breaks()
+    solution.export(tmp_path / "model.c")
+    where = border_points(solution)
+    values, _, _ = run_driver(compiled_driver(tmp_path, "-O2"), solution, where)
+    wanted = solution(where)
+    np.testing.assert_allclose(values, wanted, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_c_of_equal_elements_has_no_tables_of_breaks(tmp_path):
+    for name, there in (("synthetic", False), ("unequal", True)):
+        SOLUTIONS[name]().export(tmp_path / f"{name}.c")
+        text = (tmp_path / f"{name}.c").read_text()
+        assert ("places" in text) == there
+        assert "@" not in text
 
 
 STATUS = r"""
@@ -370,7 +409,7 @@ def test_c_needs_nothing(tmp_path):
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", ["decay", "kirchhoff", "synthetic"])
+@pytest.mark.parametrize("name", ["decay", "kirchhoff", "synthetic", "unequal"])
 def test_c_portable_has_the_same_bits(name, tmp_path):
     solution = SOLUTIONS[name]()
     solution.export(tmp_path / "model.c")

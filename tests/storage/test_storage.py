@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
+from rankone.discretization import ChebyshevBasis
 from rankone.errors import StorageError
 from rankone.solution import Solution, load
 from rankone.solvers.outcome import Status
@@ -166,7 +167,7 @@ def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object])
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=2), "version 2 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=3), "version 3 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
@@ -192,6 +193,74 @@ def test_damaged_file(edit: Any, message: str, tmp_path: Path) -> None:
     path = SOLUTION.save(tmp_path / "solution.npz")
     edited(path, edit)
     with pytest.raises(StorageError, match=rf"solution\.npz`.*{message}"):
+        load(path)
+
+
+def with_breaks() -> Solution:
+    """Elements of unequal size in every slab, other ones in the last."""
+    first, *_, last = SOLUTION.outcome.slabs
+    rng = np.random.default_rng(4)
+    slabs = []
+    for slab, inside in ((first, [(-0.3, 0.1 + 0.2), ()]), (last, [(-0.3,), (7.0 / 3.0,)])):
+        bases = tuple(
+            ChebyshevBasis(lower, upper, 4, breaks=breaks)
+            for (lower, upper), breaks in zip(SOLUTION.metadata.box, inside, strict=True)
+        )
+        cores = [slab.cores[0], *(rng.standard_normal((3, b.size, 3)) for b in bases)]
+        cores[-1] = cores[-1][:, :, :1]
+        slabs.append(replace(slab, cores=tuple(cores), bases=bases))
+    outcome = replace(SOLUTION.outcome, slabs=(*slabs,))
+    return Solution(outcome, SOLUTION.metadata)
+
+
+def test_unequal_elements_are_kept_to_the_bit(tmp_path: Path) -> None:
+    solution = with_breaks()
+    path = solution.save(tmp_path / "solution.npz")
+    with np.load(path) as file:
+        header = json.loads(str(file["header"]))
+    assert header["format_version"] == 2
+    assert [b.get("breaks") for b in header["bases"]] == [[-0.3, 0.1 + 0.2], None, [-0.3], [7 / 3]]
+    again = load(path)
+    for ours, theirs in zip(again.outcome.slabs, solution.outcome.slabs, strict=True):
+        assert ours.bases == theirs.bases
+        for a, b in zip(ours.cores, theirs.cores, strict=True):
+            np.testing.assert_array_equal(a, b)
+    rng = np.random.default_rng(0)
+    points = rng.uniform([[0], [-1], [2]], [[1], [1], [3]], (3, 100))
+    at = dict(zip(("t", "x0", "y0"), points, strict=True))
+    np.testing.assert_array_equal(again(at), solution(at))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"breaks": [0.3, -0.3]}, "do not ascend"),
+        ({"breaks": [0.3, 0.3]}, "do not ascend"),
+        ({"breaks": [-0.3, 1.0]}, "do not ascend"),
+        ({"breaks": [-1.5, 0.3]}, "do not ascend"),
+        ({"breaks": [-0.3, "nan"]}, "do not ascend"),
+        ({"breaks": [-0.3, "inf"]}, "do not ascend"),
+        ({"breaks": [-0.3, "0.3"]}, "is not of the kind"),
+        ({"breaks": [-0.3, True]}, "is not of the kind"),
+        ({"breaks": 0.3}, "is not of the kind"),
+        ({"breaks": None}, "is not of the kind"),
+        ({"breaks": [-0.3]}, "do not make 3 elements"),
+        ({"elements": 4}, "do not make 4 elements"),
+        ({"elements": 1}, "do not fit"),
+    ],
+)
+def test_damaged_breaks(change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = with_breaks().save(tmp_path / "solution.npz")
+    edited(path, lambda header, _: header["bases"][0].update(change))
+    with pytest.raises(StorageError, match=rf"solution\.npz` is damaged .*{message}"):
+        load(path)
+
+
+def test_breaks_need_the_second_version(tmp_path: Path) -> None:
+    """Readers of the first would take the elements for equal."""
+    path = with_breaks().save(tmp_path / "solution.npz")
+    edited(path, lambda header, _: header.update(format_version=1))
+    with pytest.raises(StorageError, match="damaged"):
         load(path)
 
 

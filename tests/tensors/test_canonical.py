@@ -81,6 +81,29 @@ def test_elements_and_slabs_of_different_bases() -> None:
     np.testing.assert_allclose(form(t, x0=p, y0=q), example(t, p, q)[0], atol=1e-6)
 
 
+def test_slabs_of_different_breaks() -> None:
+    """Jumps at breaks that differ from slab to slab are kept."""
+    inside = [((-0.3, 0.3), ()), ((0.3 + 4e-16,), (2.25,)), ((), (2.1, 2.25))]
+    rng = np.random.default_rng(3)
+    slabs = []
+    for k, breaks in enumerate(inside):
+        bases = (
+            ChebyshevBasis(-1.0, 1.0, 4, breaks=breaks[0]),
+            LegendreBasis(2.0, 3.0, 3, *((2,) if k == 0 else (1, breaks[1]))),
+        )
+        shapes = [(1, 5, 2), (2, bases[0].size, 2), (2, bases[1].size, 1)]
+        cores = tuple(rng.standard_normal(shape) for shape in shapes)
+        slabs.append(SlabTrain(float(k), k + 1.0, cores, bases))
+    form = canonical_form(slabs, ("t", "p", "q"), 0, "u", rtol=1e-11)
+    assert form.success
+    np.testing.assert_allclose(form.axes[1].breaks, [-1.0, -0.3, 0.3, 1.0])
+    np.testing.assert_allclose(form.axes[2].breaks, [2.0, 2.1, 2.25, 2.5, 3.0])
+    points = rng.uniform([[0], [-1], [2]], [[3], [1], [3]], (3, 300))
+    for k, slab in enumerate(slabs):
+        t, p, q = points[:, points[0].astype(int) == k]
+        np.testing.assert_allclose(form(t, p=p, q=q), slab(t, np.stack([p, q]))[0], atol=1e-8)
+
+
 def test_no_parameters() -> None:
     form = form_of(known([[(np.exp,)]], ["u"], {}), 1e-10)
     assert form.rank == 1

@@ -7,6 +7,8 @@ operator is diagonal.
 
 from __future__ import annotations
 
+import itertools
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,6 +16,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
 
 from rankone.arrays import Array
 
@@ -61,7 +64,7 @@ def chebyshev_values(xi: Array, count: int) -> Array:
 
 @dataclass(frozen=True)
 class Basis1D(ABC):
-    """A nodal basis on [lower, upper] in equal elements, with a discrete inner product.
+    """A nodal basis on [lower, upper] in elements, with a discrete inner product.
 
     Functions are held by their values at the nodes times the square root of the weights
     ("scaled values"), so that the Euclidean product is the discrete inner product.
@@ -73,15 +76,38 @@ class Basis1D(ABC):
     degree : int
         Nodes per element.
     elements : int
-        Number of equal elements.
+        Number of elements. They are equal unless there are breaks.
+    breaks : sequence of float
+        Where one element ends and the next begins, ascending, inside of the interval. The number
+        of elements follows from them.
+
+    Raises
+    ------
+    ValueError
+        If the breaks are not as said, or do not fit the number of elements.
     """
 
     lower: float
     upper: float
     degree: int
     elements: int = 1
+    breaks: tuple[float, ...] = ()
 
     kind: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        if not len(self.breaks):
+            object.__setattr__(self, "breaks", ())
+            return
+        breaks = tuple(float(point) for point in self.breaks)
+        ends = (self.lower, *breaks, self.upper)
+        ascending = all(a < b for a, b in itertools.pairwise(ends))
+        if not ascending or not all(map(math.isfinite, ends)):
+            raise ValueError(f"breaks {breaks} do not ascend inside of {self.lower}, {self.upper}")
+        if self.elements not in (1, len(breaks) + 1):
+            raise ValueError(f"{len(breaks)} breaks do not make {self.elements} elements")
+        object.__setattr__(self, "breaks", breaks)
+        object.__setattr__(self, "elements", len(breaks) + 1)
 
     @staticmethod
     @abstractmethod
@@ -99,9 +125,26 @@ class Basis1D(ABC):
         return self.degree * self.elements
 
     @cached_property
+    def edges(self) -> Array:
+        """Ends of all elements, ascending, shape (elements + 1,)."""
+        if self.breaks:
+            return np.array([self.lower, *self.breaks, self.upper])
+        return np.linspace(self.lower, self.upper, self.elements + 1)
+
+    @cached_property
+    def shares(self) -> Array:
+        """Share of each element in the interval, of sum one, shape (elements,)."""
+        if self.breaks:
+            return np.asarray(np.diff(self.edges) / (self.upper - self.lower))
+        return np.full(self.elements, 1.0 / self.elements)
+
+    @cached_property
     def nodes(self) -> Array:
         """Nodes of all elements, ascending, shape (size,)."""
         xi, _ = self._rule(self.degree)
+        if self.breaks:
+            widths = np.diff(self.edges)[:, None]
+            return np.asarray(self.edges[:-1, None] + 0.5 * widths * (xi + 1.0)).ravel()
         width = (self.upper - self.lower) / self.elements
         starts = self.lower + width * np.arange(self.elements)
         points: Array = (starts[:, None] + 0.5 * width * (xi + 1.0)).ravel()
@@ -111,6 +154,8 @@ class Basis1D(ABC):
     def weights(self) -> Array:
         """Weights of the discrete inner product, of sum one, shape (size,)."""
         _, weights = self._rule(self.degree)
+        if self.breaks:
+            return np.outer(self.shares, weights).ravel()
         return np.asarray(np.tile(weights / self.elements, self.elements))
 
     @cached_property
@@ -124,15 +169,30 @@ class Basis1D(ABC):
         return np.asarray(np.kron(np.eye(self.elements), block))
 
     def modal_values(self, points: Array) -> Array:
-        """Values of the modes at points (N,) of the interval: shape (N, size)."""
+        """Values of the modes at points (N,) of the interval: shape (N, size).
+
+        A break belongs to the later element.
+        """
+        if self.breaks:
+            element = np.searchsorted(self.breaks, points, side="right")
+            scales = 1.0 / np.diff(self.edges)
+            position = (points - self.edges[element]) * scales[element]
+            local = self._values(2.0 * position - 1.0, self.degree)
+            local /= np.sqrt(self.shares[element])[:, None]
+            return self._spread(local, element)
         position = (points - self.lower) * (self.elements / (self.upper - self.lower))
         if self.elements == 1:
             return self._values(2.0 * position - 1.0, self.degree)
         element = np.clip(position.astype(int), 0, self.elements - 1)
         local = self._values(2.0 * (position - element) - 1.0, self.degree)
-        values = np.zeros((points.size, self.elements, self.degree))
-        values[np.arange(points.size), element] = local * np.sqrt(self.elements)
-        return values.reshape(points.size, self.size)
+        return self._spread(local * np.sqrt(self.elements), element)
+
+    def _spread(self, local: Array, element: NDArray[np.intp]) -> Array:
+        """Values of the modes (N, size) from those of one element for each point."""
+        count = len(local)
+        values = np.zeros((count, self.elements, self.degree))
+        values[np.arange(count), element] = local
+        return values.reshape(count, self.size)
 
     def transfer(self, other: Basis1D) -> Array:
         """Map scaled values on this basis to those on another, (other.size, size)."""
@@ -162,13 +222,17 @@ class Basis1D(ABC):
         return replace(self, degree=min(max(needed, least), self.degree))
 
     def refined(self, largest_degree: int) -> Self:
-        """The next finer basis: more nodes, or twice the elements once the degree is spent.
+        """The next finer basis: more nodes, or every element halved once the degree is spent.
 
         It holds every function of this basis.
         """
         degree = self.degree + max(2, self.degree // 4)
         if degree <= largest_degree:
             return replace(self, degree=degree)
+        if self.breaks:
+            middles = 0.5 * (self.edges[:-1] + self.edges[1:])
+            breaks = np.sort(np.concatenate([self.breaks, middles]))
+            return replace(self, elements=breaks.size + 1, breaks=tuple(breaks.tolist()))
         return replace(self, elements=2 * self.elements)
 
 

@@ -29,6 +29,7 @@ _BLOCK, _LANES, _PAIR = 8, 4, 2
 """Rows contracted together, and multiples to which products and runs are padded; the same in the
 template."""
 _TEMPLATES = Path(__file__).parent
+_CONDITION = re.compile(r"^@if (\w+)@\n(.*?)(?:^@else@\n(.*?))?^@end@\n", re.DOTALL | re.MULTILINE)
 
 
 def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
@@ -88,8 +89,13 @@ def c_identifier(name: str) -> str:
 
 
 def _filled(template: str, values: dict[str, str]) -> str:
-    """A template with every ``@name@`` replaced."""
+    """A template with every ``@name@`` replaced.
+
+    Lines from ``@if name@`` to ``@end@`` are there only if that value is not empty; those after
+    ``@else@`` only if it is.
+    """
     text = (_TEMPLATES / template).read_text(encoding="utf-8")
+    text = _CONDITION.sub(lambda match: match[2 if values[match[1]] else 3] or "", text)
     return re.sub(r"@(\w+)@", lambda match: values[match.group(1)], text)
 
 
@@ -142,16 +148,21 @@ def _numbers(values: Sequence[float]) -> str:
 def _tables(model: PackedModel) -> dict[str, str]:
     """The layout of the cores, their coefficients, and the sizes of the work arrays."""
     rows: list[str] = []
+    places: list[str] = []
     pieces: list[str] = []
     runs: list[int] = []
     coefficients: list[float] = []
     cores = [core for slab in model.slabs for core in slab]
+    unequal = any(core.edges for core in cores)
     for core in cores:
         elements, left, degree, right = core.tensor.shape
         rows.append(
             f"{_number(core.lower)}, {_number(core.scale)}, "
             f"{elements}, {left}, {degree}, {right}, {len(pieces)}"
+            + (f", {len(places) if core.edges else -1}" if unequal else "")
         )
+        for lower, scale in zip(core.lowers, core.scales, strict=True):
+            places.append(f"{_number(lower)}, {_number(scale)}")
         for tensor in core.tensor:
             pieces.append(f"{len(coefficients)}, {len(runs)}")
             for run, values in _runs(tensor):
@@ -162,6 +173,9 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "slabs": str(len(model.slabs)),
         "starts": "\n".join(_wrapped(map(_number, model.starts))),
         "cores": "\n".join(f"    {{{row}}}," for row in rows),
+        "equal": "" if unequal else "yes",
+        "unequal": "yes" if unequal else "",
+        "places": "\n".join(_wrapped(f"{{{place}}}" for place in places)),
         "pieces": "\n".join(_wrapped(f"{{{piece}}}" for piece in pieces)),
         "runs": "\n".join(_wrapped(map(str, runs))),
         "coefficients": "\n".join(_wrapped(map(repr, coefficients or [0.0]))),

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.coordinates import round_off
@@ -18,6 +19,9 @@ __all__ = ["Model"]
 
 _CHUNK = 1024
 """Points evaluated at once."""
+
+Place = float | tuple[float, ...]
+"""One number, or one for each element where they are unequal."""
 
 
 class Model:
@@ -38,19 +42,20 @@ class Model:
         keywords: tuple[str, ...],
         intervals: tuple[tuple[float, float], ...],
         starts: tuple[float, ...],
-        slabs: Sequence[Sequence[tuple[float, float, tuple[int, int, int, int]]]],
+        slabs: Sequence[Sequence[tuple[Place, Place, tuple[int, int, int, int]]]],
         coefficients: Array,
     ) -> None:
         self.unknowns, self.coordinates, self.intervals = unknowns, coordinates, intervals
         self._names = dict(zip(keywords, coordinates, strict=True))
         self._breaks = np.array(starts[1:])
-        self._slabs: list[list[tuple[float, float, Array]]] = []
+        self._slabs: list[list[tuple[Array, Array, Array]]] = []
         offset = 0
         for slab in slabs:
             cores = []
             for lower, scale, shape in slab:
                 size = int(np.prod(shape))
-                cores.append((lower, scale, coefficients[offset : offset + size].reshape(shape)))
+                tensor = coefficients[offset : offset + size].reshape(shape)
+                cores.append((np.array(lower), np.array(scale), tensor))
                 offset += size
             self._slabs.append(cores)
 
@@ -104,14 +109,13 @@ class Model:
         return result
 
 
-def _train(cores: Sequence[tuple[float, float, Array]], points: Array, derivatives: bool) -> Array:
+def _train(cores: Sequence[tuple[Array, Array, Array]], points: Array, derivatives: bool) -> Array:
     """Values and derivatives of one slab at points (coordinates, N)."""
     columns = [np.ones((1, points.shape[1]))]
     for (lower, scale, tensor), coordinate in zip(cores[::-1], points[::-1], strict=True):
-        elements, left, degree, _ = tensor.shape
-        position = (coordinate - lower) * scale
-        element = np.clip(position.astype(int), 0, elements - 1)
-        t, slope = chebyshev(2.0 * (position - element) - 1.0, degree)
+        _, left, degree, _ = tensor.shape
+        element, local, scale = _located(lower, scale, len(tensor), coordinate)
+        t, slope = chebyshev(local, degree)
         pairs = [(t, column) for column in columns]
         if derivatives:
             pairs.insert(1, (2.0 * scale * slope, columns[0]))
@@ -123,6 +127,18 @@ def _train(cores: Sequence[tuple[float, float, Array]], points: Array, derivativ
                 products = basis[:, None, here] * carry[:, here]
                 out[:, here] = matrix @ products.reshape(-1, here.size)
     return np.stack(columns, axis=1)
+
+
+def _located(
+    lower: Array, scale: Array, elements: int, x: Array
+) -> tuple[NDArray[np.intp], Array, Array]:
+    """For points (N,) their elements, the coordinates in [-1, 1] there, elements per unit."""
+    if lower.ndim:
+        element = np.searchsorted(lower[1:], x, side="right")
+        return element, 2.0 * ((x - lower[element]) * scale[element]) - 1.0, scale[element]
+    position = (x - lower) * scale
+    element = np.clip(position.astype(np.intp), 0, elements - 1)
+    return element, 2.0 * (position - element) - 1.0, scale
 
 
 def chebyshev(x: Array, count: int) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from rankone.codegen.names import Names, is_identifier
 from rankone.codegen.text import WIDTH, docstring, nested, quoted, table
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
-from rankone.export.packing import PackedModel
+from rankone.export.packing import PackedCore, PackedModel
 from rankone.files import Content, npz
 from rankone.version import __version__
 
@@ -116,8 +117,10 @@ def _wrapped(line: str) -> list[str]:
 def _tables(model: PackedModel) -> list[str]:
     """Names, intervals and the layout of the coefficients."""
     layout = tuple(
-        tuple((core.lower, core.scale, core.tensor.shape) for core in slab) for slab in model.slabs
+        tuple((*_places(core), core.tensor.shape) for core in slab) for slab in model.slabs
     )
+    unequal = any(core.edges for slab in model.slabs for core in slab)
+    more = ["# (where elements are unequal, both are given for each of them)"] if unequal else []
     return [
         *table("UNKNOWNS", [quoted(name) for name in model.unknowns]),
         *table("COORDINATES", [quoted(name) for name in model.coordinates]),
@@ -127,5 +130,11 @@ def _tables(model: PackedModel) -> list[str]:
         *table("STARTS", nested(model.starts)),
         "# for each slab and coordinate: where its elements begin, elements per unit, and the",
         "# shape (elements, left rank, polynomials, right rank) of its coefficients",
+        *more,
         *table("SLABS", nested(layout)),
     ]
+
+
+def _places(core: PackedCore) -> tuple[Any, Any]:
+    """Where the elements begin and elements per unit: for each element where they are unequal."""
+    return (core.lowers, core.scales) if core.edges else (core.lower, core.scale)

@@ -1,12 +1,13 @@
 """A solution as plain tables: what the solved models evaluate.
 
-Every core of every slab is kept as Chebyshev coefficients on equal elements, whatever the basis
-of the solve was, so that a model needs one recurrence and one contraction.
+Every core of every slab is kept as Chebyshev coefficients on its elements, whatever the basis of
+the solve was, so that a model needs one recurrence and one contraction.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from rankone.arrays import Array
@@ -29,14 +30,27 @@ class PackedCore:
     lower : float
         Where the first element begins.
     scale : float
-        Elements per unit of the coordinate.
+        Elements per unit of the coordinate, if they are equal.
     tensor : ndarray (elements, left rank, degree, right rank)
         Chebyshev coefficients on every element.
+    edges : tuple of float
+        Ends of all elements if they are unequal, else empty.
     """
 
     lower: float
     scale: float
     tensor: Array
+    edges: tuple[float, ...] = ()
+
+    @property
+    def lowers(self) -> tuple[float, ...]:
+        """Where each of the unequal elements begins."""
+        return self.edges[:-1]
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Elements per unit of the coordinate in each of the unequal elements."""
+        return tuple(1.0 / (b - a) for a, b in itertools.pairwise(self.edges))
 
 
 @dataclass(frozen=True)
@@ -97,8 +111,10 @@ def pack(
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     slabs = []
     for slab in TrainEvaluator(solution.outcome.slabs).slabs:
-        cores = [PackedCore(float(d.lower), float(d.scale), d.tensor) for d in slab.dimensions]
-        cores[0] = PackedCore(cores[0].lower, cores[0].scale, cores[0].tensor[:, list(rows)])
+        cores = [
+            PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges) for d in slab.dimensions
+        ]
+        cores[0] = replace(cores[0], tensor=cores[0].tensor[:, list(rows)])
         slabs.append(tuple(cores))
     return PackedModel(
         unknowns=tuple(solution.states[row] for row in rows),

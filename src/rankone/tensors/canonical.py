@@ -28,8 +28,8 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from rankone.arrays import Array
-from rankone.coordinates import Coordinates, name_of
-from rankone.discretization import legendre_values
+from rankone.coordinates import Coordinates, name_of, round_off
+from rankone.discretization import Basis1D, legendre_values
 from rankone.errors import EvaluationError, warn
 from rankone.options import checked_number
 from rankone.tensors.slab import SlabTrain
@@ -322,11 +322,23 @@ def _common_axes(slabs: Sequence[SlabTrain], names: Sequence[str]) -> tuple[Axis
     axes = [time]
     for j, name in enumerate(names[1:]):
         bases = [slab.bases[j] for slab in slabs]
-        elements = math.lcm(*(basis.elements for basis in bases))
-        breaks = np.linspace(bases[0].lower, bases[0].upper, elements + 1)
+        breaks = _common_edges(bases)
         degree = max(basis.degree for basis in bases)
-        axes.append(Axis(name, tuple(breaks.tolist()), (degree,) * elements))
+        axes.append(Axis(name, tuple(breaks.tolist()), (degree,) * (breaks.size - 1)))
     return tuple(axes)
+
+
+def _common_edges(bases: Sequence[Basis1D]) -> Array:
+    """Ends of elements each of which lies in one element of every basis."""
+    if not any(basis.breaks for basis in bases):
+        elements = math.lcm(*(basis.elements for basis in bases))
+        return np.linspace(bases[0].lower, bases[0].upper, elements + 1)
+    lower, upper = bases[0].lower, bases[0].upper
+    inside = np.unique(np.concatenate([basis.edges[1:-1] for basis in bases]))
+    # the same break, computed in two ways, differs by round-off
+    rounding = round_off(lower, upper)
+    apart = np.diff(inside, prepend=lower) > rounding
+    return np.array([lower, *inside[apart & (upper - inside > rounding)], upper])
 
 
 def _slab_train(slab: SlabTrain, state: int, axes: Sequence[Axis]) -> Train:

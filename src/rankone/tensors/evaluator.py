@@ -9,6 +9,7 @@ product) and the core with the result, one matrix product for all points of a ch
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -50,25 +51,32 @@ def chebyshev_polynomials(xi: Array, count: int) -> Array:
 def _to_chebyshev(basis: Basis1D) -> Array:
     """Map coefficients of one element's modes to Chebyshev coefficients, (degree, degree).
 
-    Mode k has no part above degree k; zeros there are exact, so that high modes which are zero
-    stay zero.
+    For unequal elements there is one such map for each, (elements, degree, degree). Mode k has no
+    part above degree k; zeros there are exact, so that high modes which are zero stay zero.
     """
     count = basis.degree
     angles = np.pi * (np.arange(count) + 0.5) / count
-    modes = replace(basis, lower=-1.0, upper=1.0, elements=1).modal_values(np.cos(angles))
+    one = replace(basis, lower=-1.0, upper=1.0, elements=1, breaks=())
+    modes = one.modal_values(np.cos(angles))
     transform = np.cos(np.arange(count)[:, None] * angles) * (2.0 / count)
     transform[0] *= 0.5
+    if basis.breaks:
+        return np.triu(transform @ modes / np.sqrt(basis.shares)[:, None, None])
     return np.triu(transform @ modes * np.sqrt(basis.elements))
 
 
 class _Dimension:
     """One core of one slab: for each element a matrix (left, degree * right)."""
 
-    __slots__ = ("degree", "elements", "left", "lower", "matrices", "right", "scale", "tensor")
+    __slots__ = (
+        *("degree", "elements", "left", "lower", "matrices", "right", "scale", "tensor"),
+        "edges",
+    )
 
     def __init__(self, core: Array, basis: Basis1D) -> None:
         self.left, _, self.right = core.shape
         self.degree, self.elements = basis.degree, basis.elements
+        self.edges: tuple[float, ...] = (*basis.edges.tolist(),) if basis.breaks else ()
         self.lower = basis.lower
         self.scale = basis.elements / (basis.upper - basis.lower)
         split = core.reshape(self.left, self.elements, self.degree, self.right)
@@ -119,6 +127,27 @@ class _Dimension:
         return result
 
 
+class _UnequalDimension(_Dimension):
+    """One core whose elements are unequal: between two of them the later one counts."""
+
+    __slots__ = ("breaks", "lowers", "scales")
+
+    def __init__(self, core: Array, basis: Basis1D) -> None:
+        super().__init__(core, basis)
+        self.breaks = basis.breaks
+        self.lowers, self.scales = basis.edges[:-1], 1.0 / np.diff(basis.edges)
+
+    def locate(self, points: Array) -> tuple[Array, NDArray[np.intp] | None]:
+        element = np.searchsorted(self.breaks, points, side="right")
+        position = (points - self.lowers[element]) * self.scales[element]
+        return 2.0 * position - 1.0, element
+
+    def locate_one(self, point: float) -> tuple[float, int]:
+        element = bisect_right(self.breaks, point)
+        position = (point - self.lowers[element]) * self.scales[element]
+        return 2.0 * position - 1.0, element
+
+
 def _columnwise_kronecker(values: Array, carry: Array | None) -> Array:
     """Kronecker products of the columns of (n, N) and (r, N): shape (n * r, N)."""
     if carry is None:
@@ -134,7 +163,7 @@ class _SlabEvaluator:
     def __init__(self, slab: SlabTrain) -> None:
         time = LegendreBasis(slab.start, slab.end, slab.cores[0].shape[1])
         self.dimensions = tuple(
-            _Dimension(core, basis)
+            (_UnequalDimension if basis.breaks else _Dimension)(core, basis)
             for core, basis in zip(slab.cores, (time, *slab.bases), strict=True)
         )
         largest = max(dimension.degree * dimension.right for dimension in self.dimensions)
