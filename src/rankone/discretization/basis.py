@@ -132,13 +132,6 @@ class Basis1D(ABC):
         return np.linspace(self.lower, self.upper, self.elements + 1)
 
     @cached_property
-    def shares(self) -> Array:
-        """Share of each element in the interval, of sum one, shape (elements,)."""
-        if self.breaks:
-            return np.asarray(np.diff(self.edges) / (self.upper - self.lower))
-        return np.full(self.elements, 1.0 / self.elements)
-
-    @cached_property
     def nodes(self) -> Array:
         """Nodes of all elements, ascending, shape (size,)."""
         xi, _ = self._rule(self.degree)
@@ -152,10 +145,11 @@ class Basis1D(ABC):
 
     @cached_property
     def weights(self) -> Array:
-        """Weights of the discrete inner product, of sum one, shape (size,)."""
+        """Weights of the discrete inner product, of sum one, shape (size,).
+
+        All elements have the same weight: where they are narrow, functions are steep.
+        """
         _, weights = self._rule(self.degree)
-        if self.breaks:
-            return np.outer(self.shares, weights).ravel()
         return np.asarray(np.tile(weights / self.elements, self.elements))
 
     @cached_property
@@ -178,8 +172,7 @@ class Basis1D(ABC):
             scales = 1.0 / np.diff(self.edges)
             position = (points - self.edges[element]) * scales[element]
             local = self._values(2.0 * position - 1.0, self.degree)
-            local /= np.sqrt(self.shares[element])[:, None]
-            return self._spread(local, element)
+            return self._spread(local * np.sqrt(self.elements), element)
         position = (points - self.lower) * (self.elements / (self.upper - self.lower))
         if self.elements == 1:
             return self._values(2.0 * position - 1.0, self.degree)

@@ -128,6 +128,8 @@ def solve_in_attempts(
         with _timed(timings, "march"):
             result = marcher.march(index, report)
         with _timed(timings, "check"):
+            if result.points is not None and yardstick.checked:
+                yardstick = yardstick.with_points(result.points)
             attempt = Attempt(result, yardstick.measured(result.slabs))
         records += result.records
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0

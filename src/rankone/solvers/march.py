@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+from rankone.arrays import Array
 from rankone.deadline import OutOfTimeError
 from rankone.progress import ProgressEvent, Report
 from rankone.solvers.outcome import SlabRecord, Status
@@ -64,13 +65,15 @@ class SlabSolver(Protocol):
 class MarchResult:
     """Slabs solved so far, records of all trials, and the limits met on the way.
 
-    ``stopped`` says why the march ended early; None if it reached the end.
+    ``stopped`` says why the march ended early; None if it reached the end. ``points`` (m, d) are
+    parameter points at which the error must be measured beside those always taken.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)
     records: list[SlabRecord] = field(default_factory=list)
     limits: set[Status] = field(default_factory=set)
     stopped: Status | None = None
+    points: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ __all__ = ["Reference", "check_points", "integrate_reference", "measure"]
 
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
+_BESIDE = 4e-9
+"""Distance from special values, in widths of the interval: at a jump itself there is no value."""
 _NEGLIGIBLE = 1e-7
 """Part of a state's size at which its relative accuracy ends."""
 _INTEGRATIONS = 3
@@ -37,7 +39,7 @@ def check_points(
     count : int
         Number of random points; with it come all corners for d <= 3, else eight of them.
     special : sequence of sequences of float
-        For each parameter values that must be among those checked.
+        For each parameter values inside of its interval that are checked on either side.
     """
     rng = np.random.default_rng(seed)
     d = len(box)
@@ -52,9 +54,10 @@ def check_points(
     unit = np.concatenate([np.full((1, d), 0.5), corners, rng.random((count, d))])
     points = [lower + width * unit]
     for j, values in enumerate(special):
-        more = lower + width * rng.random((len(values), d))
-        more[:, j] = values
-        points.append(more)
+        for side in (-_BESIDE, _BESIDE):
+            more = lower + width * rng.random((len(values), d))
+            more[:, j] = values + side * width[j]
+            points.append(more)
     return np.concatenate(points)
 
 

@@ -38,6 +38,8 @@ class Yardstick:
         Whether there are random points, so that an error can be stated.
     cuts : tuple of float
         Times at which the time factors jump, kink or are narrow.
+    special : tuple of tuples of float
+        The same for the factors of each parameter.
     """
 
     system: System
@@ -47,6 +49,7 @@ class Yardstick:
     corners: int
     checked: bool
     cuts: tuple[float, ...] = ()
+    special: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
     def of(cls, system: System, domain: Domain, rtol: float, check: int) -> Yardstick:
@@ -55,8 +58,11 @@ class Yardstick:
         points = check_points(domain.bounds, check, special=special if check else ())
         accuracy = max(1e-3 * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
-        corners = len(points) - 1 - check - sum(map(len, special)) if check and domain.box else 0
-        return cls(system, domain, accuracy, reference, corners, bool(check), cuts)
+        corners = (
+            len(points) - 1 - check - 2 * sum(map(len, special)) if check and domain.box else 0
+        )
+        where = tuple(map(tuple, special))
+        return cls(system, domain, accuracy, reference, corners, bool(check), cuts, where)
 
     def with_points(self, points: Array) -> Yardstick:
         """The same with more interior points (m, d); those of before are not integrated again."""

@@ -51,8 +51,8 @@ def chebyshev_polynomials(xi: Array, count: int) -> Array:
 def _to_chebyshev(basis: Basis1D) -> Array:
     """Map coefficients of one element's modes to Chebyshev coefficients, (degree, degree).
 
-    For unequal elements there is one such map for each, (elements, degree, degree). Mode k has no
-    part above degree k; zeros there are exact, so that high modes which are zero stay zero.
+    Mode k has no part above degree k; zeros there are exact, so that high modes which are zero stay
+    zero.
     """
     count = basis.degree
     angles = np.pi * (np.arange(count) + 0.5) / count
@@ -60,8 +60,6 @@ def _to_chebyshev(basis: Basis1D) -> Array:
     modes = one.modal_values(np.cos(angles))
     transform = np.cos(np.arange(count)[:, None] * angles) * (2.0 / count)
     transform[0] *= 0.5
-    if basis.breaks:
-        return np.triu(transform @ modes / np.sqrt(basis.shares)[:, None, None])
     return np.triu(transform @ modes * np.sqrt(basis.elements))
 
 

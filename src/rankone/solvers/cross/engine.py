@@ -13,7 +13,7 @@ from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
 from rankone.solvers.attempts import Attempt, solve_in_attempts
-from rankone.solvers.cross.nodes import first_bases, more_nodes
+from rankone.solvers.cross.nodes import first_bases, inside_elements, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.samples import Samples
@@ -89,6 +89,7 @@ class CrossMarcher:
         cores = rounded(found.cores, _ROUNDING * level)
         modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
         self.spectra = _spectra(modal)
+        result.points = inside_elements(bases, number)
         result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
         ranks = tuple(core.shape[0] for core in modal[1:])
         tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
@@ -144,10 +145,13 @@ class CrossMarcher:
 
     def refine(self, attempt: Attempt, stalls: int) -> bool:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
-        if attempt.result.stopped or stalls == 2 or self.bases is None:
+        if attempt.result.stopped or self.bases is None:
             return False
         finer = self._finer(self.bases)
-        if finer == self.bases or stalls:
+        grown = sum(basis.elements for basis in finer) > sum(b.elements for b in self.bases)
+        if stalls >= 2 and not grown:
+            return False
+        if finer == self.bases or (stalls and not grown):
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
             finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)

@@ -1,8 +1,14 @@
-"""Numbers of parameter nodes, read off trajectories on lines through the box."""
+"""Nodes of the parameters, read off trajectories on lines through the box.
+
+One element where a smooth function is resolved by few nodes; where it kinks, jumps or is steep,
+elements of unequal size, halved where they do not suffice.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +19,7 @@ from rankone.domain import Domain
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 
-__all__ = ["first_bases", "more_nodes"]
+__all__ = ["first_bases", "inside_elements", "more_nodes"]
 
 _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
@@ -23,6 +29,14 @@ _SLOWEST = 0.95
 """Largest ratio of successive modes that is believed."""
 _FARTHEST = 3.0
 """Largest number of nodes predicted, over that of the lines."""
+_STEEP = 5.0
+"""Predicted number of nodes, over that of the lines, from which elements are tried."""
+_TAIL_STEEP = 0.01
+"""As the tail above, where elements are taken: what is steep is so at few times only."""
+_CHECKED = 16
+"""Elements of a parameter in which the error is measured."""
+_NARROWEST = 1e-9
+"""Width of the smallest element, relative to the interval: it holds a jump."""
 
 
 def first_bases(
@@ -36,33 +50,83 @@ def first_bases(
     kind = BASES[options.basis]
     count = min(max(round(4.0 + 1.4 * -math.log10(rtol)), 6), options.max_nodes)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
-    coefficients = trajectories(_lines(domain, bases))
-    lines = coefficients.reshape(-1, len(bases), 2, count)
+    lines = Lines(trajectories, domain)
+    values = lines([(j, basis) for j, basis in enumerate(bases)])
+    special = trajectories.yardstick.special or ((),) * len(bases)
     found = []
     for j, basis in enumerate(bases):
-        values = lines[:, j] * np.sqrt(basis.weights)
-        spectrum = np.linalg.norm(values @ basis.to_modal.T, axis=0).max(axis=0)
-        wanted = needed(spectrum, _TAIL * rtol)
+        predicted = needed(_spectrum(basis, values[j]), _TAIL * rtol, math.inf)
+        if special[j] or predicted > _STEEP * count:
+            found.append(
+                _elements(lines, j, basis, special[j], _TAIL_STEEP * rtol, options.max_nodes)
+            )
+            if found[-1].size <= predicted or special[j]:
+                continue
+            found.pop()
+        wanted = min(predicted, math.ceil(_FARTHEST * count))
         found.append(replace(basis, degree=min(max(wanted, 3), options.max_nodes)))
     return tuple(found)
 
 
-def _lines(domain: Domain, bases: list[Basis1D]) -> Array:
-    """Points (2 d count, d) on the lines, in the order (parameter, line, node)."""
-    bounds = domain.bounds
-    centre, width = bounds.mean(axis=1), bounds[:, 1] - bounds[:, 0]
-    sides = np.random.default_rng(20140).choice([-1.0, 1.0], len(bounds))
-    points = []
-    for j, basis in enumerate(bases):
-        for shift in (0.0, _OFF_CENTRE):
-            line = np.tile(centre + shift * sides * width, (basis.size, 1))
-            line[:, j] = basis.nodes
-            points.append(line)
-    return np.concatenate(points)
+def _spectrum(basis: Basis1D, values: Array) -> Array:
+    """Largest size of each mode of trajectories (rank, lines, nodes) on some lines."""
+    scaled = values * np.sqrt(basis.weights)
+    return np.asarray(np.linalg.norm(scaled @ basis.to_modal.T, axis=0).max(axis=0))
 
 
-def needed(spectrum: Array, tolerance: float) -> int:
-    """Number of modes after which the rest of a spectrum is below a tolerance."""
+def _elements(
+    lines: Lines, j: int, basis: Basis1D, special: Sequence[float], tolerance: float, most: int
+) -> Basis1D:
+    """Elements that begin with the special points and are halved until the lines are resolved."""
+    narrowest = _NARROWEST * (basis.upper - basis.lower)
+    waiting = list(itertools.pairwise([basis.lower, *special, basis.upper]))
+    ends = {basis.upper}
+    while waiting:
+        pieces = [replace(basis, lower=a, upper=b) for a, b in waiting]
+        values = lines([(j, piece) for piece in pieces])
+        halves = []
+        for piece, found in zip(pieces, values, strict=True):
+            a, b = piece.lower, piece.upper
+            rough = needed(_spectrum(piece, found), tolerance, math.inf) > piece.degree
+            room = (len(ends) + len(halves) + 2) * basis.degree <= most
+            if rough and room and b - a > narrowest:
+                halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
+            else:
+                ends.add(a)
+        waiting = halves
+    return replace(basis, breaks=tuple(sorted(ends)[1:-1]))
+
+
+class Lines:
+    """Trajectories on two lines for each parameter: through the centre of the box, and past it."""
+
+    def __init__(self, trajectories: Trajectories, domain: Domain) -> None:
+        self.trajectories = trajectories
+        bounds = domain.bounds
+        self.centre, self.width = bounds.mean(axis=1), bounds[:, 1] - bounds[:, 0]
+        sides = np.random.default_rng(20140).choice([-1.0, 1.0], len(bounds))
+        self.shifts = (np.zeros(len(bounds)), _OFF_CENTRE * sides)
+
+    def __call__(self, pieces: Sequence[tuple[int, Basis1D]]) -> list[Array]:
+        """Coefficients (rank, lines, nodes) at the nodes of bases of the parameters given."""
+        points = []
+        lines = self.shifts[: 1 + (self.centre.size > 1)]
+        for j, basis in pieces:
+            for shift in lines:
+                line = np.tile(self.centre + shift * self.width, (basis.size, 1))
+                line[:, j] = basis.nodes
+                points.append(line)
+        values = self.trajectories(np.concatenate(points))
+        sizes = np.cumsum([len(lines) * basis.size for _, basis in pieces])[:-1]
+        parts = np.split(values, sizes, axis=1)
+        return [part.reshape(len(part), len(lines), -1) for part in parts]
+
+
+def needed(spectrum: Array, tolerance: float, farthest: float = _FARTHEST) -> int:
+    """Number of modes after which the rest of a spectrum is below a tolerance.
+
+    At most ``farthest`` times those of the spectrum are predicted.
+    """
     tails = np.sqrt(np.cumsum(spectrum[::-1] ** 2)[::-1])
     count = spectrum.size
     if tails[-2:].max() <= tolerance:
@@ -72,7 +136,7 @@ def needed(spectrum: Array, tolerance: float) -> int:
     ratio = (levels[-2] / max(levels[half - 1], 1e-300)) ** (1.0 / (count - 1 - half))
     ratio = min(max(ratio, 1e-3), _SLOWEST)
     more = math.log(tolerance / levels[-2]) / math.log(ratio)
-    return min(count + math.ceil(more), math.ceil(_FARTHEST * count))
+    return math.ceil(min(count + more, farthest * count))
 
 
 def more_nodes(
@@ -81,8 +145,45 @@ def more_nodes(
     """Bases with more nodes where the highest modes of a core are above the tolerance."""
     result = []
     for basis, spectrum in zip(bases, spectra, strict=True):
-        wanted = basis.size
-        if basis.tail(spectrum) > tolerance:
-            wanted = min(max(needed(spectrum, tolerance), wanted + 2), most)
-        result.append(replace(basis, degree=wanted))
+        if basis.elements > 1:
+            result.append(_halved(basis, spectrum, tolerance, most))
+        elif basis.tail(spectrum) <= tolerance:
+            result.append(basis)
+        else:
+            wanted = max(needed(spectrum, tolerance), basis.size + 2)
+            result.append(replace(basis, degree=max(basis.size, min(wanted, most))))
     return tuple(result)
+
+
+def _halved(basis: Basis1D, spectrum: Array, tolerance: float, most: int) -> Basis1D:
+    """The elements with the highest tails halved, the worst first, as far as there is room."""
+    tails = np.linalg.norm(spectrum.reshape(basis.elements, -1)[:, -2:], axis=1)
+    tails *= math.sqrt(basis.elements)
+    narrowest = _NARROWEST * (basis.upper - basis.lower)
+    rough = (tails > tolerance) & (np.diff(basis.edges) > narrowest)
+    room = max(most // basis.degree - basis.elements, 0)
+    chosen = np.flatnonzero(rough)[np.argsort(-tails[rough])][:room]
+    if not chosen.size:
+        return basis
+    middles = 0.5 * (basis.edges[:-1] + basis.edges[1:])[chosen]
+    breaks = np.sort(np.concatenate([basis.edges[1:-1], middles]))
+    return replace(basis, elements=breaks.size + 1, breaks=tuple(breaks.tolist()))
+
+
+def inside_elements(bases: Sequence[Basis1D], number: int) -> Array | None:
+    """Random points (m, d) inside the narrowest elements of each parameter; None without any.
+
+    ``number`` is that of the attempt: each has points of its own.
+    """
+    generator = np.random.default_rng((20140, number))
+    lower = np.array([basis.lower for basis in bases])
+    width = np.array([basis.upper for basis in bases]) - lower
+    points = []
+    for j, basis in enumerate(bases):
+        if basis.elements > 1:
+            narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_CHECKED]
+            inside = lower + width * generator.random((narrow.size, len(bases)))
+            share = generator.random(narrow.size)
+            inside[:, j] = (1.0 - share) * basis.edges[narrow] + share * basis.edges[narrow + 1]
+            points.append(inside)
+    return np.concatenate(points) if points else None

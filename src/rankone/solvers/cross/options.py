@@ -36,10 +36,10 @@ class CrossOptions(Options):
     basis: str = choice("chebyshev", BASES)
     time_nodes: int | None = integer(None, 4, 40)
     max_rank: int = integer(400)
-    max_nodes: int = integer(257, 4)
+    max_nodes: int = integer(500, 4)
     max_slabs: int = integer(2000)
     max_trajectories: int = integer(200_000)
-    max_attempts: int = integer(6)
+    max_attempts: int = integer(10)
 
     def nodes_in_time(self, rtol: float) -> int:
         """Gauss nodes per slab: more for tighter tolerances."""
