@@ -1,5 +1,6 @@
 """The pipeline object: stages, timings, pickling, errors."""
 
+import inspect
 import pickle
 
 import numpy as np
@@ -51,3 +52,38 @@ def test_compiling_warns_of_a_parameter_that_appears_nowhere():
     solution = ro.solve(problem, rtol=1e-6)
     assert solution.success
     assert solution["x"](t=1.0, k=1.5, unused=0.3) == pytest.approx(np.exp(-1.5), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((1e-3, "greedy"), {}, "'greedy' is given by position; remedy: .* method='greedy'"),
+        ((1e-3,), {"preset": "slides"}, "'preset' belongs to method='greedy', not to method='auto"),
+        ((1e-3,), {"method": "greedy", "max_rank": 3}, "'max_rank' belongs to method='train'"),
+        (
+            (1e-3,),
+            {"on_failur": "raise"},
+            r"did you mean `on_failure`\?.*solve itself takes rtol, ",
+        ),
+    ],
+)
+def test_options_of_solve_that_are_refused(arguments, options, message):
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
+    with pytest.raises(ro.OptionError, match=message):
+        ro.solve(problem, *arguments, **options)
+
+
+def test_export_takes_the_method_by_keyword(tmp_path):
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
+    with pytest.raises(ro.OptionError, match="method='greedy'"):
+        ro.compile(problem).export(tmp_path / "solver.py", "greedy")
+
+
+def test_the_keywords_of_solve_are_those_of_its_errors():
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
+    compiled = ro.compile(problem)
+    parameters = inspect.signature(compiled.solve).parameters.values()
+    wanted = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+    with pytest.raises(ro.OptionError) as caught:
+        compiled.solve(zzz=1)
+    assert set(str(caught.value).split("solve itself takes ")[1].split(", ")) == wanted

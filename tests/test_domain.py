@@ -8,6 +8,8 @@ import sympy as sp
 
 import rankone as ro
 from rankone.domain import Domain, check_factors
+from rankone.solvers.registry import ENGINES
+from rankone.solvers.task import Asked, Task
 from tests.problems import EXAMPLES, REFERENCE
 
 DOMAIN = Domain((0.0, 6.0), ((8.0, 12.0), (4.0, 6.0)))
@@ -40,6 +42,10 @@ def test_intervals_are_moved_by_name_or_symbol():
         ({"x0": 3}, None, "`x0`"),
         ({"x0": (1, 2j)}, None, "`x0`"),
         ({"x0": (1, sp.Symbol("a"))}, None, "`x0`"),
+        ({"x0": {1, 2}}, None, "the range of `x0`"),
+        ({"x0": (False, 2)}, None, "the range of `x0`"),
+        ({"x0": (1, 2), sp.Symbol("x0"): (1, 2)}, None, "the parameter `x0` is given twice"),
+        (None, True, "the horizon"),
         (None, 0.0, "the horizon"),
         (None, -1, "the horizon"),
         (None, "late", "the horizon"),
@@ -83,3 +89,24 @@ def test_known_functions_that_are_not_finite_are_refused():
         domain = Domain.of(compiled.system).moved(("k",), **moved)
         with pytest.raises(ro.OptionError, match=numeric):
             check_factors(compiled.system, domain)
+
+
+@pytest.mark.parametrize("pole", ["k", "k - 0.3", "(k - 0.3)*(k + 0.7)", "k**2"])
+@pytest.mark.parametrize("method", ["train", "greedy"])
+def test_poles_between_the_samples_are_refused(pole, method):
+    """Exported solvers know no expressions, only the factors as functions."""
+    compiled = ro.compile(
+        ro.Problem.from_strings({"x": f"-x/({pole})"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
+    )
+    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, {})
+    task = Task.of([ENGINES[method]], compiled.system, asked)
+    with pytest.raises(ro.OptionError, match="a coefficient is not finite for `k` in"):
+        task.run(compiled.metadata())
+
+
+def test_poles_of_initial_values_are_refused():
+    problem = ro.Problem.from_strings({"x": "-x"}, {"x": "1/k"}, {"k": (1, 2)}, time=(0, 1))
+    compiled = ro.compile(problem)
+    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, {})
+    with pytest.raises(ro.OptionError, match="not finite for `k`"):
+        Task.of([ENGINES["train"]], compiled.system, asked).run(compiled.metadata())

@@ -41,16 +41,22 @@ class Some(Options):
             {"cuont": 2},
             r"unknown option 'cuont' \(did you mean `count`\?\); remedy: choose from co",
         ),
-        (
-            {"t_finl": 2},
-            r"\(did you mean `t_final`\?\); .*; solve itself takes rtol, method, param",
-        ),
         ({"zzz": 2}, "unknown option 'zzz'; remedy"),
     ],
 )
 def test_what_is_not_declared_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(OptionError, match=message):
         Some.of(**changes)
+
+
+def test_the_caller_says_its_own_keywords() -> None:
+    with pytest.raises(
+        OptionError, match=r"did you mean `tol`\?\); .*; solve itself takes tol, at"
+    ):
+        Some.of(("tol", "at"), tl=2)
+    with pytest.raises(OptionError, match=r"choose from colour, count, few, nodes, part$"):
+        Some.of(tl=2)
+    assert Some.of().max_attempts == 1
 
 
 def test_numbers_become_plain() -> None:

@@ -104,13 +104,18 @@ def _parser() -> argparse.ArgumentParser:
     solve.add_argument(
         "--save", metavar="PATH", type=Path, help="write the solution to PATH (.npz, see docs)"
     )
-    solve.add_argument("--method", default="train", help="the engine (default: %(default)s)")
     solve.add_argument("--overwrite", action="store_true", help="let --save replace a file")
     solve.add_argument(
         "--check",
         metavar="N",
         type=_count,
         help="number of trajectories compared; 0 leaves the error unknown (status 1)",
+    )
+    solve.add_argument(
+        "--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)"
+    )
+    solve.add_argument(
+        "--max-seconds", metavar="S", type=float, help="time limit; the best so far is kept"
     )
     solve.add_argument("--json", action="store_true", help="print the summary as JSON")
     solve.add_argument(
@@ -142,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "-o", "--output", metavar="PATH", type=Path, required=True, help="a .py file"
     )
-    export.add_argument("--method", default="train", help="the engine (default: %(default)s)")
+    export.add_argument("--method", default="auto", help="the engine (default: %(default)s)")
     export.add_argument("--overwrite", action="store_true", help="replace an existing file")
     export.set_defaults(run=_export)
     return parser
@@ -184,7 +189,11 @@ def _solve(arguments: argparse.Namespace) -> int:
     bar = sys.stderr.isatty() and not arguments.quiet
     try:
         solution = compiled.solve(
-            rtol=arguments.rtol, method=arguments.method, check=check, progress=bar
+            rtol=arguments.rtol,
+            method=arguments.method,
+            check=check,
+            max_seconds=arguments.max_seconds,
+            progress=bar,
         )
     except ConvergenceError as error:
         if error.solution is None:
@@ -210,6 +219,7 @@ def _summary(solution: Solution, arguments: argparse.Namespace) -> dict[str, Any
         "success": solution.success,
         "status": solution.status.name.lower(),
         "message": solution.message,
+        "method": solution.method,
         "rtol": solution.rtol,
         "error": _number(solution.error),
         "errors": {name: _number(error) for name, error in solution.errors.items()},

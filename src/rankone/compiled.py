@@ -38,16 +38,17 @@ from rankone.codegen import (
     generate_source,
     load_module,
 )
-from rankone.domain import Domain
 from rankone.errors import ConvergenceError, OptionError
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
-from rankone.progress import Progress, resolve_progress
+from rankone.options import refuse_positional
+from rankone.progress import Report, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
-from rankone.solvers.registry import ENGINES, engine_named
+from rankone.solvers.registry import AUTO, ENGINES, engines_for
+from rankone.solvers.task import Asked, Task
 from rankone.symbolic import (
     FirstOrderSystem,
     Problem,
@@ -68,7 +69,7 @@ __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
 
-_ANY_SYSTEM = ("cross",)
+_ANY_SYSTEM = (AUTO, "cross")
 """Methods that need no separated terms."""
 
 
@@ -80,7 +81,6 @@ class CompiledProblem:
 
     Attributes
     ----------
-    problem : Problem
     first_order : FirstOrderSystem
         The equations solved for the derivatives.
     weak_form : WeakForm
@@ -141,12 +141,13 @@ class CompiledProblem:
     def solve(
         self,
         rtol: float = 1e-6,
-        *,
-        method: Literal["train", "cross", "greedy"] = "train",
+        *arguments: Any,
+        method: Literal["auto", "cross", "train", "greedy"] = "auto",
         parameters: Mapping[Any, Sequence[float]] | None = None,
         t_final: float | None = None,
-        progress: bool | Progress = False,
+        progress: bool | Report = False,
         check: bool | int = True,
+        max_seconds: float | None = None,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
     ) -> Solution:
@@ -170,16 +171,16 @@ class CompiledProblem:
         check : bool or int
             Number of random check points (24 for True). False skips the check; the solution then
             does not count as a success.
+        max_seconds : float, optional
+            Time limit; the best solution so far is returned, with ``success`` False. Without one no
+            further attempt is begun after 20 seconds.
         on_failure : {"return", "raise"}
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.
         **options
-            Limits and discretisation of the engine: :class:`rankone.TrainOptions` or
-            :class:`rankone.GreedyOptions`; for the latter also ``preset="slides"``.
-
-        Returns
-        -------
-        Solution
+            Limits and discretisation of the engine: :class:`rankone.CrossOptions`,
+            :class:`rankone.TrainOptions` or :class:`rankone.GreedyOptions`; for the latter also
+            ``preset="slides"``.
 
         Raises
         ------
@@ -196,22 +197,22 @@ class CompiledProblem:
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
-        engine = engine_named(method)
-        request = engine.request(rtol, check, options)
+        refuse_positional(arguments, "method")
+        separated = not self.separated.general
+        count = len(self.separated.coordinates) - 1
+        engines = engines_for(method, options, count, separated=separated)
         if method not in _ANY_SYSTEM:
             self.separated.require_separated()
-        domain = Domain.of(self.system)
+        asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
+        task = Task.of(engines, self.system, asked, "method", "progress", "on_failure")
         if parameters or t_final is not None:
-            domain = domain.moved(self.system.PARAMETERS, parameters, t_final)
-            check_moved(self.problem, self.first_order, self.separated, self.system, domain)
+            check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
         began = time.perf_counter()
         with resolve_progress(progress) as report, _one_blas_thread():
-            outcome = engine.solve(self.system, domain, request, report)
+            outcome, metadata = task.run(self.metadata(), report)
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        metadata = self.metadata(request.rtol, method)
-        metadata = replace(metadata, horizon=domain.horizon, box=domain.box)
         solution = Solution(replace(outcome, timings=timings), metadata)
         raise_blow_up(solution)
         if on_failure == "raise" and not solution.success:
@@ -219,9 +220,14 @@ class CompiledProblem:
         return solution
 
     def export(
-        self, path: str | PathLike[str], *, method: str = "train", overwrite: bool = False
+        self,
+        path: str | PathLike[str],
+        *arguments: Any,
+        method: str = "auto",
+        overwrite: bool = False,
     ) -> Path:
         """Write a standalone solver; see :func:`rankone.export.export_solver`."""
+        refuse_positional(arguments, "method")
         from rankone.export import export_solver
 
         return export_solver(self, path, method=method, overwrite=overwrite)
@@ -251,14 +257,6 @@ class CompiledProblem:
 
 def compile_problem(problem: Problem) -> CompiledProblem:
     """Compile a problem: every stage up to the generated module.
-
-    Parameters
-    ----------
-    problem : Problem
-
-    Returns
-    -------
-    CompiledProblem
 
     Raises
     ------
@@ -296,12 +294,14 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     return compiled
 
 
-def solve_problem(problem: Problem, rtol: float = 1e-6, **options: Any) -> Solution:
+def solve_problem(
+    problem: Problem, rtol: float = 1e-6, *arguments: Any, **options: Any
+) -> Solution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 
     See :meth:`CompiledProblem.solve` for the options.
     """
-    return compile_problem(problem).solve(rtol, **options)
+    return compile_problem(problem).solve(rtol, *arguments, **options)
 
 
 @contextmanager

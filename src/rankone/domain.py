@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, SupportsFloat
@@ -15,7 +15,7 @@ from rankone.errors import OptionError
 from rankone.system import System
 from rankone.wording import did_you_mean, quote
 
-__all__ = ["Domain", "check_factors"]
+__all__ = ["Domain", "KnownFactors", "check_factors"]
 
 _SAMPLES = 257
 """Points of an interval at which known functions are looked at."""
@@ -59,6 +59,7 @@ class Domain:
             message = f"parameters={parameters!r} is not a mapping from parameters to intervals"
             raise OptionError(message, term=parameters, remedy="give {name: (lower, upper), ...}")
         box = dict(zip(names, self.box, strict=True))
+        given: set[str] = set()
         for key, interval in (parameters or {}).items():
             name = str(getattr(key, "name", key))
             if name not in box:
@@ -67,6 +68,9 @@ class Domain:
                     term=key,
                     remedy=f"choose from {', '.join(box)}" if box else None,
                 )
+            if name in given:
+                raise OptionError(f"the parameter {quote(name)} is given twice", term=key)
+            given.add(name)
             box[name] = _interval(f"the range of {quote(name)}", interval)
         start, end = self.horizon
         horizon = _interval("the horizon", (start, end if t_final is None else t_final))
@@ -76,24 +80,54 @@ class Domain:
 def _interval(what: str, given: Any) -> tuple[float, float]:
     """Two finite numbers in ascending order, or an OptionError."""
     try:
-        lower, upper = (float(value) for value in given if isinstance(value, SupportsFloat))
+        lower, upper = (float(value) for value in given if _is_number(value))
     except (TypeError, ValueError):
         lower = upper = math.nan
+    if isinstance(given, Set):  # it has no order
+        lower = math.nan
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
         raise OptionError(f"{what} is {given!r}, not two numbers in ascending order", term=given)
     return lower, upper
 
 
-def check_factors(system: System, domain: Domain) -> None:
-    """Raise an OptionError if a known factor is not finite at a sample of a coordinate."""
-    coordinates = [("time", domain.horizon, system.time_factors)]
-    for j, (name, interval) in enumerate(zip(system.PARAMETERS, domain.box, strict=True)):
-        coordinates.append((quote(name), interval, partial(system.parameter_factors, j)))
-    for what, (lower, upper), factors in coordinates:
+def _is_number(value: Any) -> bool:
+    return isinstance(value, SupportsFloat) and not isinstance(value, bool | np.bool_)
+
+
+@dataclass(frozen=True)
+class KnownFactors:
+    """The factors of one coordinate on an interval; anything not finite is an OptionError."""
+
+    what: str
+    interval: tuple[float, float]
+    function: Callable[[Array], Array]
+
+    @classmethod
+    def of(cls, system: System, domain: Domain) -> Iterator[KnownFactors]:
+        """Those of time, then of each parameter."""
+        yield cls("time", domain.horizon, system.time_factors)
+        for j, (name, interval) in enumerate(zip(system.PARAMETERS, domain.box, strict=True)):
+            yield cls(quote(name), interval, partial(system.parameter_factors, j))
+
+    def __call__(self, points: Array) -> Array:
+        """Values at points (N,): shape (factors, N)."""
         with np.errstate(all="ignore"):
-            finite = np.isfinite(factors(np.linspace(lower, upper, _SAMPLES))).all()
-        if not finite:
-            raise OptionError(
-                f"a coefficient is not finite for {what} in [{lower:g}, {upper:g}]",
-                remedy="choose a range on which all coefficients are finite",
-            )
+            values = self.function(points)
+        if not np.isfinite(values).all():
+            raise self.not_finite()
+        return values
+
+    def not_finite(self) -> OptionError:
+        """The error for a pole."""
+        lower, upper = self.interval
+        return OptionError(
+            f"a coefficient is not finite for {self.what} in [{lower:g}, {upper:g}]",
+            remedy="choose a range on which all coefficients are finite",
+        )
+
+
+def check_factors(system: System, domain: Domain) -> None:
+    """Raise an OptionError if a known factor is not finite at a sample of a coordinate, or at 0."""
+    for factors in KnownFactors.of(system, domain):
+        lower, upper = factors.interval
+        factors(np.append(np.linspace(lower, upper, _SAMPLES), min(max(lower, 0.0), upper)))

@@ -50,7 +50,6 @@ class ProblemError(RankoneError, ValueError):
 
     Parameters
     ----------
-    message : str
     equation : int, optional
         Number of the equation concerned, counted from 1 as the user wrote them.
     **where

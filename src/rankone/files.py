@@ -25,7 +25,6 @@ def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneE
 
     Parameters
     ----------
-    path : path-like
     overwrite : bool
         Whether an existing file may be replaced.
     error : type

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copyreg
 import hashlib
 import keyword
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -249,10 +249,11 @@ def function(
     _check_name(name)
     several = isinstance(derivative, Sequence)
     derivatives = tuple(derivative) if isinstance(derivative, Sequence) else (derivative,)
-    if not derivatives or not all(map(callable, (value, *derivatives))):
+    given = (value, *derivatives)
+    if not derivatives or not all(callable(f) and isinstance(f, Hashable) for f in given):
         what = "derivatives" if several else "derivative"
         raise ProblemError(
-            f"value and {what} of function {quote(name)} are not all callable",
+            f"value and {what} of function {quote(name)} are not all callable (and hashable)",
             term=name,
             remedy="give value=f and derivative=df, callables on NumPy arrays",
         )

@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rankone.display import aligned_equations, html_table, latex, latex_number, text_table
@@ -60,7 +61,6 @@ class State:
         The unknown's name, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``).
     expression : Expr
         The applied function, its derivative or the product of states, as the user would write it.
-    role : Role
     """
 
     name: str
@@ -317,7 +317,7 @@ class Group:
         )
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, repr=False)
 class QuadraticSystem:
     """The right-hand side f of ``u' = f``, as it is and with products of at most two states.
 
@@ -346,39 +346,40 @@ class QuadraticSystem:
     groups: tuple[Group, ...]
     initial: tuple[Term, ...]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all states."""
         return tuple(state.name for state in self.states)
 
-    @property
+    @cached_property
     def differential(self) -> tuple[State, ...]:
         """The states with a differential equation: all but the auxiliary ones."""
         return tuple(state for state in self.states if state.role is not Role.AUXILIARY)
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """All terms of the groups."""
         return tuple(
             term for group in self.groups for part in group.by_degree.values() for term in part
         )
 
-    @property
+    @cached_property
     def rates(self) -> tuple[str, ...]:
         """What each equation gives, as text: ``x'``, or ``x*x - w0`` that vanishes."""
-        n = len(self.states) - len(self.products)
-        sides = (definition.split(" = ") for definition in self.definitions)
-        rates = (f"{name}'" for name in self.names[:n])
-        return (*rates, *(f"{product} - {name}" for name, product in sides))
+        rates = (f"{state.name}'" for state in self.differential)
+        return (*rates, *(f"{product} - {name}" for name, product in self._auxiliary))
 
-    @property
+    @cached_property
     def definitions(self) -> tuple[str, ...]:
         """The auxiliary states as text: ``w0 = x*x``."""
-        auxiliary = self.names[len(self.names) - len(self.products) :]
-        return tuple(
-            f"{name} = {self.names[a]}*{self.names[b]}"
-            for name, (a, b) in zip(auxiliary, self.products, strict=True)
-        )
+        return tuple(f"{name} = {product}" for name, product in self._auxiliary)
+
+    @property
+    def _auxiliary(self) -> list[tuple[str, str]]:
+        """Name and product of each auxiliary state."""
+        auxiliary = (state.name for state in self.states if state.role is Role.AUXILIARY)
+        products = (f"{self.names[a]}*{self.names[b]}" for a, b in self.products)
+        return list(zip(auxiliary, products, strict=True))
 
     def __str__(self) -> str:
         return text_table(self._summary(), self._header(), self._rows())

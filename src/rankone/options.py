@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
 from rankone.errors import OptionError
 from rankone.wording import did_you_mean
 
-__all__ = ["Options", "checked_number", "choice", "integer", "integers", "number"]
-
-_KEYWORDS = ("rtol", "method", "parameters", "t_final", "check", "progress", "on_failure")
-"""What ``solve`` takes beside the options of an engine."""
+__all__ = [
+    "Options",
+    "checked_number",
+    "choice",
+    "integer",
+    "integers",
+    "number",
+    "refuse_positional",
+]
 
 
 def checked_number(
@@ -28,6 +33,15 @@ def checked_number(
         where = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
         raise OptionError(f"{name}={value!r} is not valid", remedy=f"choose {what} {where}")
     return kind(value)
+
+
+def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:
+    """Raise an OptionError if there are arguments by position, with the form by keyword."""
+    if arguments:
+        raise OptionError(
+            f"{arguments[0]!r} is given by position",
+            remedy=f"give it by its keyword: {keyword}={arguments[0]!r}",
+        )
 
 
 def integer(default: int | None, least: int = 1, most: float = math.inf) -> Any:
@@ -82,15 +96,29 @@ class Options:
                 value = option.metadata["check"](option.name, value)
                 object.__setattr__(self, option.name, value)
 
+    @property
+    def max_attempts(self) -> int:
+        """How often a solve may be tried; a field of engines that try again."""
+        return 1
+
     @classmethod
-    def of(cls, /, **changes: Any) -> Self:
-        """Options with changes, or an OptionError if one is unknown or out of its range."""
-        known = sorted(option.name for option in fields(cls))
+    def names(cls) -> list[str]:
+        """What :meth:`of` takes."""
+        return sorted(option.name for option in fields(cls))
+
+    @classmethod
+    def of(cls, keywords: Sequence[str] = (), /, **changes: Any) -> Self:
+        """Options with changes, or an OptionError if one is unknown or out of its range.
+
+        ``keywords`` are what the caller takes beside options.
+        """
+        known = cls.names()
         for name in sorted(changes.keys() - known):
             if name in cls.renamed:
                 raise OptionError(f"option {name!r} is now called {cls.renamed[name]!r}")
+            beside = f"; solve itself takes {', '.join(keywords)}" if keywords else ""
             raise OptionError(
-                f"unknown option {name!r}{did_you_mean(name, [*known, *_KEYWORDS])}",
-                remedy=f"choose from {', '.join(known)}; solve itself takes {', '.join(_KEYWORDS)}",
+                f"unknown option {name!r}{did_you_mean(name, [*known, *keywords])}",
+                remedy=f"choose from {', '.join(known)}{beside}",
             )
         return cls(**changes)

@@ -43,14 +43,9 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
 
     Parameters
     ----------
-    solution : Solution
     slab : int
         Slab of the first three plots of ``method="greedy"``: an index into the accepted slabs of
         the last attempt.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------
@@ -89,17 +84,12 @@ def plot_modes(
 
     Parameters
     ----------
-    solution : Solution
     unknown : symbol or str, optional
         May be left out if there is only one.
     modes : int
         Most modes drawn; the amplitudes are always shown for all.
     rtol : float
         Tolerance of the canonical form.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Raises
     ------

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from rankone.errors import OptionError
 
-__all__ = ["Progress", "ProgressBar", "ProgressEvent", "quiet", "resolve_progress"]
+__all__ = ["ProgressBar", "ProgressEvent", "Report", "quiet", "resolve_progress"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,7 @@ class ProgressEvent:
     fraction : float
         Fraction of the horizon solved in this attempt, 0 to 1.
     attempt : int
-        Number of the attempt, from 0; each starts the horizon again with a tighter tolerance.
+        Index of the attempt, from 0; each starts the horizon again with a tighter tolerance.
     slabs : int
         Number of slabs accepted in this attempt.
     rank : int
@@ -37,11 +38,8 @@ class ProgressEvent:
     rank: int
 
 
-class Progress(Protocol):
-    """Anything that can be called with a :class:`ProgressEvent`; an exception stops the solve."""
-
-    def __call__(self, event: ProgressEvent, /) -> object:
-        """Take notice of an event."""
+Report = Callable[[ProgressEvent], object]
+"""Called after each accepted slab; an exception stops the solve."""
 
 
 def quiet(event: ProgressEvent, /) -> None:
@@ -84,7 +82,7 @@ class ProgressBar:
         self._bar.close()
 
 
-def resolve_progress(progress: bool | Progress) -> AbstractContextManager[Progress]:
+def resolve_progress(progress: bool | Report) -> AbstractContextManager[Report]:
     """Turn the option ``progress`` into a context that gives a callback.
 
     Parameters

@@ -198,10 +198,6 @@ def load(path: str | PathLike[str]) -> Solution:
 
     Nothing in the file is executed.
 
-    Parameters
-    ----------
-    path : path-like
-
     Returns
     -------
     Solution
@@ -210,8 +206,7 @@ def load(path: str | PathLike[str]) -> Solution:
     Raises
     ------
     StorageError
-        If there is no such file, it is not a rankone solution, it is damaged, or a newer version
-        of rankone wrote it.
+        As for :func:`rankone.storage.read`.
     """
     return Solution(*read(path, {name: engine.record for name, engine in ENGINES.items()}))
 

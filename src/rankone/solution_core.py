@@ -106,6 +106,10 @@ class SolutionCore:
             )
         return UnknownView(self, name)
 
+    def __repr__(self) -> str:
+        success = "success" if self.success else "no success"
+        return f"Solution of {', '.join(self.unknowns)}: {success}, {self.message}"
+
     def __iter__(self) -> Any:
         raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
 
@@ -165,6 +169,11 @@ class SolutionCore:
         return dict(zip(self.states, measured.interior, strict=True))
 
     @property
+    def method(self) -> str:
+        """Name of the engine that found it."""
+        return self.metadata.method
+
+    @property
     def rtol(self) -> float:
         """Relative tolerance asked for."""
         return self.metadata.rtol
@@ -205,10 +214,6 @@ class SolutionCore:
         overwrite : bool
             Whether to replace an existing file.
 
-        Returns
-        -------
-        Path
-
         Raises
         ------
         StorageError
@@ -227,7 +232,6 @@ class UnknownView:
 
     Attributes
     ----------
-    solution : SolutionCore
     name : str
         Name of the unknown, or of a derivative that is a state.
     """

@@ -5,7 +5,6 @@ The array ``header`` is a text that holds what was asked
 :class:`~rankone.solvers.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of each
 :class:`~rankone.tensors.slab.SlabTrain`. Readers refuse versions newer than their own and pass over
 entries they do not know; the version grows when an old reader could misunderstand a file.
-docs/formats.md has every field.
 """
 
 from __future__ import annotations
@@ -59,25 +58,9 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write what was solved to a file.
+    """Write what was solved to a file; paths and errors are those of :func:`target`.
 
-    Parameters
-    ----------
-    path : path-like
-        Ends in ``.npz``.
-    outcome : Outcome
-    metadata : SolutionMetadata
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    StorageError
-        As for :func:`target`. A file is either complete or not there, also after an interrupt.
+    A file is either complete or not there, also after an interrupt.
     """
     place = target(path, overwrite)
     write_files({place: npz(_arrays(outcome, metadata))}, overwrite, StorageError)
@@ -93,15 +76,14 @@ def read(
 
     Parameters
     ----------
-    path : path-like
     records : mapping of str to type
         For each method the class of the records of its history.
 
     Raises
     ------
     StorageError
-        If there is no such file, it is not a rankone solution, it is damaged, or a newer version
-        of rankone wrote it.
+        If there is no such file, it is not a rankone solution, it is damaged, a newer version of
+        rankone wrote it, or its method is none of these.
     """
     given = Path(path)
     try:
@@ -112,7 +94,14 @@ def read(
             with np.load(stream, allow_pickle=False) as arrays:
                 header = _header(arrays, given)
                 metadata = _metadata(header["metadata"])
-                outcome = _outcome(header, records.get(metadata.method, SlabRecord), arrays)
+                if metadata.method not in records:
+                    raise StorageError(
+                        f"`{given}` holds a solution by method={metadata.method!r}, which is not "
+                        f"known here",
+                        term=given,
+                        remedy=f"methods that can be read: {', '.join(records)}",
+                    )
+                outcome = _outcome(header, records[metadata.method], arrays)
         _check(outcome, metadata)
     except StorageError:
         raise

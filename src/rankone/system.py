@@ -12,18 +12,19 @@ Within the group ``g`` the right-hand side is
 
 and the kernels below evaluate the bracket on ``P`` time points for ``r`` columns at once.
 
-=====================================  ===========================================================
+=====================================  =======================================================
 kernel                                 meaning (n states in all, P points)
-=====================================  ===========================================================
+=====================================  =======================================================
 ``constant(phi)``                      y (n, P)
 ``linear(phi, x)``                     x (n, P, r) -> y (n, P, r)
 ``linear_adjoint(phi, w)``             w (n, P, s) -> v (n, P, s): <w, linear(x)> = <v, x>
 ``quadratic(phi, x, z)``               x (n, P, r), z (m, P, r, s) -> y (n, P, s); for every
                                        monomial x_a x_b of row c with b = PAIRED[g][k]:
-                                       y[c][P, s] += coefficient phi sum_r x[a][P, r] z[k][P, r, s]
+                                       y[c][P, s] += coefficient phi x[a][P, r] z[k][P, r, s],
+                                       summed over r
 ``quadratic_adjoint(phi, x, w)``       x (n, P, r), w (n, P, s) -> v (m, P, r, s):
                                        v[k][P, r, s] += coefficient phi x[a][P, r] w[c][P, s]
-=====================================  ===========================================================
+=====================================  =======================================================
 
 ``phi`` is the array of time factors at the P points, shape (number of time factors, P).
 """

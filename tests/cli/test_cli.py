@@ -43,6 +43,7 @@ def solver(monkeypatch: pytest.MonkeyPatch) -> Callable[[Solver], None]:
     def install(solve: Solver) -> None:
         compiled = SimpleNamespace(
             first_order="<the system>",
+            methods={"train": "<the reason>", "cross": None},
             quadratic="<the groups>",
             solve=solve,
             weak_form="<the weak form>",
@@ -287,8 +288,37 @@ def test_show_everything(
     solver(raising(AssertionError("solved")))
     assert main(["show", file]) == 0
     out = capsys.readouterr().out
-    shown = ("<the system>", "<the weak form>", "<the terms>", "<the groups>", "# code")
+    shown = (
+        "train  does not apply: <the reason>",
+        "cross  applies",
+        "<the system>",
+        "<the weak form>",
+        "<the terms>",
+        "<the groups>",
+        "# code",
+    )
     assert [*map(out.index, shown)] == sorted(map(out.index, shown))
+
+
+def test_a_problem_that_does_not_separate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "pendulum.toml"
+    path.write_text(
+        'time = [0, 2]\n[rhs]\ntheta = "w"\nw = "-k*sin(theta)"\n'
+        "[initial]\ntheta = 1\nw = 0\n[parameters]\nk = [1, 2]\n"
+    )
+    assert main(["show", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("# methods\n\ntrain  does not apply: `sin(theta(t))` in the term")
+    assert "\ncross  applies\n" in out
+    assert "# quadratic system\n\nnone: not all terms separate\n" in out
+    assert main(["solve", str(path), "--rtol", "1e-4", "--method", "train"]) == 2
+    assert "method='cross' takes it as it is" in capsys.readouterr().err
+    assert main(["solve", str(path), "--rtol", "1e-4", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["error"] <= 1e-4
+    assert answer["method"] == "cross"
 
 
 def test_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,8 @@ import pytest
 import sympy as sp
 
 from rankone.codegen import generate_source, load_module
+from rankone.codegen.header import plain_product
+from rankone.codegen.printer import plain_text
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.systems import REFERENCE, Separated, driven, lotka_volterra, separated, t
 
@@ -162,3 +164,15 @@ def test_tracebacks_show_the_generated_line() -> None:
         system.rhs(0.0, np.ones(3), (1.0, 1.0))
     assert "x, y = u" in "".join(traceback.format_exception(caught.value))
     assert "traced" not in sys.modules
+
+
+def test_products_are_written_as_quotients():
+    assert plain_product("1", ["cos(t)", "1/m"]) == "cos(t)/m"
+    assert plain_product("10", ["1/k"]) == "10/k"
+    assert plain_product("1", ["1/k"]) == "1/k"
+    assert plain_product("1", ["1/k", "x", "1/(2*m)", "(k/3)"]) == "x*(k/3)/(k*(2*m))"
+    assert plain_product("1", ["(1 + k)", "x"]) == "(1 + k)*x"
+    assert plain_product("1", []) == "1"
+    k, m = sp.symbols("k m")
+    texts = [plain_text(e) for e in (1 / k, 1 / (k * m), k / m, 1 + k, 1 / k + m)]
+    assert texts == ["1/k", "1/(k*m)", "(k/m)", "(k + 1)", "(m + 1/k)"]

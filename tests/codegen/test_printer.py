@@ -94,10 +94,10 @@ def test_text_means_what_sympy_means(expression: sp.Expr, at: float) -> None:
     assert printed == pytest.approx(float(value), rel=scale, abs=1e-8)
 
 
-@pytest.mark.parametrize("function", [sp.erf, sp.gamma, sp.zeta, sp.Function("g")])
+@pytest.mark.parametrize("function", [sp.lowergamma, sp.Function("g")])
 def test_functions_without_numpy_counterpart_are_named(function: sp.Function) -> None:
     with pytest.raises(SeparationError, match=f"function `{function.__name__}`.*remedy"):
-        numpy_text(1 + function(k), {k: "k"})
+        numpy_text(1 + function(k, k), {k: "k"})
 
 
 def test_common_subexpressions_are_named_once() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -11,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
 from threadpoolctl import threadpool_limits
 
 import rankone as ro
 from rankone.cli import main
 from rankone.errors import ExportError, OptionError
-from rankone.export.carry import carry, import_lines
+from rankone.export.carry import _narrow, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
 from rankone.metadata import SolutionMetadata
@@ -38,6 +40,12 @@ sys.meta_path.insert(0, Blocked())
 import numpy as np
 import solver
 """
+
+
+def source_of(problem: ro.CompiledProblem, method: str = "train") -> str:
+    """Text of the standalone solver."""
+    given = problem.separated, problem.source, problem.metadata(method=method)
+    return standalone_source(problem.problem.name, *given)
 
 
 def alone(folder: Path, *arguments: str, script: str | None = None) -> subprocess.CompletedProcess:
@@ -115,6 +123,37 @@ def test_the_classic_method_is_exported_as_well(name, tmp_path):
         np.testing.assert_allclose(values[:, k], exact, rtol=0, atol=1e-12 * np.abs(values).max())
 
 
+def _general() -> ro.CompiledProblem:
+    """Functions of unknowns, SciPy's among them, a table and an initial value that couples."""
+    force = ro.table([0, 0.5, 1.2, 2], [0, 1, -1, 0.5], name="force")
+    t, k, m = sp.symbols("t k m")
+    x = sp.Function("x")(t)
+    rhs = -k * sp.sin(x) + sp.erf(m * x) + force(t)
+    return ro.compile(
+        ro.Problem([sp.Eq(x.diff(t), rhs)], (t, 0, 2), {k: (1, 2), m: (0.5, 1)}, {x: 1 / (k + m)})
+    )
+
+
+@pytest.mark.parametrize("build", [lambda: compiled("decay"), _general], ids=["decay", "general"])
+def test_the_cross_method_is_exported_as_well(build, tmp_path):
+    problem = build()
+    problem.export(tmp_path / "solver.py", method="cross")
+    wanted = problem.solve(1e-4, method="cross")
+    where = points(wanted, 50)
+    np.savez(tmp_path / "points.npz", **where)
+    script = ALONE + (
+        "s = solver.solve(rtol=1e-4)\n"
+        "np.save('values.npy', s(dict(np.load('points.npz'))))\n"
+        "assert s.success and s.metadata.method == 'cross'\n"
+        "assert np.array_equal(solver.load(s.save('s.npz'))(s.time[1], s.parameters and "
+        "{n: b[0] for n, b in s.parameters.items()}), s(s.time[1], "
+        "{n: b[0] for n, b in s.parameters.items()}))\n"
+    )
+    run = alone(tmp_path, script=script)
+    assert run.returncode == 0, run.stderr
+    np.testing.assert_allclose(np.load(tmp_path / "values.npy"), wanted(where), 1e-9, 1e-9)
+
+
 def test_other_box_and_horizon(folder):
     script = ALONE + (
         "s = solver.solve(rtol=1e-5, parameters={'x0': (7, 13)}, t_final=4.0)\n"
@@ -151,6 +190,11 @@ def test_other_box_and_horizon(folder):
             "solver.solve(rtl=1e-3)",
             "OptionError",
             "unknown option 'rtl' (did you mean `rtol`?); remedy: choose from basis",
+        ),
+        (
+            "solver.solve(zzz=1)",
+            "OptionError",
+            "time_nodes; solve itself takes rtol, parameters, t_final, check",
         ),
         ("solver.solve(check=-1)", "OptionError", "check=-1"),
         ("solver.load('nothing.npz')", "StorageError", "nothing.npz"),
@@ -231,7 +275,7 @@ def test_saved_by_the_program(folder):
         run = alone(folder, "--load", "damaged.npz")
         assert run.returncode == 2
         assert "damaged.npz` is" in run.stderr
-    solved("decay").save(folder / "decay.npz")
+    compiled("decay").solve(1e-3, method="cross").save(folder / "decay.npz")
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
     assert "other equations" in run.stderr
@@ -259,7 +303,7 @@ def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
     assert answer["values"]["x"] == pytest.approx(4.0, rel=2e-3)
 
 
-@pytest.mark.parametrize("method", ["train", "greedy"])
+@pytest.mark.parametrize("method", ["train", "cross", "greedy"])
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_formatted(name, method, tmp_path):
     pytest.importorskip("ruff")
@@ -286,26 +330,66 @@ def test_identical_bytes(tmp_path):
         assert target.read_bytes() == first
 
 
-@pytest.mark.parametrize("method", ["train", "greedy"])
+@pytest.mark.parametrize("method", ["train", "cross", "greedy"])
 def test_reads_from_top_to_bottom(method):
     """Parts in order, no marks for linters or cross references, documented parameters."""
-    source = standalone_source(compiled("kirchhoff"), method)
-    parts = [
-        f"# {part}\n# ===" for part in ("System", "Engine", "Evaluation", "Files", "Command line")
-    ]
+    source = source_of(compiled("kirchhoff"), method)
+    titles = ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
+    parts = [f"# {title}\n# ===" for title in titles]
     places = [source.index(part) for part in parts]
     assert places == sorted(places)
-    assert source.index("METADATA = ") > source.index("class Solution:") > places[2]
+    assert source.index("METADATA = ") > source.index("class Solution:") > places[3]
     for mark in ("# noqa", "type: ignore", ":class:", ":func:", "SolutionCore"):
         assert mark not in source
     assert "max_attempts : int" in source
     assert "Largest error asked for, relative to the size of each unknown" in source
 
 
+@pytest.mark.parametrize("method", ["train", "greedy"])
+def test_sections_open_with_prose_of_their_own(method):
+    """Prose stays as it is laid out, apart from what follows, without places of the sources."""
+    source = source_of(compiled("kirchhoff"), method)
+    assert "docs/" not in source
+    table = (ROOT / "src" / "rankone" / "system.py").read_text(encoding="utf-8")
+    lines = table[table.index("=====") : table.index("``phi`` is")].splitlines()
+    assert "\n".join(f"# {line}".rstrip() for line in lines) in source
+    for section in source.split("\n# == ")[1:]:
+        head = list(
+            itertools.takewhile(lambda line: line.startswith("#"), section.splitlines()[1:])
+        )
+        assert section.splitlines()[1 + len(head)] == "", section[:200]
+
+
+def test_running_text_is_filled_and_tables_are_not():
+    long = "word " * 25
+    assert max(map(len, _narrow(long).splitlines())) <= 98
+    for laid_out in (f"=====  =====\n{long}", f"    {long}"):
+        assert _narrow(laid_out) == laid_out
+
+
+def test_a_solution_by_another_method_is_refused(tmp_path):
+    problem = compiled("decay")
+    problem.export(tmp_path / "solver.py")
+    problem.solve(1e-3, method="greedy").save(tmp_path / "greedy.npz")
+    run = alone(tmp_path, "--load", "greedy.npz")
+    assert run.returncode == 2
+    assert "a solution by method='greedy', which is not known here" in run.stderr
+    script = "s = solver.solve(1e-3); print(repr(s))"
+    assert alone(tmp_path, script=ALONE + script).stdout.startswith("Solution of u: success, the")
+
+
+def test_a_pole_is_refused(tmp_path):
+    problem = ro.Problem.from_strings({"x": "-x/k"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
+    ro.compile(problem).export(tmp_path / "solver.py")
+    run = alone(tmp_path, "--rtol", "1e-3", "--box", "k=-1:2")
+    assert run.returncode == 2
+    assert "not finite for `k` in [-1, 2]" in run.stderr
+
+
 def test_long_texts_are_wrapped():
     terms = " + ".join(f"{k}*a**{k}*x" for k in range(1, 20))
     problem = ro.Problem.from_strings({"x": terms}, {"x": 1}, {"a": (0, 0.1)}, (0, 1))
-    source = standalone_source(ro.compile(problem))
+    source = source_of(ro.compile(problem))
     assert max(map(len, source.splitlines())) <= 100
     metadata = source[source.index("METADATA = ") :]
     given = {"SolutionMetadata": SolutionMetadata}
@@ -314,7 +398,7 @@ def test_long_texts_are_wrapped():
 
 
 def test_header():
-    source = standalone_source(compiled("lotka_volterra"))
+    source = source_of(compiled("lotka_volterra"))
     head = source[: source.index("import argparse")]
     for text in ("x' = 1.5*x - x*y", "x0 in [8, 12]", "Operations: rhs 5", "coefficient  monomial"):
         assert text in head
@@ -365,7 +449,7 @@ def test_command_line(tmp_path, capsys):
     source = ROOT / "examples" / "decay.py"
     target = tmp_path / "solver.py"
     assert main(["export", str(source), "-o", str(target)]) == 0
-    assert target.read_text() == standalone_source(compiled("decay"))
+    assert target.read_text() == source_of(compiled("decay"))
     assert main(["export", str(source), "-o", str(target)]) == 2
     assert "exists" in capsys.readouterr().err
     assert main(["export", str(source), "-o", str(target), "--overwrite"]) == 0

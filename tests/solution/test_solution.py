@@ -143,6 +143,9 @@ def test_derivatives_have_the_same_names_everywhere() -> None:
     assert solution.unknowns == ("x",)
     assert solution.states == tuple(solution.errors) == ("x", "x_t")
     assert list(solution.modes) == ["x"]
+    assert "x_t" not in solution.modes
+    assert "x" in solution.modes
+    assert 3 not in solution.modes
     form = solution.modes["x_t"]
     assert form is solution.modes[velocity]
     assert form.name == solution[velocity].name == "x_t"

@@ -38,13 +38,13 @@ class Fake:
     seen: list[int] = field(default_factory=list)
     remedies: ClassVar[dict[Status, str]] = {Status.TOLERANCE: "be patient"}
 
-    def march(self, number: int, report: Report) -> MarchResult:
-        factor = 1.0 + self.errors[number]
+    def march(self, index: int, report: Report) -> MarchResult:
+        factor = 1.0 + self.errors[index]
         slabs = [
             SlabTrain(s.start, s.end, (factor * s.cores[0], *s.cores[1:]), s.bases)
             for s in self.slabs
         ]
-        record = SlabRecord(number, 0.0, 2.0, True, factor, (), (), ())
+        record = SlabRecord(index, 0.0, 2.0, True, factor, (), (), ())
         return MarchResult(slabs, [record], set(self.limits))
 
     def refine(self, attempt: Attempt, stalls: int) -> bool:
@@ -115,8 +115,8 @@ def test_without_points_there_is_one_attempt(system: Any, slabs: Any) -> None:
 
 def test_an_early_end_is_said(system: Any, slabs: Any) -> None:
     class Stopped(Fake):
-        def march(self, number: int, report: Report) -> MarchResult:
-            result = super().march(number, report)
+        def march(self, index: int, report: Report) -> MarchResult:
+            result = super().march(index, report)
             return MarchResult(result.slabs[:1], result.records, set(), Status.SLAB_LIMIT)
 
     outcome = run(system, Stopped(slabs, [1e-1]))

@@ -14,19 +14,35 @@ from rankone.options import Options
 from rankone.progress import ProgressEvent
 from rankone.solvers.greedy import GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
-from rankone.solvers.registry import ENGINES, engine_named
+from rankone.solvers.registry import ENGINES, engines_for
 from tests.problems import REFERENCE
 
 
 def test_engines_are_found_by_name() -> None:
     assert list(ENGINES) == ["train", "cross", "greedy"]
-    assert all(engine_named(name).name == name for name in ENGINES)
+    assert all(engines_for(name) == (ENGINES[name],) for name in ENGINES)
+
+
+def test_auto_takes_the_engines_that_fit() -> None:
+    def names(*options: str, parameters: int = 3, separated: bool = True) -> list[str]:
+        engines = engines_for("auto", options, parameters, separated=separated)
+        return [engine.name for engine in engines]
+
+    assert names() == ["cross", "train"]
+    assert names(parameters=1) == ["train", "cross"]
+    assert names(separated=False) == ["cross"]
+    assert names("max_memory") == ["train"]
+    assert names("max_trajectories") == ["cross"]
+    with pytest.raises(OptionError, match="'max_modes' belongs to method='greedy'"):
+        names("max_modes")
+    with pytest.raises(OptionError, match="'max_memory' belongs to method='train'"):
+        names("max_memory", separated=False)
 
 
 @pytest.mark.parametrize("name", ["gredy", "", None, 3, ["train"]])
 def test_other_names_are_refused(name: typing.Any) -> None:
-    with pytest.raises(OptionError, match=r"is unknown.*choose from train, cross, greedy"):
-        engine_named(name)
+    with pytest.raises(OptionError, match=r"is unknown.*choose from auto, train, cross, greedy"):
+        engines_for(name)
 
 
 @pytest.mark.parametrize("name", ENGINES)

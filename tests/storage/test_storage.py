@@ -311,3 +311,10 @@ def test_unknowns_are_asked_for_by_role(tmp_path: Path) -> None:
     np.testing.assert_allclose(solution(**at), SOLUTION(**at)[1:], rtol=1e-14)
     np.testing.assert_allclose(solution.grid(**at), SOLUTION.grid(**at)[1:], rtol=1e-14)
     assert list(solution.modes) == ["x_t"]
+
+
+def test_a_method_that_is_not_known_is_refused(tmp_path: Path) -> None:
+    metadata = replace(SOLUTION.metadata, method="magic")
+    path = Solution(SOLUTION.outcome, metadata).save(tmp_path / "solution.npz")
+    with pytest.raises(StorageError, match=r"method='magic', which is not known here; .* train"):
+        load(path)

@@ -267,6 +267,39 @@ def test_initial_value_that_does_not_factor():
         separate(problem).require_separated()
 
 
+def test_general_terms_are_listed_beside_what_separates():
+    problem = Problem(
+        [sp.Eq(x.diff(t), -k * sp.sin(x) + m * x + sp.exp(-k * t))],
+        (t, 0, 1),
+        {k: (1, 2), m: (1, 2)},
+        {x: k + 1 / (k + m)},
+    )
+    form = separate(problem)
+    found = {(g.equation, g.expression, g.initial, g.origin) for g in form.general}
+    assert found == {
+        (0, -k * sp.sin(x), False, 1),
+        (0, sp.exp(-k * t), False, 1),
+        (0, 1 / (k + m), True, None),
+    }
+    assert [(e.coefficient, e.monomial) for e in form.terms] == [(1, (0,)), (-1, (0,))]
+    assert len(form.initial) == 1
+    shown = str(form)
+    assert "2 terms, 3 general terms, 3 dimensions" in shown
+    listed = shown.partition("General terms, which do not separate:\n")[2].splitlines()
+    assert "  x: `sin(x(t))` in the term `-k*sin(x(t))` is not polynomial in `x(t)`" in listed
+    assert len(listed) == 3
+    assert "which do not separate" in form._repr_html_()
+    assert r"\sin" in form._repr_latex_()
+    assert pickle.loads(pickle.dumps(form)) == form
+
+
+def test_what_separates_needs_no_complaint():
+    form = separate(one_equation(k * x))
+    assert form.general == ()
+    form.require_separated()
+    assert "General" not in str(form)
+
+
 @pytest.mark.parametrize(
     ("rhs", "box", "message"),
     [

@@ -158,7 +158,16 @@ def test_too_few_terms_are_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"rtol": 0.0}, {"rtol": 1.0}, {"rtol": math.nan}, {"max_rank": 0}]
+    "options",
+    [
+        {"rtol": 0.0},
+        {"rtol": 1.0},
+        {"rtol": math.nan},
+        {"rtol": "a"},
+        {"max_rank": 0},
+        {"max_rank": "a"},
+        {"max_rank": math.nan},
+    ],
 )
 def test_bad_options(options: dict[str, float]) -> None:
     with pytest.raises(OptionError):

@@ -151,8 +151,8 @@ class _Writer:
 
     def __init__(self, system: ExplicitSystem) -> None:
         self.n, self.system = len(system.states), system
-        self.states = [sp.Dummy(state.name, real=True) for state in system.states]
-        self.coordinates = [sp.Dummy(c.name, real=True) for c in system.coordinates]
+        self.states = [sp.Symbol(state.name, real=True) for state in system.states]
+        self.coordinates = [sp.Symbol(c.name, real=True) for c in system.coordinates]
         real = dict(zip(system.functions, self.states, strict=True))
         symbols = {c.symbol: s for c, s in zip(system.coordinates, self.coordinates, strict=True)}
         self.real = {**real, **symbols}
@@ -173,7 +173,7 @@ class _Writer:
         for applied in sorted(expression.atoms(AppliedUndef), key=sp.default_sort_key):
             if applied not in self.real:
                 raise ProblemError(f"{applied} in {what} is unknown", equation=origin, term=applied)
-        real = _in_two_steps(expression, self.real)
+        real = expression.xreplace(self.real)
         try:
             numpy_text(real, {})
         except SeparationError as error:
@@ -262,13 +262,6 @@ class _Writer:
                 meaning = f"d({meaning})/d{self._name(column[0])}"
             lines += assignment(target, [_as_float(text)], meaning)
         return [*lines, "    return out"]
-
-
-def _in_two_steps(expression: sp.Expr, real: Mapping[sp.Expr, sp.Expr]) -> sp.Expr:
-    """Replace states first, then time: states are functions of time."""
-    states = {u: s for u, s in real.items() if not u.is_Symbol}
-    symbols = {u: s for u, s in real.items() if u.is_Symbol}
-    return expression.xreplace(states).xreplace(symbols)
 
 
 def _places(symbols: Sequence[sp.Symbol], used: set[sp.Symbol]) -> list[int]:

@@ -75,24 +75,31 @@ def sum_text(terms: Iterable[Term], system: QuadraticSystem) -> str:
 def term_factors(term: Term, system: QuadraticSystem) -> list[str]:
     """Everything of a term but its number."""
     names, powers = system.names, Counter(term.monomial)
-    factors = factor_texts(system, term.factors)
+    factors = written_factors(system, term.factors)
     return factors + [names[a] if k == 1 else f"{names[a]}**{k}" for a, k in powers.items()]
 
 
 def signature_text(system: QuadraticSystem, signature: Sequence[int]) -> str:
     """Product of the parameter factors of a group, as people write it."""
-    return plain_product("1", factor_texts(system, (0, *signature)))
+    return plain_product("1", written_factors(system, (0, *signature)))
 
 
-def factor_texts(system: QuadraticSystem, rows: Sequence[int]) -> list[str]:
+def written_factors(system: QuadraticSystem, rows: Sequence[int]) -> list[str]:
     """Factors that differ from one, as people write them."""
     pairs = zip(system.factors, rows, strict=True)
     return [plain_text(distinct[i].expression) for distinct, i in pairs if i]
 
 
 def plain_product(coefficient: str, factors: Sequence[str]) -> str:
-    """``2*k*x``; a coefficient of one is left out."""
-    return "*".join(factors if coefficient == "1" and factors else [coefficient, *factors])
+    """``2*k*x/m``; a coefficient of one is left out, reciprocals are divided by."""
+    below = [factor.removeprefix("1/") for factor in factors if factor.startswith("1/")]
+    above = [factor for factor in factors if not factor.startswith("1/")]
+    if coefficient != "1" or not above:
+        above.insert(0, coefficient)
+    if not below:
+        return "*".join(above)
+    divisor = below[0] if len(below) == 1 else f"({'*'.join(below)})"
+    return f"{'*'.join(above)}/{divisor}"
 
 
 def paragraph(text: str) -> list[str]:

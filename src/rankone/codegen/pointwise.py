@@ -23,12 +23,7 @@ Index = tuple[int, ...]
 
 
 class PointwiseWriter:
-    """Writes ``rhs``, ``jacobian``, ``with_products`` and ``quadratic_jacobian``.
-
-    Parameters
-    ----------
-    system : QuadraticSystem
-    """
+    """Writes ``rhs``, ``jacobian``, ``with_products`` and ``quadratic_jacobian``."""
 
     def __init__(self, system: QuadraticSystem) -> None:
         self.system = system

@@ -206,6 +206,12 @@ class NumPyText(Printer):  # type: ignore[misc]
     def _print_frac(self, expr: sp.Function) -> str:
         return f"np.mod({self._print(expr.args[0])}, 1.0)"
 
+    def _print_LambertW(self, expr: sp.Function) -> str:
+        if len(expr.args) > 1:
+            raise unprintable("LambertW", expr)
+        text = self._print(expr.args[0])
+        return f"np.where({text} >= -1 / np.e, special.lambertw({text}).real, np.nan)"
+
     def _print_polygamma(self, expr: sp.Function) -> str:
         order, argument = expr.args
         if order == 0:
@@ -254,7 +260,7 @@ class NumPyText(Printer):  # type: ignore[misc]
         raise unprintable(type(expr).__name__, expr)
 
 
-CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.sinc)
+CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.LambertW, sp.frac, sp.sinc)
 """Expressions printed as a call, whatever SymPy says of their precedence."""
 
 
@@ -291,9 +297,10 @@ def readable_text(expr: sp.Expr) -> str:
 
 
 def plain_text(expr: sp.Expr) -> str:
-    """Text of an expression for people, in parentheses if it is a sum or a quotient."""
+    """Text for people, in parentheses if it is a sum or a quotient other than ``1/k``."""
     text = str(sstr(expr))
     quotient = isinstance(expr, sp.Mul | sp.Pow | sp.Rational) and "/" in text
+    quotient = quotient and not text.startswith("1/")
     return f"({text})" if quotient or isinstance(expr, sp.Add) else text
 
 

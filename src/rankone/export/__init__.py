@@ -19,21 +19,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from rankone.errors import ExportError
 from rankone.export.packing import States, pack
-from rankone.export.standalone import Compiled, standalone_source
+from rankone.export.standalone import standalone_source
 from rankone.files import free_target, write_files
 from rankone.solution_core import SolutionCore
+from rankone.solvers.registry import AUTO, engines_for
+from rankone.wording import quote
 
 __all__ = ["export_model", "export_solver", "solver_target"]
 
 
 def export_solver(
-    compiled: Compiled,
+    compiled: Any,
     path: str | PathLike[str],
     *,
-    method: str = "train",
+    method: str = "auto",
     overwrite: bool = False,
 ) -> Path:
     """Write a standalone solver: one Python file that needs only NumPy and SciPy.
@@ -41,28 +44,50 @@ def export_solver(
     Parameters
     ----------
     compiled : CompiledProblem
-        Anything with the ``source`` of a generated module, the ``separated`` form and ``metadata``.
+        Or anything with the ``source`` of a generated module, its ``problem``, its ``separated``
+        form, ``methods``, ``user_functions`` and ``metadata``.
     path : path-like
         Ends in ``.py``.
-    method : {"train", "greedy"}
-        The engine.
+    method : {"auto", "train", "cross", "greedy"}
+        The engine; ``"auto"`` takes the one that ``solve`` tries first.
     overwrite : bool
         Whether to replace an existing file.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------
     ExportError
-        If the path has another suffix, exists or cannot be written.
+        If the path has another suffix, exists or cannot be written, the method does not apply
+        to the problem, or the problem has functions of the user.
     OptionError
         If there is no such method.
     """
     target = solver_target(path, overwrite)
-    write_files({target: standalone_source(compiled, method)}, overwrite, ExportError)
+    form = compiled.separated
+    engine, *_ = engines_for(
+        method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
+    )
+    _check_exportable(compiled, engine.name)
+    given = form, compiled.source, compiled.metadata(method=engine.name)
+    text = standalone_source(compiled.problem.name, *given)
+    write_files({target: text}, overwrite, ExportError)
     return target
+
+
+def _check_exportable(compiled: Any, method: str) -> None:
+    """Raise an ExportError unless a solver by that method can be written."""
+    reason = compiled.methods.get(method) if isinstance(method, str) else None
+    if reason is not None:
+        raise ExportError(
+            f"a solver by method={method!r} cannot be exported: {reason}",
+            remedy="export with method='cross'",
+        )
+    if compiled.user_functions:
+        named = min(compiled.user_functions).removeprefix("f_")
+        raise ExportError(
+            f"the function {quote(named)} is a Python callable, which cannot be written to a file",
+            term=named,
+            remedy="give it as a formula or a table (rankone.table)",
+        )
 
 
 def solver_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
@@ -82,7 +107,6 @@ def export_model(
 
     Parameters
     ----------
-    solution : Solution
     path : path-like
         ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
         are many coefficients; ``.c`` writes C99 source and its header ``.h``.
@@ -92,10 +116,6 @@ def export_model(
         Whether to replace existing files.
     allow_failed : bool
         Whether a solution may be exported that is not a success.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------

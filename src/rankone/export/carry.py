@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rankone.errors import ExportError
-from rankone.export.modules import Import, SourceModule, Statement, imported, read_module, resolve
+from rankone.export.modules import Import, SourceModule, Statement, read_module, resolve
 
 __all__ = ["Section", "banner", "carry", "import_lines"]
 
@@ -35,7 +35,6 @@ class Section:
 
     Attributes
     ----------
-    module : str
     title : str
         First line of its docstring, or the title asked for.
     prose : tuple of str
@@ -51,8 +50,7 @@ class Section:
 
     def __str__(self) -> str:
         comment = [f"# {line}".rstrip() for line in ("", *self.prose)] if self.prose else []
-        attached = self.text.startswith(("def ", "class ", "@", "#"))
-        return "\n".join([banner(self.title), *comment, *([] if attached else [""]), self.text])
+        return "\n".join([banner(self.title), *comment, "", "", self.text])
 
 
 def banner(title: str) -> str:
@@ -128,8 +126,10 @@ def _section(module: SourceModule, text: str, title: str | None) -> Section:
 
 
 def _narrow(paragraph: str) -> str:
-    """A paragraph that leaves room for the comment sign."""
-    if all(len(line) <= _WIDTH - 2 for line in paragraph.splitlines()):
+    """A paragraph that leaves room for the comment sign; only running text is filled anew."""
+    lines = paragraph.splitlines()
+    laid_out = any(line.startswith(" ") or "===" in line for line in lines)
+    if laid_out or all(len(line) <= _WIDTH - 2 for line in lines):
         return paragraph
     return textwrap.fill(paragraph, _WIDTH - 2, break_on_hyphens=False)
 
@@ -224,22 +224,14 @@ class _Selection:
 
     def _take_node(self, module: SourceModule, node: ast.AST) -> None:
         """Select what a piece of code refers to."""
-        lazily = {
-            found.alias: found
-            for inner in ast.walk(node)
-            if isinstance(inner, ast.ImportFrom)
-            for found in imported(inner)
-            if found.internal
-        }
         for inner in ast.walk(node):
             if isinstance(inner, ast.Attribute):
                 dotted = ast.unparse(inner)
                 for found in module.imports.values():
                     if found.name is None and dotted.startswith(f"{found.alias}."):
                         self.imports.add(found)
-            elif isinstance(inner, ast.Name) and inner.id in lazily:
-                found = lazily[inner.id]
-                self._take_name(read_module(found.module), found.name or "")
+            elif isinstance(inner, ast.ImportFrom):
+                raise ExportError(f"`{module.name}` imports `{inner.module}` in a function")
             elif isinstance(inner, ast.Name) and not hasattr(builtins, inner.id):
                 self._take_name(module, inner.id)
 
@@ -287,7 +279,7 @@ class _ModuleText:
     ) -> None:
         self.module = module
         self.selection = selection
-        self.lines: list[str | None] = [*module.lines]
+        self.lines = [*module.lines]
         self.renamed = self._local_names(renamed)
 
     def write(self) -> str:
@@ -312,11 +304,7 @@ class _ModuleText:
 
     def _statement(self, statement: Statement) -> str:
         self._rename(statement.node)
-        for inner in ast.walk(statement.node):
-            if isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone"):
-                self._drop(inner.lineno, inner.end_lineno or 0)
-        rows = [row for row in self.lines[statement.first - 1 : statement.last] if row is not None]
-        text = [line for row in rows for line in row.split("\n")]
+        text = self.lines[statement.first - 1 : statement.last]
         if statement.last > (end := statement.node.end_lineno or 0):
             text = _beside(text, end - statement.last)
         return "\n".join(_plain(_MARK.sub("", line)) for line in text)
@@ -342,17 +330,11 @@ class _ModuleText:
             elif isinstance(inner, ast.arg) and inner.arg in self.renamed:
                 raise ExportError(f"`{inner.arg}` of `{self.module.name}` is also an argument")
         for number, found in places.items():
-            line = (self.lines[number - 1] or "").encode()
+            line = self.lines[number - 1].encode()
             for offset, name in sorted(found, reverse=True):
                 end = offset + len(name.encode())
                 line = line[:offset] + self.renamed[name].encode() + line[end:]
             self.lines[number - 1] = line.decode()
-
-    def _drop(self, first: int, last: int) -> None:
-        """Leave lines out, and a blank line that follows them."""
-        self.lines[first - 1 : last] = [None] * (last - first + 1)
-        if last < len(self.lines) and self.lines[last] == "":
-            self.lines[last] = None
 
 
 def _beside(lines: list[str], count: int) -> list[str]:

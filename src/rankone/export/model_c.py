@@ -37,7 +37,6 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 
     Parameters
     ----------
-    model : PackedModel
     path : Path
         Where the source will be.
 

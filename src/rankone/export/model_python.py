@@ -28,7 +28,6 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 
     Parameters
     ----------
-    model : PackedModel
     path : Path
         Where the module will be.
     """

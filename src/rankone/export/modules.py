@@ -40,7 +40,6 @@ class Statement:
 
     Attributes
     ----------
-    node : ast.stmt
     names : tuple of str
         The names it binds.
     first, last : int

@@ -11,20 +11,18 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.domain import Domain, check_factors
 from rankone.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.files import npz, write_files
 from rankone.metadata import SolutionMetadata
-from rankone.progress import quiet
 from rankone.solution_core import SolutionCore, raise_blow_up
 from rankone.solvers.engine import Engine
 from rankone.solvers.outcome import SlabRecord
+from rankone.solvers.task import Asked, Task
 from rankone.storage import read, target
 from rankone.system import System
 
@@ -38,19 +36,10 @@ def solve_system(
     engine: Engine[Any],
     system: System,
     metadata: SolutionMetadata,
-    rtol: float,
-    parameters: Mapping[str, Sequence[float]] | None,
-    t_final: float | None,
-    check: bool | int,
-    options: Mapping[str, Any],
+    asked: Asked,
 ) -> SolutionCore:
     """Solve the system on its own box and horizon, or on others."""
-    request = engine.request(rtol, check, options)
-    domain = Domain.of(system).moved(metadata.parameters, parameters, t_final)
-    check_factors(system, domain)
-    outcome = engine.solve(system, domain, request, quiet)
-    metadata = replace(metadata, box=domain.box, horizon=domain.horizon, rtol=request.rtol)
-    solution = SolutionCore(outcome, metadata)
+    solution = SolutionCore(*Task.of((engine,), system, asked).run(metadata))
     raise_blow_up(solution)
     return solution
 
@@ -136,7 +125,7 @@ def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> So
     box = _pairs("--box", given.box, lambda text: [float(x) for x in text.split(":")])
     as_json = "-0123456789["  # what begins with one of these is a number or a list of them
     options = _pairs("--options", given.options, lambda v: json.loads(v) if v[:1] in as_json else v)
-    if own := options.keys() & {"rtol", "parameters", "t_final", "check"}:
+    if own := options.keys() & set(Asked.keywords()):
         raise OptionError(f"--options: {own} are no options of the engine")
     rtol = 1e-6 if given.rtol is None else given.rtol
     try:

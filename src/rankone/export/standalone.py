@@ -11,7 +11,7 @@ import ast
 import itertools
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from rankone.codegen.names import is_identifier
 from rankone.codegen.text import WIDTH, docstring, literal, quoted
@@ -19,44 +19,30 @@ from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
-from rankone.solvers.registry import engine_named
+from rankone.solvers.registry import engines_for
 from rankone.system import System
 from rankone.version import __version__
 
-__all__ = ["Compiled", "standalone_source"]
-
-
-class Compiled(Protocol):
-    """A compiled problem, as far as the exporter needs it."""
-
-    @property
-    def problem(self) -> Any:
-        """The problem; its name is shown in the header."""
-
-    @property
-    def separated(self) -> object:
-        """The separated form, shown in the header."""
-
-    @property
-    def source(self) -> str:
-        """Text of the generated module."""
-
-    def metadata(self, rtol: float, method: str) -> SolutionMetadata:
-        """What a solution says was asked."""
+__all__ = ["standalone_source"]
 
 
 _PROGRAM = "rankone.export.program"
 _CORE = "rankone.solution_core:SolutionCore"
 _PARTS: dict[str, tuple[str, ...]] = {
+    "Foundations": (
+        *("arrays", "errors", "wording", "options", "progress", "domain", "system"),
+        *(f"discretization.{name}" for name in ("basis", "finite_elements", "radau")),
+    ),
     "Engine": (),
     "Evaluation": ("tensors.evaluator", "coordinates", "metadata", "solution_core"),
     "Files": ("files", "plain_data", "storage"),
     "Command line": ("export.program",),
 }
-"""Modules in each part of the file; the first part has all that are in no other."""
+"""Modules in each part of the file; the engine has all that are in no other."""
 _TITLES = {
     "rankone.errors": "Errors: what was given, what was expected, what to do",
     "rankone.progress": "Progress",
+    "rankone.domain": "Domain: horizon, box and known factors on it",
     "rankone.solution_core": "Solutions: evaluation, how good they are, saving",
     _PROGRAM: "Solve, load and the command line",
 }
@@ -65,14 +51,21 @@ _KERNELS = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJO
 _OWN_NAMES = ("SYSTEM", "METADATA", "Solution", "solve", "load", "np", "os", "sys")
 
 
-def standalone_source(compiled: Compiled, method: str = "train") -> str:
+def standalone_source(
+    title: str | None, separated: object, source: str, metadata: SolutionMetadata
+) -> str:
     """Text of the standalone solver of a problem.
 
     Parameters
     ----------
-    compiled : CompiledProblem
-    method : str
-        The engine.
+    title : str or None
+        Name of the problem.
+    separated : SeparatedForm
+        Shown in the header.
+    source : str
+        Text of the generated module.
+    metadata : SolutionMetadata
+        What a solution of the problem says was asked, the engine among it.
 
     Returns
     -------
@@ -86,26 +79,26 @@ def standalone_source(compiled: Compiled, method: str = "train") -> str:
     ExportError
         If a part of the library cannot be carried over.
     """
-    engine = engine_named(method)
-    metadata = compiled.metadata(1e-6, method)
-    module = _GeneratedModule(compiled.source)
+    engine, *_ = engines_for(metadata.method)
+    module = _GeneratedModule(source)
     sections, imports = carry(
         [
-            f"{engine.solve.__module__}:ENGINE",
+            f"rankone.solvers.{engine.name}:ENGINE",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
-        reserved={*module.names, *_OWN_NAMES},
+        reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
         renamed={_CORE: "Solution"},
         order=_part,
         titles=_TITLES,
     )
-    imports |= {
+    imports |= module.imports | {
         Import("types", "SimpleNamespace", "SimpleNamespace"),
         Import("sys", None, "sys"),
         Import("numpy", None, "np"),
     }
     blocks = [
-        f"{_head(compiled, metadata, module, imports)}\n\n{_heading('System')}\n\n{module.text}",
+        _head(title, separated, metadata, module, imports)
+        + f"\n\n{_heading('System')}\n\n{module.text}",
         _system_object(module),
         *_engine_to_command_line(sections),
         _end(engine, metadata),
@@ -119,7 +112,17 @@ class _GeneratedModule:
     def __init__(self, source: str) -> None:
         tree = ast.parse(source)
         lines = source.splitlines()
-        body = [node for node in tree.body if not isinstance(node, ast.Expr | ast.Import)]
+        body = [
+            node
+            for node in tree.body
+            if not isinstance(node, ast.Expr | ast.Import | ast.ImportFrom)
+        ]
+        self.imports = {
+            Import(node.module, alias.name, alias.asname or alias.name)
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and node.module
+            for alias in node.names
+        }
         self.docstring = (ast.get_docstring(tree) or "").splitlines()
         self.kernels: dict[str, list[str]] = {}
         self.names: set[str] = set()
@@ -137,7 +140,10 @@ class _GeneratedModule:
 def _part(module: str) -> int:
     """Position of the part of the file that a module of the library belongs to."""
     own = module.removeprefix("rankone.")
-    return next((k for k, modules in enumerate(_PARTS.values()) if own in modules), 0)
+    return next(
+        (k for k, modules in enumerate(_PARTS.values()) if own in modules),
+        list(_PARTS).index("Engine"),
+    )
 
 
 def _engine_to_command_line(sections: Iterable[Section]) -> Iterable[str]:
@@ -154,16 +160,16 @@ def _heading(title: str) -> str:
 
 
 def _head(
-    compiled: Compiled,
+    title: str | None,
+    separated: object,
     metadata: SolutionMetadata,
     module: _GeneratedModule,
     imports: set[Import],
 ) -> str:
     """The docstring and the imports."""
-    separated = (line.rstrip() for line in str(compiled.separated).splitlines())
+    table = (line.rstrip() for line in str(separated).splitlines())
     lines = [
-        f"{compiled.problem.name or ', '.join(metadata.unknowns)}: a solver for every parameter "
-        "value at once.",
+        f"{title or ', '.join(metadata.unknowns)}: a solver for every parameter value at once.",
         "",
         *textwrap.wrap(
             f'Generated by rankone {__version__} (method="{metadata.method}"). Needs Python 3.11 '
@@ -172,7 +178,7 @@ def _head(
         ),
         *module.docstring[3:],
         "",
-        *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in separated),
+        *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in table),
         "",
         *_usage(metadata),
     ]
@@ -219,10 +225,12 @@ def _usage(metadata: SolutionMetadata) -> list[str]:
 
 def _system_object(module: _GeneratedModule) -> str:
     """The names that engines ask for as one object."""
+    present = {*module.names, *module.kernels}
     methods = (name for name, item in vars(System).items() if isinstance(item, staticmethod))
     entries = [
         line
         for name in (*System.__annotations__, *methods)
+        if name in present
         for line in _argument(name, module.kernels.get(name, name))
     ]
     return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
@@ -248,6 +256,7 @@ def solve(
     parameters: Mapping[str, Sequence[float]] | None = None,
     t_final: float | None = None,
     check: bool | int = True,
+    max_seconds: float | None = None,
     **options: Any,
 ) -> Solution:
     """Solve for every parameter value at once.
@@ -263,12 +272,10 @@ def solve(
         Another end of the horizon.
     check : bool or int
         Number of random check points, 24 for True; without any the error is not known.
+    max_seconds : float, optional
+        Time limit; the best solution so far is returned.
     **options
         See `{options}`.
-
-    Returns
-    -------
-    Solution
 
     Raises
     ------
@@ -277,7 +284,8 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    return solve_system(ENGINE, SYSTEM, METADATA, rtol, parameters, t_final, check, options)
+    asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
+    return solve_system(ENGINE, SYSTEM, METADATA, asked)
 
 
 def load(path: str) -> Solution:

@@ -27,7 +27,7 @@ def extract_pairs(
     n_symbols : int
         The new symbol of pair k is ``n_symbols + k``.
     degree : int
-        _Symbolss of this degree or less are left alone.
+        Monomials of this degree or less are left alone.
     repeats : int
         Pairs that occur less often than this are left alone.
 

@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+from rankone.deadline import OutOfTimeError, seconds_left
 from rankone.domain import Domain
-from rankone.solvers.engine import Report, Request
+from rankone.progress import Report
+from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.solvers.verification import Yardstick
@@ -18,6 +20,8 @@ from rankone.system import System
 
 __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
+_PATIENCE = 20.0
+"""Seconds after which no further attempt is begun if no time limit was asked for."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -83,8 +87,8 @@ class Marcher(Protocol):
     remedies: ClassVar[Mapping[Status, str]]
     """What to do, by how it ended."""
 
-    def march(self, number: int, report: Report) -> MarchResult:
-        """Solve the horizon, for the ``number``-th time."""
+    def march(self, index: int, report: Report) -> MarchResult:
+        """Solve the horizon; ``index`` counts the attempts from 0."""
 
     def refine(self, attempt: Attempt, stalls: int) -> bool:
         """Ask more of the next march; False when there is nothing left to try.
@@ -93,7 +97,8 @@ class Marcher(Protocol):
         """
 
     def cause(self, status: Status, attempt: Attempt) -> str:
-        """Why it ended with that status; at least ``status.value``."""
+        """Why it ended with that status."""
+        return status.value
 
 
 def solve_in_attempts(
@@ -111,25 +116,37 @@ def solve_in_attempts(
     records: list[SlabRecord] = []
     best: Attempt | None = None
     stalls = 0
-    with _timed(timings, "reference"):
-        yardstick = Yardstick.of(system, domain, request.rtol, request.points)
-        marcher = prepared(request, yardstick)
-    for number in range(request.options.max_attempts):
+    began = clock.perf_counter()
+    try:
+        with _timed(timings, "reference"):
+            yardstick = Yardstick.of(system, domain, request.rtol, request.points)
+            marcher = prepared(request, yardstick)
+    except OutOfTimeError:
+        message = f"{Status.TIME_LIMIT.value} by the reference trajectories; raise max_seconds"
+        return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
+    for index in range(request.options.max_attempts):
         with _timed(timings, "march"):
-            result = marcher.march(number, report)
+            result = marcher.march(index, report)
         with _timed(timings, "check"):
             attempt = Attempt(result, yardstick.measured(result.slabs))
         records += result.records
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         best = attempt if attempt.better_than(best) else best
+        out_of_time = result.stopped is Status.TIME_LIMIT
         done = result.stopped or not yardstick.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
+        if clock.perf_counter() - began > _PATIENCE and math.isinf(seconds_left()):
+            out_of_time = True
+            break
     assert best is not None
     status = best.status(yardstick, request.rtol)
+    if out_of_time and status is not Status.CONVERGED:
+        status = Status.TIME_LIMIT
     message = best.message(status, request.rtol, marcher.cause(status, best))
-    if status in marcher.remedies:
-        message += f"; {marcher.remedies[status]}"
+    remedies = {Status.TIME_LIMIT: "raise max_seconds", **marcher.remedies}
+    if status in remedies:
+        message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
     return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.deadline import check_time
 from rankone.discretization import ChebyshevBasis
-from rankone.domain import Domain
+from rankone.domain import Domain, KnownFactors
 from rankone.system import System
 
 __all__ = ["breakpoints", "system_breakpoints"]
@@ -32,6 +31,8 @@ _RARE = 0.25
 _DEEPEST = 13
 _MOST = 16
 """Most values returned for one parameter."""
+_POLE = 1e9
+"""A factor that is so many times larger at a breakpoint than at samples has a pole there."""
 
 
 def system_breakpoints(
@@ -41,19 +42,25 @@ def system_breakpoints(
 
     The first factor of every coordinate is one; where it is the only one there is no need to look.
     Where tables jump or kink is known beforehand.
+
+    Raises
+    ------
+    OptionError
+        If a factor is not finite, or has a pole.
     """
     known = getattr(system, "CUTS", ((),) * (1 + len(domain.box)))
-    cuts: list[float] = []
-    if len(system.time_factors(np.array(domain.horizon))) > 1:
-        cuts = breakpoints(system.time_factors, *domain.horizon, known[0])
-    special: list[list[float]] = []
-    for j, (lower, upper) in enumerate(domain.box):
-        special.append([])
-        if len(system.parameter_factors(j, np.array([lower]))) > 1:
-            factors = partial(system.parameter_factors, j)
-            found = breakpoints(factors, lower, upper, known[1 + j])
-            special[j] = found[:: max(1, -(-len(found) // _MOST))]
-    return tuple(cuts), special
+    found: list[list[float]] = []
+    for factors, cuts in zip(KnownFactors.of(system, domain), known, strict=True):
+        interval = factors.interval
+        found.append([])
+        if len(factors(np.array(interval))) > 1:
+            found[-1] = breakpoints(factors, *interval, cuts)
+            points = np.array([*interval, *found[-1]])
+            samples = np.abs(factors(np.linspace(*interval, _NODES * _MOST))).max()
+            if np.abs(factors(points)).max() > _POLE * samples:
+                raise factors.not_finite()
+    in_time, *special = found
+    return tuple(in_time), [points[:: max(1, -(-len(points) // _MOST))] for points in special]
 
 
 def breakpoints(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from rankone.domain import Domain
 from rankone.options import Options, checked_number
-from rankone.progress import ProgressEvent, quiet
+from rankone.progress import Report, quiet
 from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.system import System
 
@@ -17,8 +17,6 @@ __all__ = ["Engine", "Report", "Request"]
 _TIGHTEST, _LOOSEST = 1e-10, 0.1
 _CHECK_POINTS = 24
 
-Report = Callable[[ProgressEvent], object]
-"""Called after each accepted slab; an exception stops the solve."""
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
@@ -55,14 +53,21 @@ class Engine(Generic[AnyOptions]):
     solve: Callable[[System, Domain, Request[AnyOptions], Report], Outcome]
 
     def request(
-        self, rtol: float, check: bool | int, options: Mapping[str, Any]
+        self,
+        rtol: float,
+        check: bool | int,
+        options: Mapping[str, Any],
+        keywords: Sequence[str] = (),
     ) -> Request[AnyOptions]:
-        """What is asked, or an OptionError: 24 points for ``check=True``, none for False."""
+        """What is asked, or an OptionError: 24 points for ``check=True``, none for False.
+
+        ``keywords`` are what the caller takes beside options.
+        """
         rtol = checked_number("rtol", rtol, _TIGHTEST, _LOOSEST, float)
         points = (
             _CHECK_POINTS * check if isinstance(check, bool) else checked_number("check", check, 0)
         )
-        return Request(rtol, points, self.options.of(**options))
+        return Request(rtol, points, self.options.of(keywords, **options))
 
     def run(
         self,

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from rankone.progress import ProgressEvent
-from rankone.solvers.engine import Report
+from rankone.deadline import OutOfTimeError
+from rankone.progress import ProgressEvent, Report
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 
@@ -92,7 +92,11 @@ class March:
             if isinstance(span, Status):
                 result.stopped = span
                 break
-            trial = self.solver.solve(span)
+            try:
+                trial = self.solver.solve(span)
+            except OutOfTimeError:
+                result.stopped = Status.TIME_LIMIT
+                break
             kept = self.lengths.adapt(span, trial)
             result.records.append(replace(trial.record, accepted=kept))
             result.limits |= trial.limits

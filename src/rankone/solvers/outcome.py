@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -20,6 +21,7 @@ class Status(Enum):
     NODE_LIMIT = "the limit of parameter nodes was reached"
     SLAB_LIMIT = "the limit of time slabs was reached"
     MEMORY_LIMIT = "the memory limit was reached"
+    TIME_LIMIT = "the time limit was reached"
     TRAJECTORY_LIMIT = "the limit of trajectories was reached"
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     BLOW_UP = "a trajectory blows up inside the horizon"
@@ -32,11 +34,10 @@ class SlabRecord:
     Attributes
     ----------
     attempt : int
-        Number of the solve (0, 1, ...): a solve is repeated with a tighter inner tolerance when
+        Index of the attempt, from 0: a solve is repeated with a tighter inner tolerance when
         the check asks for it.
     start, end : float
         The slab.
-    accepted : bool
     tolerance : float
         Inner tolerance of the slab, in units of each state's size.
     residuals : tuple of float
@@ -88,12 +89,10 @@ class Outcome:
     ----------
     slabs : tuple of SlabTrain
         Consecutive slabs, all differential states.
-    status : Status
     message : str
         One or two sentences: how it ended, why, and what to do.
     measured : Measured or None
         None when no check was made.
-    history : tuple of SlabRecord
     timings : dict of str to float
         Seconds by stage: ``reference``, ``march``, ``check``.
     blow_up : tuple or None
@@ -107,3 +106,8 @@ class Outcome:
     history: tuple[SlabRecord, ...]
     timings: dict[str, float] = field(default_factory=dict)
     blow_up: tuple[float, tuple[float, ...]] | None = None
+
+    @property
+    def error(self) -> float:
+        """Largest measured error; infinite if there is none."""
+        return math.inf if self.measured is None else max(self.measured.interior, default=0.0)

@@ -20,6 +20,10 @@ __all__ = ["Reference", "check_points", "integrate_reference", "measure"]
 
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
+_NEGLIGIBLE = 1e-7
+"""Part of a state's size at which its relative accuracy ends."""
+_INTEGRATIONS = 3
+"""Integrations at most, where states that start from zero turn out to be small."""
 
 
 def check_points(
@@ -70,7 +74,6 @@ class Reference:
         The point whose trajectory blows up at ``end``.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
-    states : int
     """
 
     points: Array
@@ -108,7 +111,6 @@ def integrate_reference(
 
     Parameters
     ----------
-    system : System
     points : ndarray (m, d)
     start, end : float
     rtol : float
@@ -126,8 +128,14 @@ def integrate_reference(
     initial = initial_values(system, np.ascontiguousarray(points.T))
     size = np.abs(initial).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
-    steps = _Steps()
-    state, stiff = stack.run(steps, rtol, rtol * 1e-7 * size)
+    for _ in range(_INTEGRATIONS):
+        steps = _Steps()
+        state, stiff = stack.run(steps, rtol, rtol * _NEGLIGIBLE * size)
+        largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
+        small = (0.0 < largest) & (largest < 10.0 * _NEGLIGIBLE * size)
+        if not small.any():
+            break
+        size = np.where(small, largest, size)
     if not steps.pieces:
         raise ConvergenceError(
             f"no trajectory can be integrated from t = {start:g}: the right-hand side is not "
@@ -149,15 +157,17 @@ class _Steps:
 
     times: list[float]
     pieces: list[Any]
+    largest: Array
 
     def begin(self, start: float) -> None:
         """Forget what was, and start."""
-        self.times, self.pieces = [start], []
+        self.times, self.pieces, self.largest = [start], [], np.zeros(1)
 
     def add(self, solver: Any) -> None:
         """Keep a step."""
         self.times.append(solver.t)
         self.pieces.append(solver.dense_output())
+        self.largest = np.maximum(self.largest, np.abs(solver.y))
 
 
 def measure(
@@ -167,8 +177,6 @@ def measure(
 
     Parameters
     ----------
-    slabs : sequence of SlabTrain
-    reference : Reference
     scale : ndarray (n,)
         Size of each state over the interior points. Errors at corners are relative to the largest
         value over the corners, where that is larger.

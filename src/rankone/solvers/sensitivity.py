@@ -28,7 +28,6 @@ def amplification(
 
     Parameters
     ----------
-    system : System
     reference : Reference
         Its first point is the centre of the box.
     scale : ndarray (n,)

@@ -28,8 +28,6 @@ class Yardstick:
 
     Attributes
     ----------
-    system : System
-    domain : Domain
     accuracy : float
         Relative tolerance of the trajectories.
     reference : Reference

@@ -6,7 +6,6 @@ derivatives, are solved for them exactly, without simplification.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -15,17 +14,17 @@ from rankone.display import aligned_equations
 from rankone.ir import Coordinate, Role, State
 from rankone.symbolic.equations import state_name
 from rankone.symbolic.mass import MassForm
-from rankone.symbolic.notation import latex_of, text_of
+from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.numbers import exact
 from rankone.symbolic.problem import Problem
 from rankone.wording import count
 
-__all__ = ["FirstOrderSystem", "first_order"]
+__all__ = ["FirstOrderSystem", "Stage", "first_order"]
 
 
 @dataclass(frozen=True, repr=False)
-class FirstOrderSystem:
-    """An explicit first-order system.
+class Stage:
+    """What the first-order system and its weak form have in common.
 
     Attributes
     ----------
@@ -33,8 +32,8 @@ class FirstOrderSystem:
         Time, then the parameters.
     states : tuple of State
         The unknowns, then the derivatives that became states.
-    rhs : tuple of Expr
-        For each state the right-hand side of its derivative, in the states' ``functions``.
+    functions : tuple of Expr
+        The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative.
     initial : tuple of Expr
         For each state its initial value, an expression of the parameters.
     origins : tuple of (int or None)
@@ -44,14 +43,31 @@ class FirstOrderSystem:
 
     coordinates: tuple[Coordinate, ...]
     states: tuple[State, ...]
-    rhs: tuple[sp.Expr, ...]
+    functions: tuple[sp.Expr, ...]
     initial: tuple[sp.Expr, ...]
     origins: tuple[int | None, ...]
 
-    @property
-    def functions(self) -> tuple[sp.Expr, ...]:
-        """The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative."""
-        return state_functions(self.states, self.coordinates[0].symbol)
+    def _initial_texts(self) -> list[str]:
+        names = (state.name for state in self.states)
+        return initial_texts(names, self.coordinates[0].lower, self.initial)
+
+    def _initial_latex(self) -> list[str]:
+        return initial_latex(self.functions, self.coordinates[0].lower, self.initial)
+
+
+@dataclass(frozen=True, repr=False)
+class FirstOrderSystem(Stage):
+    """An explicit first-order system.
+
+    Attributes
+    ----------
+    coordinates, states, functions, initial, origins
+        As for every :class:`Stage`.
+    rhs : tuple of Expr
+        For each state the right-hand side of its derivative, in the states' ``functions``.
+    """
+
+    rhs: tuple[sp.Expr, ...]
 
     def _equations(self) -> list[sp.Eq]:
         t = self.coordinates[0].symbol
@@ -62,22 +78,11 @@ class FirstOrderSystem:
         states = count(len(self.states), "state")
         lines = [f"First-order system: {states}, {count(len(self.coordinates) - 1, 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._equations()]
-        start = f"({self.coordinates[0].lower:g})"
-        pairs = zip(self.states, self.initial, strict=True)
-        lines.append("  " + ", ".join(f"{s.name}{start} = {text_of(value)}" for s, value in pairs))
-        return "\n".join(lines)
+        return "\n".join([*lines, "  " + ", ".join(self._initial_texts())])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._equations()]
-        start = f"({self.coordinates[0].lower:g})"
-        for function, value in zip(self.functions, self.initial, strict=True):
-            lines.append(f"{latex_of(function)}{start} &= {sp.latex(value)}")
-        return aligned_equations(lines)
-
-
-def state_functions(states: Sequence[State], time: sp.Symbol) -> tuple[sp.Expr, ...]:
-    """The states as functions of time, each with its own name."""
-    return tuple(sp.Function(state.name)(time) for state in states)
+        return aligned_equations([*lines, *self._initial_latex()])
 
 
 def first_order(problem: Problem) -> FirstOrderSystem:
@@ -86,16 +91,17 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     solved, origins = _solved(problem.mass)
     expressions = list(problem.initial)
     states = tuple(
-        State(state_name(e), e, Role.UNKNOWN if e in problem.unknowns else Role.DERIVATIVE)
+        State(state_name(e), e, Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN)
         for e in expressions
     )
-    functions = dict(zip(expressions, state_functions(states, time), strict=True))
+    functions = {s.expression: sp.Function(s.name)(time) for s in states}
     highest = dict(zip(problem.mass.leading, solved, strict=True))
     origin = dict(zip(problem.unknowns, origins, strict=True))
     rates = [expression.diff(time) for expression in expressions]
     return FirstOrderSystem(
         coordinates=problem.coordinates,
         states=states,
+        functions=tuple(functions.values()),
         rhs=tuple(highest.get(rate, rate).xreplace(functions) for rate in rates),
         initial=tuple(problem.initial.values()),
         origins=tuple(origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions),

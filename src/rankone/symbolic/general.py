@@ -119,7 +119,7 @@ def _points(parameters: Sequence[Coordinate]) -> Array:
     d = len(parameters)
     rng = np.random.default_rng(20140)
     if 2**d <= _MOST_CORNERS:
-        corners = np.array(list(itertools.product([0.0, 1.0], repeat=d))).reshape(-1, d)
+        corners = np.array(list(itertools.product([0.0, 1.0], repeat=d))).reshape(2**d, d)
     else:
         corners = rng.integers(0, 2, (_MOST_CORNERS, d)).astype(float)
     unit = np.concatenate([np.full((1, d), 0.5), rng.random((_RANDOM, d)), corners])

@@ -41,10 +41,11 @@ def check_initial(
         If a value is missing, belongs to no state or is not an expression of the parameters.
     """
     states, unknowns, parameters = list(states), list(unknowns), list(parameters)
+    known = set(states)
     given: dict[sp.Expr, sp.Expr] = {}
     for key, value in initial.items():
         state = _state(key, unknowns, time)
-        if state not in states:
+        if state not in known:
             raise ProblemError(*_superfluous(key, state, states), term=key)
         if state in given:
             raise ProblemError(f"{quote(state)} has two initial values", term=key)

@@ -5,8 +5,9 @@ A problem is held as ``M(t, p, u) v + rest = 0`` for the highest derivatives v o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -43,14 +44,14 @@ class MassForm:
     rows: tuple[Row, ...]
     rests: tuple[list[sp.Expr], ...]
 
-    @property
+    @cached_property
     def places(self) -> dict[int, int] | None:
         """For each unknown the equation that has its derivative alone; None if any has several."""
         places = {next(iter(row)): number for number, row in enumerate(self.rows)}
         alone = len(places) == len(self.rows) and all(len(row) == 1 for row in self.rows)
         return places if alone else None
 
-    @property
+    @cached_property
     def matrix(self) -> DomainMatrix:
         """The mass matrix over the field of its entries, which cancels common factors."""
         n = len(self.rows)
@@ -80,9 +81,10 @@ def check_mass(
     highest = highest_orders(residuals)
     time = coordinates[0].symbol
     leading = tuple(unknown.diff(time, highest[unknown]) for unknown in unknowns)
+    stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
     rows, rests = [], []
     for number, residual in enumerate(residuals, 1):
-        row, rest = _linear_in(leading, residual, number)
+        row, rest = _linear_in(stand_in, residual, number)
         _check_row(row, leading, coordinates, number)
         rows.append(row)
         rests.append(rest)
@@ -99,26 +101,30 @@ def check_mass(
 
 
 def _linear_in(
-    leading: Sequence[sp.Expr], residual: sp.Expr, number: int
+    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, number: int
 ) -> tuple[Row, list[sp.Expr]]:
-    """Split a residual into a row of the mass matrix and the terms of the rest."""
-    stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
-    absent = dict.fromkeys(stand_in.values(), sp.S.Zero)
-    back = {symbol: v for v, symbol in stand_in.items()}
+    """Split a residual into a row of the mass matrix and the terms of the rest.
+
+    ``stand_in`` has a symbol for each of the highest derivatives, in their order.
+    """
+    leading = list(stand_in)
+    found = residual.atoms(sp.Derivative, AppliedUndef)
+    own = {i: symbol for i, (v, symbol) in enumerate(stand_in.items()) if v in found}
+    absent = dict.fromkeys(own.values(), sp.S.Zero)
     row: Row = {}
     rest: list[sp.Expr] = []
     for term in sp.Add.make_args(residual):
         replaced = term.xreplace(stand_in)
         symbols = replaced.free_symbols
-        present = [i for i, v in enumerate(leading) if stand_in[v] in symbols]
+        present = [i for i, symbol in own.items() if symbol in symbols]
         if not present:
             rest.append(term)
             continue
         for i in present:
-            slope = sp.diff(replaced, stand_in[leading[i]])
-            if not slope.free_symbols.isdisjoint(back):
+            slope = sp.diff(replaced, own[i])
+            if not slope.free_symbols.isdisjoint(absent):
                 slope = sp.expand(slope)
-            if not slope.free_symbols.isdisjoint(back):
+            if not slope.free_symbols.isdisjoint(absent):
                 raise ProblemError(
                     f"term {quote(term)} is not linear in {listing(leading[j] for j in present)}",
                     equation=number,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.wording import clip
 
-__all__ = ["latex_of", "text_of"]
+__all__ = ["initial_latex", "initial_texts", "latex_of", "text_of"]
 
 _LONGEST_SIDE = 400
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -25,6 +27,17 @@ def latex_of(expression: sp.Basic) -> str:
     short, names = _abbreviate(expression)
     sides = short.args if isinstance(short, sp.Eq) else [short]
     return " &= ".join(sp.latex(side, symbol_names=names) for side in sides)
+
+
+def initial_texts(names: Iterable[str], start: float, values: Iterable[sp.Expr]) -> list[str]:
+    """Initial values as text: ``u(0) = 1``."""
+    return [f"{u}({start:g}) = {text_of(v)}" for u, v in zip(names, values, strict=True)]
+
+
+def initial_latex(states: Iterable[sp.Expr], start: float, values: Iterable[sp.Expr]) -> list[str]:
+    """The same as LaTeX, with ``&=``."""
+    pairs = zip(states, values, strict=True)
+    return [f"{latex_of(u)}({start:g}) &= {sp.latex(v)}" for u, v in pairs]
 
 
 def _abbreviate(expression: sp.Basic) -> tuple[sp.Basic, dict[sp.Symbol, str]]:

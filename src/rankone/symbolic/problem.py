@@ -24,7 +24,7 @@ from rankone.symbolic.equations import (
 )
 from rankone.symbolic.initial import check_initial
 from rankone.symbolic.mass import MassForm, check_mass
-from rankone.symbolic.notation import latex_of, text_of
+from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
 from rankone.wording import count, did_you_mean, quote
 
@@ -207,17 +207,13 @@ class Problem:
         unknowns = count(len(self.unknowns), "unknown")
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
-        at_start = [
-            f"{state_name(state)}({self.time[1]:g}) = {text_of(value)}"
-            for state, value in self.initial.items()
-        ]
+        at_start = initial_texts(map(state_name, self.initial), self.time[1], self.initial.values())
         intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
         return "\n".join([*lines, "  " + ", ".join(at_start), "  " + ", ".join(intervals)])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._shown()]
-        for state, value in self.initial.items():
-            lines.append(f"{latex_of(state)}({self.time[1]:g}) &= {sp.latex(value)}")
+        lines += initial_latex(self.initial, self.time[1], self.initial.values())
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]

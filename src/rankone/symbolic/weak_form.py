@@ -13,8 +13,7 @@ import sympy as sp
 
 from rankone.display import aligned_equations
 from rankone.errors import OptionError
-from rankone.ir import Coordinate, State
-from rankone.symbolic.first_order import FirstOrderSystem, first_order, state_functions
+from rankone.symbolic.first_order import FirstOrderSystem, Stage, first_order
 from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.problem import Problem
 
@@ -22,34 +21,19 @@ __all__ = ["WeakForm", "weak_form"]
 
 
 @dataclass(frozen=True, repr=False)
-class WeakForm:
+class WeakForm(Stage):
     """For each state: the integral of test function times residual vanishes.
 
     Attributes
     ----------
-    coordinates : tuple of Coordinate
-        The dimensions integrated over, time first.
-    states : tuple of State
-        Equation ``i`` is tested with the test function of state ``i``.
+    coordinates, states, functions, initial, origins
+        As for every :class:`~rankone.symbolic.first_order.Stage`; equation ``i`` is tested with
+        the test function of state ``i``.
     residuals : tuple of Expr
         The residual u' - f of each equation, in the states' ``functions``.
-    initial : tuple of Expr
-        The initial value of each state.
-    origins : tuple of (int or None)
-        For each residual the number, from 1, of the user's equation it comes from; None if several
-        were solved together.
     """
 
-    coordinates: tuple[Coordinate, ...]
-    states: tuple[State, ...]
     residuals: tuple[sp.Expr, ...]
-    initial: tuple[sp.Expr, ...]
-    origins: tuple[int | None, ...]
-
-    @property
-    def functions(self) -> tuple[sp.Expr, ...]:
-        """The states as functions of time: ``x(t)``, and ``x_t(t)`` for its derivative."""
-        return state_functions(self.states, self.coordinates[0].symbol)
 
     @property
     def test_functions(self) -> tuple[sp.Symbol, ...]:
@@ -69,9 +53,7 @@ class WeakForm:
             f"{signs}  {test} ({text_of(residual)}) {measures} = 0"
             for test, residual in zip(self.test_functions, self.residuals, strict=True)
         ]
-        start = f"({self.coordinates[0].lower:g})"
-        pairs = zip(self.states, self.initial, strict=True)
-        return "\n".join([*lines, *(f"{s.name}{start} = {text_of(value)}" for s, value in pairs)])
+        return "\n".join([*lines, *self._initial_texts()])
 
     def _repr_latex_(self) -> str:
         signs = " ".join(rf"\int_{{{sp.latex(c.symbol)}}}" for c in self.coordinates)
@@ -81,10 +63,7 @@ class WeakForm:
             rf"\, {measures} &= 0"
             for u, residual in zip(self.functions, self.residuals, strict=True)
         ]
-        start = f"({self.coordinates[0].lower:g})"
-        for u, value in zip(self.functions, self.initial, strict=True):
-            lines.append(f"{latex_of(u)}{start} &= {sp.latex(value)}")
-        return aligned_equations(lines)
+        return aligned_equations([*lines, *self._initial_latex()])
 
 
 def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
@@ -103,6 +82,7 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
     return WeakForm(
         coordinates=system.coordinates,
         states=system.states,
+        functions=system.functions,
         residuals=tuple(rate - f for rate, f in zip(rates, system.rhs, strict=True)),
         initial=system.initial,
         origins=system.origins,

@@ -30,7 +30,8 @@ from numpy.polynomial.legendre import leggauss
 from rankone.arrays import Array
 from rankone.coordinates import Coordinates, name_of, round_off
 from rankone.discretization import Basis1D, legendre_values
-from rankone.errors import EvaluationError, OptionError, warn
+from rankone.errors import EvaluationError, warn
+from rankone.options import checked_number
 from rankone.tensors.slab import SlabTrain
 from rankone.wording import listing
 
@@ -176,7 +177,8 @@ class CanonicalForm:
 class CanonicalForms(Mapping[str, CanonicalForm]):
     """The canonical form of each unknown, by name or symbol, in the order of the unknowns.
 
-    Forms of other states, such as ``forms["x_t"]``, are computed when they are asked for. With a
+    Forms of other states, such as ``forms["x_t"]``, are computed when they are asked for; they
+    are not ``in`` the mapping, as they are not among what it iterates over. With a
     single unknown, ``amplitudes``, ``factors`` and ``nodes`` are those of its form.
 
     Parameters
@@ -206,6 +208,12 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
         if name not in self._others:
             self._others[name] = self._form(self._states.index(name), name)
         return self._others[name]
+
+    def __contains__(self, state: object) -> bool:
+        try:
+            return name_of(state) in self._forms
+        except EvaluationError:
+            return False
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._forms)
@@ -261,34 +269,19 @@ def canonical_form(
 ) -> CanonicalForm:
     """Write one state of consecutive slabs in canonical form.
 
+    Tolerance, errors and warnings are those of :meth:`~rankone.solution.Solution.to_canonical`.
+
     Parameters
     ----------
-    slabs : sequence of SlabTrain
     names : sequence of str
         Time, then the parameters.
     row : int
         Position of the state.
     label : str
         Name of the state.
-    rtol : float
-        Tolerance in the mean square, relative to the state's mean square; at least 1e-13.
-    max_rank : int
-        Most terms.
-
-    Raises
-    ------
-    OptionError
-        If an option is out of its range.
-
-    Warns
-    -----
-    RankoneWarning
-        If ``max_rank`` terms do not suffice.
     """
-    if not 1e-13 <= rtol < 1.0:
-        raise OptionError(f"rtol is {rtol!r}", term=rtol, remedy="choose it from 1e-13 to 1")
-    if max_rank != int(max_rank) or max_rank < 1:
-        raise OptionError(f"max_rank is {max_rank!r}", term=max_rank, remedy="choose 1 or more")
+    rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
+    max_rank = checked_number("max_rank", max_rank, 1)
     axes = _common_axes(slabs, names)
     train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)
     if norm == 0.0:
@@ -297,7 +290,7 @@ def canonical_form(
             label, np.empty(0), dict(zip(names, factors, strict=True)), axes, 0.0, rtol
         )
     tolerance = (1.0 - 1.1 * _ROUNDING_SHARE) * rtol * norm
-    amplitudes, modes = _branches(train, tolerance, int(max_rank))
+    amplitudes, modes = _branches(train, tolerance, max_rank)
     error = _distance(train, amplitudes, modes)
     if len(axes) > 2 and rtol >= _LEAST_SQUARES_LIMIT:
         amplitudes, modes, error = _shortened(train, amplitudes, modes, error, tolerance, norm)

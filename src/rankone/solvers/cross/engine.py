@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import OutOfTimeError
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
@@ -28,7 +29,7 @@ from rankone.tensors.train import apply_to_modes
 
 __all__ = ["ENGINE", "solve_cross"]
 
-_INTEGRATION, _ROW_SPACE, _TAIL, _ROUNDING = 0.1, 0.1, 0.1, 0.1
+_INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
 _LEFT_POINTS = 9
 _CALIBRATED = 8
@@ -70,6 +71,9 @@ class CrossMarcher:
             found, bases = self._interpolated(trajectories, level)
         except TooManyTrajectories:
             result.stopped = Status.TRAJECTORY_LIMIT
+            return result
+        except OutOfTimeError:
+            result.stopped = Status.TIME_LIMIT
             return result
         except TrajectoryEnds as ends:
             result.stopped = Status.NO_CONVERGENCE
@@ -117,7 +121,7 @@ class CrossMarcher:
         edges = [start, *(cut for cut in yardstick.cuts if cut < end), end]
         units = yardstick.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
-        tolerance = max(_TAIL * level, 1e-13)
+        tolerance = max(_HIGHEST * level, 1e-13)
         most = self.options.max_slabs
 
         def values(t: Array) -> Array:
@@ -142,12 +146,18 @@ class CrossMarcher:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
         if attempt.result.stopped or stalls == 2 or self.bases is None:
             return False
-        finer = more_nodes(self.bases, self.spectra, _TAIL * self.rtol, self.options.max_nodes)
+        finer = self._finer(self.bases)
         if finer == self.bases or stalls:
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
+            finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
         self.bases = finer
         return True
+
+    def _finer(self, bases: tuple[Basis1D, ...]) -> tuple[Basis1D, ...]:
+        """Bases with more nodes where the highest modes found are not small."""
+        tolerance = _HIGHEST * self.share * self.rtol
+        return more_nodes(bases, self.spectra, tolerance, self.options.max_nodes)
 
     def cause(self, status: Status, attempt: Attempt) -> str:
         """The status says it."""

@@ -1,4 +1,4 @@
-"""Cross interpolation of trajectories in a tensor train over [(state, time)] | p_1 | ... | p_d.
+"""Cross interpolation: a tensor train over [(state, time)] | p_1 | ... | p_d from samples.
 
 At bond b the trajectories at (left points) x (nodes of p_b) x (right points) are a matrix with the
 rows (left point, state, time) and the columns (node, right point). Its row space, truncated, gives

@@ -17,7 +17,9 @@ from rankone.tensors.slab import SlabTrain
 __all__ = ["TimeGrid", "resolving_breaks"]
 
 _SHORTEST = 1e-12
-"""Shortest slab, relative to the horizon."""
+"""Shortest slab, relative to its times: only near t = 0 fast layers have room."""
+_SHORTEST_OF_ALL = 1e-18
+"""The same, relative to the horizon."""
 _PROBES = np.array([-0.999999, -0.97, -0.31, 0.42, 0.98, 0.999999])
 """Where interpolation in time is tried, on [-1, 1]: beside the ends, where it may jump."""
 
@@ -97,7 +99,8 @@ def resolving_breaks(
         missed = np.abs(found[..., count:] - found[..., :count] @ at_probes.T).max(axis=(0, 2))
         halves = []
         for (a, b), error in zip(waiting, missed, strict=True):
-            if error <= tolerance or b - a < _SHORTEST * horizon:
+            shortest = max(_SHORTEST * max(abs(a), abs(b)), _SHORTEST_OF_ALL * horizon)
+            if error <= tolerance or b - a < shortest:
                 done.append((a, b))
             else:
                 halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]

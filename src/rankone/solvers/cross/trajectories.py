@@ -103,13 +103,13 @@ class Trajectories:
         sizes = np.linalg.norm(rest, axis=0)
         if sizes.max(initial=0.0) <= self.tolerance:
             return found
-        new = _range(rest[:, sizes > _LOST * self.tolerance], _LOST * self.tolerance)
+        new = _span(rest[:, sizes > _LOST * self.tolerance], _LOST * self.tolerance)
         new, _ = np.linalg.qr(new - self.basis @ (self.basis.T @ new))
         self.basis = np.concatenate([self.basis, new], axis=1)
         return np.concatenate([found, new.T @ rest])
 
 
-def _range(columns: Array, tolerance: float) -> Array:
+def _span(columns: Array, tolerance: float) -> Array:
     """Orthonormal columns in whose span most of the columns lie up to the tolerance."""
     rows, count = columns.shape
     if count > 2 * rows:

@@ -16,8 +16,8 @@ module                  subject
 ======================  ==========================================================================
 """
 
-from rankone.solvers.greedy.engine import ENGINE, solve_greedy
+from rankone.solvers.greedy.engine import ENGINE
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.options import GreedyOptions
 
-__all__ = ["ENGINE", "GreedyOptions", "GreedySlabRecord", "solve_greedy"]
+__all__ = ["ENGINE", "GreedyOptions", "GreedySlabRecord"]

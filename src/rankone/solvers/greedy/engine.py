@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from rankone.domain import Domain
-from rankone.solvers.attempts import Attempt, solve_in_attempts
-from rankone.solvers.engine import Engine, Report, Request
+from rankone.progress import Report
+from rankone.solvers.attempts import Attempt, Marcher, solve_in_attempts
+from rankone.solvers.engine import Engine, Request
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import Coupling
 from rankone.solvers.greedy.length import SlabLengths
@@ -18,12 +19,11 @@ from rankone.solvers.greedy.nodes import first_nodes
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import LaggedSlabs
 from rankone.solvers.march import March, MarchResult
-from rankone.solvers.outcome import Outcome, SlabRecord, Status
+from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.sensitivity import amplification
 from rankone.solvers.verification import Yardstick
-from rankone.system import System
 
-__all__ = ["ENGINE", "solve_greedy"]
+__all__ = ["ENGINE"]
 
 _SHARE = 0.03
 """Tolerance of a slab relative to the error asked for, before the growth of errors."""
@@ -33,7 +33,7 @@ _CONTRACTION = 3.0
 """Length of the first slab times the largest norm of the scaled Jacobian."""
 
 
-class GreedyMarcher:
+class GreedyMarcher(Marcher):
     """Marches with more nodes, then with tighter tolerances."""
 
     remedies: ClassVar[Mapping[Status, str]] = {
@@ -59,13 +59,13 @@ class GreedyMarcher:
         """Tolerance of a slab, in units of the sizes."""
         return self.options.tolerance or max(self.share * self.rtol / self.growth(time), 1e-13)
 
-    def march(self, number: int, report: Report) -> MarchResult:
+    def march(self, index: int, report: Report) -> MarchResult:
         """March with the present nodes and tolerance."""
         start, end = self.yardstick.reference.start, self.yardstick.end
         lengths = SlabLengths(start, end, self.options, self.longest)
         domain = self.yardstick.domain
-        slabs = LaggedSlabs(self.coupling, domain, self.nodes, self.tolerance, number)
-        result = March(lengths, slabs, self.options.max_slabs).run(start, end, number, report)
+        slabs = LaggedSlabs(self.coupling, domain, self.nodes, self.tolerance, index)
+        result = March(lengths, slabs, self.options.max_slabs).run(start, end, index, report)
         self.tails = slabs.tails
         return result
 
@@ -85,16 +85,6 @@ class GreedyMarcher:
         """Where the lagged terms were furthest from settled, if that is why."""
         unsettled = status is Status.NO_CONVERGENCE
         return _unsettled(attempt.result.records) if unsettled else status.value
-
-
-def solve_greedy(
-    system: System, domain: Domain, request: Request[GreedyOptions], report: Report
-) -> Outcome:
-    """Solve a generated system for the whole box by the classic method.
-
-    Finite elements in time give one slab for each element.
-    """
-    return solve_in_attempts(GreedyMarcher, system, domain, request, report)
 
 
 def _stiffness(yardstick: Yardstick) -> float:
@@ -119,4 +109,6 @@ def _unsettled(records: Sequence[SlabRecord]) -> str:
     )
 
 
-ENGINE = Engine("greedy", GreedyOptions, GreedySlabRecord, solve_greedy)
+ENGINE = Engine(
+    "greedy", GreedyOptions, GreedySlabRecord, partial(solve_in_attempts, GreedyMarcher)
+)

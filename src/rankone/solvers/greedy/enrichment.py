@@ -72,7 +72,6 @@ class Enrichment:
         The operator D.
     loads : RankOneSum
         The source G, tested.
-    options : GreedyOptions
     start : RankOneSum, optional
         Modes to begin with.
     functional : float, optional

@@ -49,7 +49,6 @@ class SlabResult:
         equations that took longest or did not settle.
     residual : float
         Largest residual of an equation at the end, in the same unit.
-    records : tuple of EquationRecord
     """
 
     modes: tuple[RankOneSum, ...]
@@ -70,10 +69,8 @@ class Coupling:
 
     Parameters
     ----------
-    system : System
     sizes : ndarray (n,)
         Size of each state.
-    options : GreedyOptions
 
     Attributes
     ----------
@@ -100,8 +97,6 @@ class LaggedSlab:
 
     Parameters
     ----------
-    space : ShapeSpace
-    coupling : Coupling
     start : sequence of RankOneSum
         Values at the parameter nodes of each state at the start of the slab; the factor of time
         is one row of amplitudes.

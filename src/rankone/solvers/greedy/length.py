@@ -27,7 +27,6 @@ class SlabLengths:
     ----------
     start, end : float
         The horizon.
-    options : GreedyOptions
     longest : float
         Of the first slab if the lengths adapt.
     """

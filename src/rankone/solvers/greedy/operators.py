@@ -162,7 +162,6 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
 
     Parameters
     ----------
-    space : ShapeSpace
     own : sequence of SourceTerm
         The terms f_own.
     options : GreedyOptions
@@ -219,8 +218,6 @@ def named_matrices(
 
     Parameters
     ----------
-    system : System
-    space : ShapeSpace
     names : sequence of str, optional
         Names of time and the parameters; ``t`` and the system's by default.
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
@@ -106,14 +106,25 @@ class GreedyOptions(Options):
     @classmethod
     def slides(cls, **changes: Any) -> Self:
         """The choice of the slides: derivative form, Galerkin, amplitudes, linear elements."""
-        return cls.of("slides", **changes)
+        return cls.of(preset="slides", **changes)
 
     @classmethod
-    def of(cls, /, preset: Literal["slides"] | None = None, **changes: Any) -> Self:
+    def names(cls) -> list[str]:
+        """What :meth:`of` takes."""
+        return [*super().names(), "preset"]
+
+    @classmethod
+    def of(
+        cls,
+        keywords: Sequence[str] = (),
+        /,
+        preset: Literal["slides"] | None = None,
+        **changes: Any,
+    ) -> Self:
         """Options from a preset and changes to it, or an OptionError."""
         if preset not in (None, "slides"):
             raise OptionError(f"preset={preset!r} is unknown", remedy="use preset='slides'")
-        return super().of(**{**(_SLIDES if preset else {}), **changes})
+        return super().of(keywords, **{**(_SLIDES if preset else {}), **changes})
 
     @property
     def order(self) -> int:

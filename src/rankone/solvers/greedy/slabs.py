@@ -46,8 +46,6 @@ class LaggedSlabs:
     ----------
     coupling : Coupling
         The equations and how they are solved.
-    domain : Domain
-    nodes : Nodes
     tolerance : callable
         Tolerance at the time t in units of the sizes.
     attempt : int

@@ -19,7 +19,6 @@ class SourceTerm(NamedTuple):
 
     Attributes
     ----------
-    coefficient : float
     equation : int
         The state whose derivative it is part of.
     rows : tuple of int

@@ -16,7 +16,7 @@ module                  subject
 ======================  ==========================================================================
 """
 
-from rankone.solvers.train.engine import ENGINE, solve_train
+from rankone.solvers.train.engine import ENGINE
 from rankone.solvers.train.options import TrainOptions
 
-__all__ = ["ENGINE", "TrainOptions", "solve_train"]
+__all__ = ["ENGINE", "TrainOptions"]

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
 from rankone.discretization import RadauCollocation
-from rankone.domain import Domain
-from rankone.solvers.attempts import Attempt, solve_in_attempts
-from rankone.solvers.engine import Engine, Report, Request
+from rankone.progress import Report
+from rankone.solvers.attempts import Attempt, Marcher, solve_in_attempts
+from rankone.solvers.engine import Engine, Request
 from rankone.solvers.march import March, MarchResult
-from rankone.solvers.outcome import Outcome, SlabRecord, Status
+from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.sensitivity import amplification
 from rankone.solvers.train.iteration import SlabIteration
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
 from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.verification import Yardstick
-from rankone.system import System
 
-__all__ = ["ENGINE", "solve_train"]
+__all__ = ["ENGINE"]
 
 _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
 """Inner tolerance / rtol if corners count (d <= 3), if not."""
 
 
-class TrainMarcher:
+class TrainMarcher(Marcher):
     """Marches with inner tolerances that become tighter."""
 
     remedies: ClassVar[Mapping[Status, str]] = {
@@ -46,15 +46,15 @@ class TrainMarcher:
         self.inner = self.rtol * (_SHARE_FEW if len(domain.box) <= 3 else _SHARE_MANY)
         self.guesses: Sequence[Guess] = ()
 
-    def march(self, number: int, report: Report) -> MarchResult:
+    def march(self, index: int, report: Report) -> MarchResult:
         """March with the present inner tolerance, from the slabs of the attempt before."""
         yardstick, collocation = self.yardstick, self.collocation
         accuracy = Accuracy(self.inner, self.growth)
         nodes = ParameterNodes(yardstick.system, self.bases, self.floors, self.options)
         lengths = SlabLengths(yardstick, collocation, accuracy, self.guesses)
-        iteration = SlabIteration(yardstick, collocation, accuracy, nodes, number)
+        iteration = SlabIteration(yardstick, collocation, accuracy, nodes, index)
         march = March(lengths, iteration, self.options.max_slabs)
-        result = march.run(yardstick.reference.start, yardstick.end, number, report)
+        result = march.run(yardstick.reference.start, yardstick.end, index, report)
         self.guesses = iteration.guesses
         return result
 
@@ -67,16 +67,5 @@ class TrainMarcher:
         self.bases = self.guesses[0].bases
         return True
 
-    def cause(self, status: Status, attempt: Attempt) -> str:
-        """The status says it."""
-        return status.value
 
-
-def solve_train(
-    system: System, domain: Domain, request: Request[TrainOptions], report: Report
-) -> Outcome:
-    """Solve a generated system for the whole box by tensor-train sweeps."""
-    return solve_in_attempts(TrainMarcher, system, domain, request, report)
-
-
-ENGINE = Engine("train", TrainOptions, SlabRecord, solve_train)
+ENGINE = Engine("train", TrainOptions, SlabRecord, partial(solve_in_attempts, TrainMarcher))

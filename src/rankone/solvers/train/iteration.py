@@ -39,9 +39,6 @@ class SlabIteration:
     ----------
     yardstick : Yardstick
         The Jacobian of a slab is taken along its trajectory at the centre of the box.
-    collocation : RadauCollocation
-    accuracy : Accuracy
-    nodes : ParameterNodes
     attempt : int
         Number of the attempt, for the records.
 

@@ -93,8 +93,6 @@ class SlabLengths:
     ----------
     yardstick : Yardstick
         Its reference has to be resolved; no slab crosses its cuts.
-    collocation : RadauCollocation
-    accuracy : Accuracy
     guesses : sequence of Guess
         Slabs of the attempt before.
     """

@@ -33,7 +33,6 @@ class ParameterNodes:
 
     Parameters
     ----------
-    system : System
     bases : tuple of Basis1D
         To begin with.
     floors : tuple of int
@@ -133,13 +132,6 @@ def first_bases(
     The factors of the terms and of the initial values are known functions of one parameter.
     With few parameters nodes are cheap and these functions are resolved to rounding level, so
     that a solution in their span is exact; otherwise to a part of the tolerance.
-
-    Parameters
-    ----------
-    system : System
-    domain : Domain
-    rtol : float
-    options : TrainOptions
     """
     kind = BASES[options.basis]
     most = min(options.max_degree, options.max_nodes)

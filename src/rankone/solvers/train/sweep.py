@@ -27,8 +27,8 @@ from rankone.solvers.train.groups import (
     Key,
     ParameterOperators,
 )
-from rankone.solvers.train.products import left_products, multiplicity, right_products, unpack
 from rankone.solvers.train.slab import SlabOperator
+from rankone.solvers.train.symmetric import left_products, multiplicity, right_products, unpack
 from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]
@@ -279,7 +279,7 @@ class Sweeper:
         """One sweep; the centre starts and ends at core 0.
 
         On the way right the cores are only orthogonalised; on the way left every pair is solved.
-        Solving pairs in both directions converges no faster per unit of work (docs/engine.md).
+        Solving pairs in both directions converges no faster per unit of work.
 
         Returns the residual (largest change of a pair) and, for each parameter, the norms of its
         modes, shape (nodes,). The residual is infinite where the iteration overflowed.

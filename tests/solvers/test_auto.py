@@ -1,0 +1,76 @@
+"""``method="auto"``, the time limit, and how a solve that will not come to an end ends."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.deadline import OutOfTimeError, check_time, seconds_left, time_limit
+from tests.problems import EXAMPLES
+
+LORENZ = ro.Problem.from_strings(
+    {"x": "10*(y - x)", "y": "x*(r - z) - y", "z": "x*y - 8*z/3"},
+    {"x": "1", "y": "1", "z": "20"},
+    {"r": (26, 30)},
+    (0, 20),
+)
+
+
+def test_the_default_says_which_engine_it_was():
+    solution = ro.solve(EXAMPLES["lotka_volterra"].problem, rtol=1e-5)
+    assert solution.success
+    assert solution.method == "cross"
+
+
+def test_options_choose_the_engine():
+    solution = ro.solve(EXAMPLES["decay"].problem, rtol=1e-5, max_degree=20)
+    assert solution.success
+    assert solution.method == "train"
+
+
+def test_the_next_engine_is_tried_where_the_first_one_fails():
+    compiled = ro.compile(EXAMPLES["coupled"].problem)
+    solution = compiled.solve(1e-6, max_nodes=5, max_attempts=1)
+    assert not solution.success
+    assert "cross: the" in solution.message
+    assert "train: the" in solution.message
+    assert solution.error == min(
+        compiled.solve(1e-6, method=m, max_nodes=5, max_attempts=1).error
+        for m in ("cross", "train")
+    )
+
+
+@pytest.mark.parametrize("method", ["auto", "cross", "train", "greedy"])
+def test_a_time_limit_holds(method):
+    began = time.perf_counter()
+    solution = ro.solve(LORENZ, rtol=1e-5, method=method, max_seconds=1.5)
+    assert time.perf_counter() - began < 15.0  # far less where the machine is not busy
+    assert not solution.success
+    assert solution.status is ro.Status.TIME_LIMIT
+    assert "raise max_seconds" in solution.message
+
+
+def test_no_time_at_all():
+    solution = ro.solve(LORENZ, rtol=1e-5, max_seconds=0)
+    assert solution.status is ro.Status.TIME_LIMIT
+    with pytest.raises(ro.EvaluationError, match="nothing was solved"):
+        solution(t=0.0, r=27.0)
+
+
+@pytest.mark.parametrize("wrong", [-1, "5", float("nan"), True])
+def test_wrong_limits(wrong):
+    with pytest.raises(ro.OptionError, match="max_seconds"):
+        ro.solve(EXAMPLES["decay"].problem, max_seconds=wrong)
+
+
+def test_limits_inside_of_limits():
+    assert np.isinf(seconds_left())
+    with time_limit(100.0), time_limit(0.0):
+        with pytest.raises(OutOfTimeError):
+            check_time()
+        with time_limit(50.0):
+            assert seconds_left() <= 0.0
+    check_time()
