@@ -23,7 +23,7 @@ from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.greedy import ENGINE
-from tests.export.solutions import compiled, points, solved
+from tests.export.solutions import compiled, points, solved, synthetic_with_breaks
 from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -279,6 +279,24 @@ def test_saved_by_the_program(folder):
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
     assert "other equations" in run.stderr
+
+
+def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
+    solution = synthetic_with_breaks()
+    solution = ro.Solution(solution.outcome, replace(solution.metadata, method="cross"))
+    where = points(solution, 200)
+    at, a, b, values = (str(tmp_path / f"{name}.npz") for name in ("at", "a", "b", "values"))
+    solution.save(a)
+    np.savez(at, **where)
+    script = ALONE + (
+        f"s = solver.load({a!r})\ns.save({b!r})\nnp.savez({values!r}, s({{**np.load({at!r})}}))"
+    )
+    run = alone(folder, script=script)
+    assert run.returncode == 0, run.stderr
+    with np.load(values) as file:
+        np.testing.assert_array_equal(file["arr_0"], solution(where))
+    again = ro.load(b)
+    assert [s.bases for s in again.outcome.slabs] == [s.bases for s in solution.outcome.slabs]
 
 
 def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
