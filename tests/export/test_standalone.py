@@ -17,13 +17,14 @@ from threadpoolctl import threadpool_limits
 
 import rankone as ro
 from rankone.cli import main
+from rankone.discretization import ChebyshevBasis
 from rankone.errors import ExportError, OptionError
 from rankone.export.carry import _narrow, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.greedy import ENGINE
-from tests.export.solutions import compiled, points, solved, synthetic_with_breaks
+from tests.export.solutions import compiled, points, solved
 from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -282,9 +283,25 @@ def test_saved_by_the_program(folder):
 
 
 def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
-    solution = synthetic_with_breaks()
-    solution = ro.Solution(solution.outcome, replace(solution.metadata, method="cross"))
+    before = str(tmp_path / "before.npz")
+    run = alone(folder, script=f"{ALONE}solver.solve(rtol=1e-3).save({before!r})")
+    assert run.returncode == 0, run.stderr
+    solved_before = ro.load(before)
+    slabs = []
+    for slab in solved_before.outcome.slabs:
+        first, *rest = slab.bases
+        basis = ChebyshevBasis(
+            first.lower, first.upper, first.degree, breaks=(first.lower + 0.1, first.lower + 0.5)
+        )
+        values = first.modal_values(basis.nodes) * np.sqrt(basis.weights)[:, None]
+        core = np.matmul(basis.to_modal @ values, slab.cores[1])
+        cores = (slab.cores[0], core, *slab.cores[2:])
+        slabs.append(replace(slab, cores=cores, bases=(basis, *rest)))
+    outcome = replace(solved_before.outcome, slabs=tuple(slabs))
+    solution = ro.Solution(outcome, solved_before.metadata)
     where = points(solution, 200)
+    wanted = solved_before(where)
+    np.testing.assert_allclose(solution(where), wanted, atol=1e-10 * np.abs(wanted).max())
     at, a, b, values = (str(tmp_path / f"{name}.npz") for name in ("at", "a", "b", "values"))
     solution.save(a)
     np.savez(at, **where)
