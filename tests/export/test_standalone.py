@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 import rankone as ro
 from rankone.cli import main
+from rankone.discretization import ChebyshevBasis
 from rankone.errors import ExportError, OptionError
 from rankone.export.carry import _narrow, carry, import_lines
 from rankone.export.modules import Import
@@ -279,6 +280,40 @@ def test_saved_by_the_program(folder):
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
     assert "other equations" in run.stderr
+
+
+def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
+    before = str(tmp_path / "before.npz")
+    run = alone(folder, script=f"{ALONE}solver.solve(rtol=1e-3).save({before!r})")
+    assert run.returncode == 0, run.stderr
+    solved_before = ro.load(before)
+    slabs = []
+    for slab in solved_before.outcome.slabs:
+        first, *rest = slab.bases
+        basis = ChebyshevBasis(
+            first.lower, first.upper, first.degree, breaks=(first.lower + 0.1, first.lower + 0.5)
+        )
+        values = first.modal_values(basis.nodes) * np.sqrt(basis.weights)[:, None]
+        core = np.matmul(basis.to_modal @ values, slab.cores[1])
+        cores = (slab.cores[0], core, *slab.cores[2:])
+        slabs.append(replace(slab, cores=cores, bases=(basis, *rest)))
+    outcome = replace(solved_before.outcome, slabs=tuple(slabs))
+    solution = ro.Solution(outcome, solved_before.metadata)
+    where = points(solution, 200)
+    wanted = solved_before(where)
+    np.testing.assert_allclose(solution(where), wanted, atol=1e-10 * np.abs(wanted).max())
+    at, a, b, values = (str(tmp_path / f"{name}.npz") for name in ("at", "a", "b", "values"))
+    solution.save(a)
+    np.savez(at, **where)
+    script = ALONE + (
+        f"s = solver.load({a!r})\ns.save({b!r})\nnp.savez({values!r}, s({{**np.load({at!r})}}))"
+    )
+    run = alone(folder, script=script)
+    assert run.returncode == 0, run.stderr
+    with np.load(values) as file:
+        np.testing.assert_array_equal(file["arr_0"], solution(where))
+    again = ro.load(b)
+    assert [s.bases for s in again.outcome.slabs] == [s.bases for s in solution.outcome.slabs]
 
 
 def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
