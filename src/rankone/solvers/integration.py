@@ -6,6 +6,7 @@ DOP853, or Radau where a trajectory is stiff, with the generated pointwise right
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,12 @@ _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
 
 
+_STATE = ("t", "y", "f", "h_abs", "h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
+"""What a step of Radau changes beside its factorisations."""
+_BETWEEN = (0.4, 0.85)
+"""Where between the nodes of Radau, in steps, its interpolant is looked at."""
+_INTERPOLATED = 10.0
+"""Largest error of the interpolant, in units of the tolerance."""
 _IMPLICIT = 5.0
 """Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
 
@@ -87,6 +94,42 @@ class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
         """The Jacobian as a function; what stands in for its first value is not used."""
         return lambda t, y, f=None: self._blocks(t, y), scipy.sparse.csc_matrix((self.n, self.n))
 
+    def _step_impl(self) -> tuple[bool, str | None]:
+        """A step as SciPy's, made again and shorter while its interpolant is off between nodes.
+
+        With h far above a stiff time scale the estimate of the error sees the nodes only. The
+        defect of the interpolant, divided by the matrix of the Newton iteration, is its error.
+        """
+        before = {name: getattr(self, name) for name in _STATE}
+        while True:
+            done, message = super()._step_impl()
+            if not done:
+                return done, message
+            h = self.t - before["t"]
+            inverse = np.linalg.inv(3.0 / h * self.I - self.J)
+            error = max(self._interpolation_error(self.sol, inverse, share) for share in _BETWEEN)
+            if error <= _INTERPOLATED or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
+                return done, message
+            check_time()
+            wanted = h * max(0.1, 0.8 * (_INTERPOLATED / error) ** 0.25)
+            for name, value in before.items():
+                setattr(self, name, value)
+            self.h_abs, self.LU_real, self.LU_complex = wanted, None, None
+
+    def _interpolation_error(self, interpolant: Any, inverse: Array, share: float) -> float:
+        """Largest error of a trajectory at a share of the step, in units of the tolerance."""
+        h = interpolant.h
+        t = interpolant.t_old + share * h
+        powers = np.arange(1, interpolant.order + 2) * share ** np.arange(interpolant.order + 1)
+        slope = interpolant.Q @ powers / h
+        state = interpolant(t)
+        defect = slope - self.fun(t, state)
+        scaled = self._solve(inverse, defect) / (self.atol + np.abs(state) * self.rtol)
+        if not np.isfinite(scaled).all():
+            return math.inf
+        n = len(self.I)
+        return float(np.sqrt(np.square(scaled).reshape(n, -1).mean(axis=0).max()))
+
     @staticmethod
     def _solve(inverses: Array, right: Array) -> Array:
         m, n, _ = inverses.shape
@@ -116,7 +159,12 @@ class Stack:
         return self.system.N_DIFFERENTIAL, len(self.points)
 
     def run(
-        self, recorder: Recorder, rtol: float, atol: Array, stiff: bool = False
+        self,
+        recorder: Recorder,
+        rtol: float,
+        atol: Array,
+        stiff: bool = False,
+        max_step: float = math.inf,
     ) -> tuple[Array, bool]:
         """Integrate until the end or a failure.
 
@@ -127,6 +175,8 @@ class Stack:
         atol : ndarray (n, 1)
         stiff : bool
             Whether to begin with Radau; otherwise it is taken where DOP853 meets stiffness.
+        max_step : float
+            Longest step.
 
         Returns
         -------
@@ -137,14 +187,15 @@ class Stack:
         """
         n, m = self.shape
         absolute = np.broadcast_to(atol, (n, m)).ravel()
+        steps = {"max_step": max_step}
         with np.errstate(all="ignore"):
             if not stiff:
-                explicit = partial(StackedDOP853, states=n, rtol=rtol, atol=absolute)
+                explicit = partial(StackedDOP853, states=n, rtol=rtol, atol=absolute, **steps)
                 state = self._steps(explicit, recorder, self._met_stiffness)
                 if state is not None:
                     return state, False
             loose = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
-            implicit = partial(StackedRadau, blocks=self._blocks, **loose)
+            implicit = partial(StackedRadau, blocks=self._blocks, **loose, **steps)
             state = self._steps(implicit, recorder, lambda solver, count: False)
         assert state is not None
         return state, True

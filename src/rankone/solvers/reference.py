@@ -24,6 +24,8 @@ _BESIDE = 4e-9
 """Distance from special values, in widths of the interval: at a jump itself there is no value."""
 _NEGLIGIBLE = 1e-7
 """Part of a state's size at which its relative accuracy ends."""
+_LONGEST = 0.04
+"""Longest step, in horizons: what is shorter may be passed unseen."""
 _INTEGRATIONS = 3
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -133,7 +135,8 @@ def integrate_reference(
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
-        state, stiff = stack.run(steps, rtol, rtol * _NEGLIGIBLE * size)
+        atol, longest = rtol * _NEGLIGIBLE * size, _LONGEST * (end - start)
+        state, stiff = stack.run(steps, rtol, atol, max_step=longest)
         largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
         small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
         if not small.any():
@@ -146,10 +149,12 @@ def integrate_reference(
             remedy="check the initial values and the coefficients",
         )
     blown = None
+    floor = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
     if reached < end:
-        growth = np.abs(state) / np.maximum(np.abs(initial), size)
-        blown = int(np.argmax(np.nan_to_num(growth, nan=np.inf).max(axis=0)))
+        with np.errstate(all="ignore"):
+            rates = np.abs(system.rhs(reached, state, points.T)) / np.maximum(np.abs(state), floor)
+        blown = int(np.argmax(np.nan_to_num(rates, nan=np.inf).max(axis=0)))
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
     return Reference(points, start, reached, stiff, blown, batches, system.N_DIFFERENTIAL)

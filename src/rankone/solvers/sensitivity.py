@@ -12,6 +12,9 @@ from rankone.system import System
 
 __all__ = ["amplification"]
 
+_BESIDE_POLE = 0.99
+"""Factor on the rates where the Cayley transform does not exist for one of them."""
+
 
 def amplification(
     system: System,
@@ -55,7 +58,10 @@ def amplification(
     jacobian = np.broadcast_to(jacobian, (n, n, m, steps)).transpose(3, 2, 0, 1)
     half = 0.5 * width * jacobian * (scale[None, :] / scale[:, None])
     eye = np.eye(n)
-    step = np.linalg.solve(eye - half, eye + half)
+    try:
+        step = np.linalg.solve(eye - half, eye + half)
+    except np.linalg.LinAlgError:  # a growth rate at a pole of the transform
+        step = np.linalg.solve(eye - _BESIDE_POLE * half, eye + _BESIDE_POLE * half)
     largest = np.ones(steps + 1)
     propagator = step
     for gap in range(1, steps + 1):

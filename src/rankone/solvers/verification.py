@@ -20,6 +20,9 @@ __all__ = ["Yardstick"]
 
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
+_GENERAL = 4
+"""Check points of a system that does not separate, over those asked for: it may kink or jump where
+no factor of one coordinate tells."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,12 @@ class Yardstick:
     def of(cls, system: System, domain: Domain, rtol: float, check: int) -> Yardstick:
         """Integrate the reference for a solve to ``rtol`` with ``check`` random points."""
         cuts, special = system_breakpoints(system, domain)
+        check *= 1 if system.SEPARATED else _GENERAL
         points = check_points(domain.bounds, check, special=special if check else ())
         accuracy = max(1e-3 * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
-        corners = (
-            len(points) - 1 - check - 2 * sum(map(len, special)) if check and domain.box else 0
-        )
+        interior = 1 + check + 2 * sum(map(len, special))
+        corners = len(points) - interior if check and domain.box else 0
         where = tuple(map(tuple, special))
         return cls(system, domain, accuracy, reference, corners, bool(check), cuts, where)
 

@@ -13,7 +13,7 @@ from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
 from rankone.solvers.attempts import Attempt, solve_in_attempts
-from rankone.solvers.cross.nodes import first_bases, inside_elements, more_nodes
+from rankone.solvers.cross.nodes import divided, first_bases, inside_elements, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.samples import Samples
@@ -137,7 +137,10 @@ class CrossMarcher:
         domain = self.yardstick.domain
         if not domain.box:
             return Interpolation([trajectories(np.zeros((1, 0)))], False), ()
-        bases = self.bases or first_bases(trajectories, domain, level, self.options)
+        if self.bases is None:
+            bases = first_bases(trajectories, domain, level, self.options)
+        else:
+            bases = divided(self.bases, trajectories, domain, level, self.options)
         left = left_points([basis.size for basis in bases], self.left, 20140)
         samples = Samples(trajectories, bases)
         tolerance = _ROW_SPACE * level / np.sqrt(len(bases))

@@ -19,7 +19,7 @@ from rankone.domain import Domain
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 
-__all__ = ["first_bases", "inside_elements", "more_nodes"]
+__all__ = ["divided", "first_bases", "inside_elements", "more_nodes"]
 
 _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
@@ -30,7 +30,9 @@ _SLOWEST = 0.95
 _FARTHEST = 3.0
 """Largest number of nodes predicted, over that of the lines."""
 _STEEP = 5.0
-"""Predicted number of nodes, over that of the lines, from which elements are tried."""
+"""Number of nodes, over that of the lines, from which elements are tried."""
+_DEARER = 2.0
+"""Nodes in elements that are taken for one in a single element that does not suffice."""
 _TAIL_STEEP = 0.01
 """As the tail above, where elements are taken: what is steep is so at few times only."""
 _CHECKED = 16
@@ -48,7 +50,7 @@ def first_bases(
     geometrically, which tells how many are needed beyond those of the line.
     """
     kind = BASES[options.basis]
-    count = min(max(round(4.0 + 1.4 * -math.log10(rtol)), 6), options.max_nodes)
+    count = _count(rtol, options)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
     lines = Lines(trajectories, domain)
     values = lines([(j, basis) for j, basis in enumerate(bases)])
@@ -57,15 +59,39 @@ def first_bases(
     for j, basis in enumerate(bases):
         predicted = needed(_spectrum(basis, values[j]), _TAIL * rtol, math.inf)
         if special[j] or predicted > _STEEP * count:
-            found.append(
-                _elements(lines, j, basis, special[j], _TAIL_STEEP * rtol, options.max_nodes)
-            )
-            if found[-1].size <= predicted or special[j]:
+            tail = _TAIL_STEEP * rtol
+            elements = _elements(lines, j, basis, special[j], tail, options.max_nodes)
+            if elements.size <= predicted or special[j]:
+                found.append(elements)
                 continue
-            found.pop()
         wanted = min(predicted, math.ceil(_FARTHEST * count))
         found.append(replace(basis, degree=min(max(wanted, 3), options.max_nodes)))
     return tuple(found)
+
+
+def divided(
+    bases: Sequence[Basis1D],
+    trajectories: Trajectories,
+    domain: Domain,
+    rtol: float,
+    options: CrossOptions,
+) -> tuple[Basis1D, ...]:
+    """The same bases, but elements where one of many nodes does no better."""
+    count = _count(rtol, options)
+    lines = Lines(trajectories, domain)
+    found = list(bases)
+    for j, basis in enumerate(bases):
+        if basis.elements == 1 and basis.size > _STEEP * count:
+            one = replace(basis, degree=count)
+            elements = _elements(lines, j, one, (), _TAIL_STEEP * rtol, options.max_nodes)
+            if elements.size <= _DEARER * basis.size:
+                found[j] = elements
+    return tuple(found)
+
+
+def _count(rtol: float, options: CrossOptions) -> int:
+    """Nodes of the lines, and of each element."""
+    return min(max(round(4.0 + 1.4 * -math.log10(rtol)), 6), options.max_nodes)
 
 
 def _spectrum(basis: Basis1D, values: Array) -> Array:
@@ -84,7 +110,7 @@ def _elements(
     while waiting:
         pieces = [replace(basis, lower=a, upper=b) for a, b in waiting]
         values = lines([(j, piece) for piece in pieces])
-        halves = []
+        halves: list[tuple[float, float]] = []
         for piece, found in zip(pieces, values, strict=True):
             a, b = piece.lower, piece.upper
             rough = needed(_spectrum(piece, found), tolerance, math.inf) > piece.degree

@@ -101,9 +101,12 @@ class Trajectories:
             return found
         rest = trajectories - self.basis @ found
         sizes = np.linalg.norm(rest, axis=0)
-        if sizes.max(initial=0.0) <= self.tolerance:
+        if sizes.max(initial=0.0) <= self.tolerance and self.basis.shape[1]:
             return found
-        new = _span(rest[:, sizes > _LOST * self.tolerance], _LOST * self.tolerance)
+        large = sizes > _LOST * self.tolerance
+        if not large.any():  # so far all are negligible
+            large = sizes == sizes.max(initial=0.0)
+        new = _span(rest[:, large], _LOST * self.tolerance)
         new, _ = np.linalg.qr(new - self.basis @ (self.basis.T @ new))
         self.basis = np.concatenate([self.basis, new], axis=1)
         return np.concatenate([found, new.T @ rest])

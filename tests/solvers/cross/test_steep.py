@@ -1,0 +1,93 @@
+"""What is easily missed: stiff forcing, pulses, vanishing and tiny states, steep parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rankone as ro
+
+
+def problem(rates, initial, box, end):
+    return ro.Problem.from_strings(rates, initial, box, (0, end))
+
+
+@pytest.mark.parametrize("method", ["cross", "train"])
+@pytest.mark.parametrize("rate", ["1e4", "1e6", "1e8"])
+def test_stiff_forcing_is_followed_between_the_steps(rate, method):
+    forced = problem({"x": f"-{rate}*k*(x - cos(3*t))"}, {"x": 1}, {"k": (1, 2)}, 5)
+    solution = ro.solve(forced, rtol=1e-4, method=method)
+    assert solution.success, solution.message
+    times = np.linspace(0.1, 5.0, 200)
+    # x' = -L (x - cos 3t) ends in (L^2 cos 3t + 3 L sin 3t) / (L^2 + 9)
+    rate = 1.5 * float(rate)
+    exact = (rate**2 * np.cos(3 * times) + 3 * rate * np.sin(3 * times)) / (rate**2 + 9)
+    np.testing.assert_allclose(solution["x"](t=times, k=1.5), exact, atol=5e-4)
+
+
+@pytest.mark.parametrize("width", [0.3, 0.1, 0.03])
+def test_a_pulse_in_a_state_is_not_stepped_over(width):
+    rates = {"y": "1", "x": f"-x + exp(-((y - 5)/{width})**2)/{width}"}
+    solution = ro.solve(problem(rates, {"y": 0, "x": 0}, {}, 10), rtol=1e-3)
+    assert solution.success
+    exact = np.sqrt(np.pi) * np.exp(-3.0 + width**2 / 4)
+    assert float(solution["x"](t=8.0)) == pytest.approx(exact, rel=0.01)
+
+
+@pytest.mark.parametrize("rate", ["k*sin(x)", "-k*x*c", "k*sqrt(x)"])
+def test_a_solution_that_vanishes(rate):
+    box = {"k": (1, 2), "c": (1, 2)}
+    solution = ro.solve(problem({"x": rate}, {"x": 0}, box, 1), rtol=1e-3, method="cross")
+    assert solution.success
+    assert float(solution["x"](t=0.5, k=1.2, c=1.7)) == 0.0
+
+
+def test_a_tiny_state_is_measured_in_its_own_size():
+    rates = {"x": "1e-12*cos(20*k*t)", "y": "-y"}
+    tiny = problem(rates, {"x": 0, "y": 1}, {"k": (1, 2)}, 5)
+    solution = ro.solve(tiny, rtol=1e-4)
+    assert solution.success
+    times = np.linspace(0.0, 5.0, 41)
+    exact = 1e-12 * np.sin(25.0 * times) / 25.0
+    np.testing.assert_allclose(solution["x"](t=times, k=1.25), exact, atol=5e-4 * 5e-14)
+
+
+def test_growth_at_a_pole_of_the_sensitivity_is_solved_or_refused():
+    solution = ro.solve(problem({"x": "k*x"}, {"x": 1}, {"k": (63, 65)}, 1), 1e-3, method="train")
+    assert solution.success == (solution.error <= 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rate", "initial", "box", "where"),
+    [("-1/x", "k", (1.3, 3), 1.3), ("-k*sqrt(x)", "1", (0.1, 0.69), 0.69)],
+)
+def test_an_end_names_the_trajectory_that_ends(rate, initial, box, where):
+    with pytest.raises(ro.BlowUpError) as caught:
+        ro.solve(problem({"x": rate}, {"x": initial}, {"k": box}, 3), rtol=1e-3)
+    assert caught.value.parameters["k"] == pytest.approx(where, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("rate", "exact"),
+    [
+        ("-x + tanh(80*(k - 0.37))", lambda t, k: (1 - np.exp(-t)) * np.tanh(80 * (k - 0.37))),
+        ("-x + Heaviside(k - 0.37)", lambda t, k: (1 - np.exp(-t)) * (k > 0.37)),
+        ("-x + Max(k - 0.37, 0)", lambda t, k: (1 - np.exp(-t)) * np.maximum(k - 0.37, 0)),
+    ],
+)
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
+def test_steps_and_kinks_in_a_parameter(rate, exact, rtol):
+    steep = problem({"x": rate}, {"x": 0}, {"k": (0, 1)}, 2)
+    solution = ro.solve(steep, rtol=rtol, method="cross")
+    assert solution.success, solution.message
+    k = np.random.default_rng(0).uniform(0.0, 1.0, 400)
+    np.testing.assert_allclose(solution["x"](t=1.5, k=k), exact(1.5, k), atol=5 * rtol)
+
+
+def test_trajectories_that_part_are_resolved_by_elements():
+    parting = problem({"x": "x - x**3"}, {"x": "x0"}, {"x0": (-1.0, 0.7)}, 5)
+    solution = ro.solve(parting, rtol=1e-3, method="cross")
+    assert solution.success, solution.message
+    start = np.concatenate([np.linspace(-1.0, 0.7, 101), np.linspace(-0.02, 0.02, 101)])
+    exact = start * np.exp(5.0) / np.sqrt(1.0 + start**2 * (np.exp(10.0) - 1.0))
+    np.testing.assert_allclose(solution["x"](t=5.0, x0=start), exact, atol=5e-3)
