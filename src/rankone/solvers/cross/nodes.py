@@ -58,7 +58,7 @@ def first_bases(
     found = []
     for j, basis in enumerate(bases):
         predicted = needed(_spectrum(basis, values[j]), _TAIL * rtol, math.inf)
-        if special[j] or predicted > _STEEP * count:
+        if special[j] or (len(bases) == 1 and predicted > _STEEP * count):
             tail = _TAIL_STEEP * rtol
             elements = _elements(lines, j, basis, special[j], tail, options.max_nodes)
             if elements.size <= predicted or special[j]:
