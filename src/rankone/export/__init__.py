@@ -24,7 +24,7 @@ from typing import Any
 from rankone.errors import ExportError
 from rankone.export.packing import States, pack
 from rankone.export.standalone import standalone_source
-from rankone.files import free_target, write_files
+from rankone.files import as_path, free_target, write_files
 from rankone.solution_core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.wording import quote
@@ -135,7 +135,7 @@ def export_model(
 
 def _named(path: str | PathLike[str], kinds: Mapping[str, str]) -> Path:
     """The path, if its suffix names something that can be exported, or an ExportError."""
-    given = Path(path)
+    given = as_path(path, ExportError)
     if given.suffix not in kinds:
         choices = ", ".join(f"{suffix} ({what})" for suffix, what in kinds.items())
         raise ExportError(
