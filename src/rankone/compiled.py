@@ -43,7 +43,7 @@ from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
-from rankone.options import refuse_positional
+from rankone.options import check_points, refuse_positional
 from rankone.progress import Report, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
@@ -203,6 +203,7 @@ class CompiledProblem:
         engines = engines_for(method, options, count, separated=separated)
         if method not in _ANY_SYSTEM:
             self.separated.require_separated()
+        check_points(check)
         asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
         task = Task.of(engines, self.system, asked, "method", "progress", "on_failure")
         if parameters or t_final is not None:

@@ -16,6 +16,7 @@ module              subject
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -30,6 +31,9 @@ from rankone.solvers.registry import AUTO, engines_for
 from rankone.wording import quote
 
 __all__ = ["export_model", "export_solver", "solver_target"]
+
+
+_MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 
 
 def export_solver(
@@ -142,5 +146,11 @@ def _named(path: str | PathLike[str], kinds: Mapping[str, str]) -> Path:
             f"`{given}`: the suffix {given.suffix!r} names no target of this export",
             term=given,
             remedy=f"choose one of {choices}",
+        )
+    if given.suffix == ".py" and given.stem in _MODULES:
+        raise ExportError(
+            f"`{given}` would hide the module `{given.stem}` from Python programs beside it",
+            term=given,
+            remedy=f"choose another name, such as my_{given.name}",
         )
     return given
