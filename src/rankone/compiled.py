@@ -169,8 +169,8 @@ class CompiledProblem:
         progress : bool or callable
             True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
         check : bool or int
-            Number of random check points (24 for True). False skips the check; the solution then
-            does not count as a success.
+            Number of random check points (24 for True, at most 100000). False skips the check; the
+            solution then does not count as a success.
         max_seconds : float, optional
             Time limit; the best solution so far is returned, with ``success`` False. Without one no
             further attempt is begun after 20 seconds.
