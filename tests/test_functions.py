@@ -67,6 +67,14 @@ def test_tables_of_parameters_and_unknowns():
         (([0, 1], [1, np.inf]), "values of a table are not finite"),
         (([0, 1], ["a", 2]), "values of a table are not finite"),
         (([[0, 1]], [[1, 2]]), "in one row"),
+        (([0, 10**400], [1, 2]), "times of a table are not finite"),
+        (([0, 1], [1, 2 + 0j]), "values of a table are not finite real"),
+        (([0, 1], np.array([1, 2 + 1j])), "values of a table are not finite real"),
+        (([0, 1], np.ma.masked_invalid([1, np.nan])), "values of a table are not finite real"),
+        (([0, 1, 2], [1e308, -1e308, 1e308], "cubic"), "too large, or its times too close"),
+        (([0, 5e-324], [0, 1], "cubic"), "too large, or its times too close"),
+        (([0, 5e-324], [0, 1]), "too large, or its times too close"),
+        (([-1e308, 1e308], [0, 1], "previous"), "too large"),
         (([0, 1], [1, 2], "spline"), "kind='spline' is unknown.*linear, cubic, previous"),
     ],
 )
@@ -75,6 +83,12 @@ def test_bad_tables(arguments, message):
         ro.table(*arguments)
     with pytest.raises(ro.ProblemError, match="not a name"):
         ro.table([0, 1], [0, 1], name="a b")
+    with pytest.raises(ro.ProblemError, match="Python reads the name '\ufb01' as 'fi'"):
+        ro.table([0, 1], [0, 1], name="\ufb01")
+
+
+def test_masked_arrays_without_a_mask_are_data():
+    assert float(ro.table([0, 1], np.ma.masked_array([0.0, 2.0]))(0.5).evalf()) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -128,7 +142,26 @@ def test_bad_functions():
         ro.compile(forced(ro.function("f", fails, twice)(x)))
     with pytest.raises(ro.ProblemError, match=r"function `f` returned shape \(3,\) for arguments"):
         ro.compile(forced(ro.function("f", lambda z: np.ones(3), twice)(x)))
+    for value in (lambda z: z + 0j, lambda z: np.ma.masked_array(z, np.ones_like(z))):
+        with pytest.raises(ro.ProblemError, match="function `f` returned complex or masked"):
+            ro.compile(forced(ro.function("f", value, twice)(x)))
     with pytest.raises(ro.ProblemError, match="not all callable"):
         ro.function("f", square, 3)
     with pytest.raises(ro.ProblemError, match="not a name"):
         ro.function("1f", square, twice)
+
+
+def test_functions_may_change_their_arguments():
+    def in_place(z):
+        z *= z
+        return z
+
+    def in_place_slope(z):
+        z *= 2
+        return z
+
+    system = ro.compile(forced(ro.function("f", in_place, in_place_slope)(x))).system
+    state = np.array([[3.0, 4.0]])
+    np.testing.assert_array_equal(system.rhs(0.0, state, [1.0])[0], [6.0, 12.0])
+    system.jacobian(0.0, state, [1.0])
+    np.testing.assert_array_equal(state, [[3.0, 4.0]])

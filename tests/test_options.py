@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import sympy as sp
 
+import rankone as ro
 from rankone.errors import OptionError
 from rankone.options import Options, choice, integer, integers, number
 
@@ -64,3 +66,34 @@ def test_numbers_become_plain() -> None:
     assert some == Some(7, None, 0.25, (3, 4), "red")
     assert [type(value) for value in (some.count, some.part)] == [int, float]
     assert Some.of(few=None, nodes=5).nodes == 5
+
+
+@pytest.mark.parametrize("large", [10**400, 10**5000], ids=["400", "5000"])
+def test_huge_numbers_are_refused(large: int) -> None:
+    t, k = sp.symbols("t k")
+    x = sp.Function("x")(t)
+    equations = [sp.Eq(x.diff(t), -k * x)]
+    compiled = ro.compile(ro.Problem(equations, (t, 0, 1), {k: (1, 2)}, {x: 1}))
+    wrong: list[dict[str, Any]] = [
+        {"max_seconds": large},
+        {"t_final": large},
+        {"parameters": {"k": (0, large)}},
+        {"check": large},
+        {"check": 10**20},
+        {"rtol": large},
+    ]
+    for given in wrong:
+        with pytest.raises(ro.OptionError):
+            compiled.solve(**given)
+    with pytest.raises(ro.OptionError, match="an integer from 0 to 100000"):
+        compiled.solve(check=100001)
+    with pytest.raises(ro.ProblemError, match="not a real number"):
+        ro.Problem(equations, (t, 0, 1), {k: (0, large)}, {x: 1})
+
+
+def test_the_name_of_a_problem_is_text() -> None:
+    t = sp.Symbol("t")
+    x = sp.Function("x")(t)
+    name: Any = [5]
+    with pytest.raises(ro.ProblemError, match=r"the name is \[5\], not text"):
+        ro.Problem([sp.Eq(x.diff(t), -x)], (t, 0, 1), {}, {x: 1}, name=name)

@@ -43,7 +43,7 @@ from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
-from rankone.options import refuse_positional
+from rankone.options import check_points, refuse_positional
 from rankone.progress import Report, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
@@ -169,8 +169,8 @@ class CompiledProblem:
         progress : bool or callable
             True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
         check : bool or int
-            Number of random check points (24 for True). False skips the check; the solution then
-            does not count as a success.
+            Number of random check points (24 for True, at most 100000). False skips the check; the
+            solution then does not count as a success.
         max_seconds : float, optional
             Time limit; the best solution so far is returned, with ``success`` False. Without one no
             further attempt is begun after 20 seconds.
@@ -203,6 +203,7 @@ class CompiledProblem:
         engines = engines_for(method, options, count, separated=separated)
         if method not in _ANY_SYSTEM:
             self.separated.require_separated()
+        check_points(check)
         asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
         task = Task.of(engines, self.system, asked, "method", "progress", "on_failure")
         if parameters or t_final is not None:

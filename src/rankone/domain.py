@@ -13,7 +13,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.errors import OptionError
 from rankone.system import System
-from rankone.wording import did_you_mean, quote
+from rankone.wording import did_you_mean, quote, shown
 
 __all__ = ["Domain", "KnownFactors", "check_factors"]
 
@@ -81,12 +81,14 @@ def _interval(what: str, given: Any) -> tuple[float, float]:
     """Two finite numbers in ascending order, or an OptionError."""
     try:
         lower, upper = (float(value) for value in given if _is_number(value))
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         lower = upper = math.nan
     if isinstance(given, Set):  # it has no order
         lower = math.nan
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
-        raise OptionError(f"{what} is {given!r}, not two numbers in ascending order", term=given)
+        raise OptionError(
+            f"{what} is {shown(given)}, not two numbers in ascending order", term=given
+        )
     return lower, upper
 
 

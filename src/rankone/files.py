@@ -14,10 +14,18 @@ import numpy as np
 
 from rankone.errors import RankoneError
 
-__all__ = ["Content", "free_target", "npz", "write_files"]
+__all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
 
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
+
+
+def as_path(given: Any, error: type[RankoneError]) -> Path:
+    """What was given as a path, or an error if it is none."""
+    try:
+        return Path(given)
+    except TypeError:
+        raise error(f"{given!r} is not a path", term=given, remedy="give a file name") from None
 
 
 def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
@@ -30,7 +38,7 @@ def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneE
     error : type
         What is raised otherwise.
     """
-    target = Path(path)
+    target = as_path(path, error)
     try:
         place = Path(os.path.realpath(target))
         exists, folder, inside = place.exists(), place.is_dir(), place.parent.is_dir()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copyreg
 import hashlib
 import keyword
+import unicodedata
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -20,7 +21,7 @@ from sympy.core.function import ArgumentIndexError, FunctionClass
 
 from rankone.arrays import Array
 from rankone.errors import ProblemError
-from rankone.wording import quote
+from rankone.wording import quote, shown
 
 __all__ = ["DataFunction", "Table", "UserFunction", "function", "known_applied", "table"]
 
@@ -153,8 +154,8 @@ def table(
             term=times,
             remedy="give as many values as times, at least two",
         )
-    if not np.all(np.diff(points) > 0.0):
-        place = int(np.flatnonzero(np.diff(points) <= 0.0)[0])
+    place = next((k for k in range(len(points) - 1) if points[k] >= points[k + 1]), None)
+    if place is not None:
         raise ProblemError(
             f"the times of a table do not ascend: {points[place]:g} is followed by "
             f"{points[place + 1]:g}",
@@ -164,6 +165,12 @@ def table(
     if kind not in _KINDS:
         raise ProblemError(
             f"kind={kind!r} is unknown", term=kind, remedy=f"choose from {', '.join(_KINDS)}"
+        )
+    if not _representable(points, heights, kind):
+        raise ProblemError(
+            f"the numbers of a table are too large, or its times too close, for kind={kind!r}",
+            term=values,
+            remedy="change the units, or leave out points",
         )
     if name is None:
         data = np.array([points, heights]).tobytes() + kind.encode()
@@ -296,13 +303,22 @@ class _Guarded:
     def __call__(self, *arguments: Any) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in arguments))
         try:
-            result = np.asarray(self.value(*arrays), dtype=float)
+            # copies, as a function may change its arguments
+            given = np.asanyarray(self.value(*(array.copy() for array in arrays)))
+            real = not (np.iscomplexobj(given) or np.ma.is_masked(given))
+            result = np.asarray(given, dtype=float) if real else np.full(1, np.nan)
         except Exception as error:
             raise ProblemError(
                 f"function {quote(self.name)} raised {type(error).__name__}: {error}",
                 term=self.name,
                 remedy="it must take arrays and return real numbers",
             ) from error
+        if not real:
+            raise ProblemError(
+                f"function {quote(self.name)} returned complex or masked numbers",
+                term=self.name,
+                remedy="return real numbers; NaN where there are none",
+            )
         if result.shape != arrays[0].shape:
             raise ProblemError(
                 f"function {quote(self.name)} returned shape {result.shape} for arguments of "
@@ -333,8 +349,10 @@ def namespace_of(expressions: Iterable[sp.Basic]) -> Mapping[str, Callable[..., 
 def _numbers(what: str, given: Any) -> tuple[float, ...]:
     """A tuple of finite floats, or an error."""
     try:
+        if np.ma.is_masked(given) or np.iscomplexobj(given):
+            raise TypeError
         numbers = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         numbers = np.full(1, np.nan)
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise ProblemError(
@@ -347,7 +365,28 @@ def _numbers(what: str, given: Any) -> tuple[float, ...]:
 
 def _check_name(name: Any) -> None:
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-        raise ProblemError(f"{name!r} is not a name", term=name, remedy="use a Python identifier")
+        raise ProblemError(
+            f"{shown(name)} is not a name", term=name, remedy="use a Python identifier"
+        )
+    normal = unicodedata.normalize("NFKC", name)
+    if normal != name:
+        raise ProblemError(
+            f"Python reads the name {name!r} as {normal!r}", term=name, remedy=f"use {normal!r}"
+        )
+
+
+def _representable(points: tuple[float, ...], values: tuple[float, ...], kind: str) -> bool:
+    """Whether all numbers that a table is evaluated with are finite."""
+    with np.errstate(all="ignore"):
+        numbers = np.diff(points[:: len(points) - 1])
+        if kind == "linear":
+            numbers = np.append(numbers, np.diff(values) / np.diff(points))
+        if kind == "cubic":
+            try:
+                numbers = np.append(numbers, CubicSpline(points, values).c)
+            except (ValueError, np.linalg.LinAlgError):
+                return False
+    return bool(np.isfinite(numbers).all())
 
 
 def _array(name: str, numbers: tuple[float, ...]) -> list[str]:

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
 from rankone.errors import OptionError
-from rankone.wording import did_you_mean
+from rankone.wording import did_you_mean, shown
 
 __all__ = [
     "Options",
+    "check_points",
     "checked_number",
     "choice",
     "integer",
@@ -22,17 +23,29 @@ __all__ = [
 ]
 
 
+_MOST_CHECK_POINTS = 100000
+
+
 def checked_number(
     name: str, value: Any, least: float, most: float = math.inf, kind: type = int
 ) -> Any:
     """The value as an int or float (``kind``) between two others, or an OptionError."""
     kinds = numbers.Integral if kind is int else numbers.Real
     valid = isinstance(value, kinds) and not isinstance(value, bool)
-    if not (valid and least <= value <= most):
-        what = "an integer" if kind is int else "a number"
-        where = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
-        raise OptionError(f"{name}={value!r} is not valid", remedy=f"choose {what} {where}")
-    return kind(value)
+    try:
+        if valid and least <= value <= most:
+            return kind(value)
+    except OverflowError:
+        pass
+    what = "an integer" if kind is int else "a number"
+    where = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+    raise OptionError(f"{name}={shown(value)} is not valid", remedy=f"choose {what} {where}")
+
+
+def check_points(check: Any) -> None:
+    """Raise an OptionError if so many check points are out of the question."""
+    if not isinstance(check, bool):
+        checked_number("check", check, 0, _MOST_CHECK_POINTS)
 
 
 def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:

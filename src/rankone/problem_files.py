@@ -90,9 +90,9 @@ def _from_python(file: Path) -> Problem:
     sys.path.insert(0, str(file.resolve().parent))
     try:
         names = runpy.run_path(str(file), run_name="<rankone>")
-    except RankoneError:
+    except (RankoneError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         where = f"`{file}`{_line(error, file)}"
         raise ProblemError(f"{where} failed: {type(error).__name__}: {error}", term=file) from error
     finally:

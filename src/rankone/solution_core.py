@@ -165,8 +165,8 @@ class SolutionCore:
         """Measured error of each state; NaN if unchecked."""
         measured = self.outcome.measured
         if measured is None:
-            return dict.fromkeys(self.states, float("nan"))
-        return dict(zip(self.states, measured.interior, strict=True))
+            return _ByState.fromkeys(self.states, float("nan"))
+        return _ByState(zip(self.states, measured.interior, strict=True))
 
     @property
     def method(self) -> str:
@@ -263,6 +263,16 @@ class UnknownView:
     def __repr__(self) -> str:
         coordinates = ", ".join(self.solution._coordinates.names)
         return f"{self.name}({coordinates}) of a Solution, measured error {self.error:.2g}"
+
+
+class _ByState(dict[str, float]):
+    """Numbers by the names of states; symbols are understood."""
+
+    def __missing__(self, state: Any) -> float:
+        name = name_of(state)
+        if name not in self:
+            raise KeyError(f"no state {name}{did_you_mean(name, self)}; known are {listing(self)}")
+        return self[name]
 
 
 def raise_blow_up(solution: SolutionCore) -> None:

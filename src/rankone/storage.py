@@ -9,8 +9,10 @@ entries they do not know; the version grows when an old reader could misundersta
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -21,10 +23,10 @@ import numpy as np
 
 from rankone.discretization import BASES, Basis1D
 from rankone.errors import StorageError
-from rankone.files import free_target, npz, write_files
+from rankone.files import as_path, free_target, npz, write_files
 from rankone.metadata import SolutionMetadata
 from rankone.plain_data import plain, rebuilt
-from rankone.solvers.outcome import Outcome, SlabRecord
+from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["FORMAT", "FORMAT_VERSION", "read", "target", "write"]
@@ -34,6 +36,8 @@ FORMAT_VERSION = 2
 """The newest version: 2 if there are elements of unequal size, else 1 is written."""
 _PLAIN = ("status", "message", "measured", "timings", "blow_up")
 """Fields of an outcome that the header holds as they are."""
+_NEAR = 1e-9
+"""Part of the horizon by which the ends of slabs may miss each other."""
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:
@@ -45,7 +49,7 @@ def target(path: str | PathLike[str], overwrite: bool) -> Path:
         If its name does not end in ``.npz``, it exists and is not to be replaced, or it cannot be
         written.
     """
-    if Path(path).suffix != ".npz":
+    if as_path(path, StorageError).suffix != ".npz":
         raise StorageError(
             f"`{path}` is no name for an .npz file", term=path, remedy="end the name in .npz"
         )
@@ -85,7 +89,7 @@ def read(
         If there is no such file, it is not a rankone solution, it is damaged, a newer version of
         rankone wrote it, or its method is none of these.
     """
-    given = Path(path)
+    given = as_path(path, StorageError)
     try:
         with given.open("rb") as stream:
             if not is_zipfile(stream):
@@ -211,6 +215,8 @@ def _basis(fields: Mapping[str, Any], version: int) -> Basis1D:
     basis: Basis1D = rebuilt(BASES[fields["kind"]], fields)
     if basis.breaks and (version < 2 or basis.elements != fields["elements"]):
         raise ValueError("the breaks of a basis do not fit")
+    if min(basis.degree, basis.elements) < 1:
+        raise ValueError("a basis has no nodes")
     return basis
 
 
@@ -238,3 +244,49 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
         fits = fits and len(outcome.measured.interior) == states
     if not fits:
         raise ValueError("the names do not fit the cores")
+    for names in (metadata.states, (metadata.time, *metadata.parameters)):
+        if len({*names}) < len(names):
+            raise ValueError(f"the names {', '.join(names)} are not distinct")
+    for what, interval in (
+        ("the horizon", metadata.horizon),
+        *((f"the range of {name}", metadata.box[j]) for j, name in enumerate(metadata.parameters)),
+    ):
+        if not _ascending(interval):
+            raise ValueError(f"{what} is {interval}, not two finite ascending numbers")
+    _check_slabs(outcome.slabs, metadata)
+    _check_error(outcome, metadata.rtol)
+
+
+def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None:
+    """Slabs follow each other from the start of the horizon; bases cover the box."""
+    begin, end = metadata.horizon
+    near = _NEAR * (end - begin)
+    for i, slab in enumerate(slabs):
+        if not _ascending((slab.start, slab.end)):
+            raise ValueError(f"slab {i} is ({slab.start}, {slab.end}), which does not ascend")
+        before = slabs[i - 1].end if i else begin
+        if abs(slab.start - before) > near or slab.end > end + near:
+            raise ValueError(
+                f"slab {i} is ({slab.start}, {slab.end}) after {before} in a horizon up to {end}"
+            )
+        for basis, interval in zip(slab.bases, metadata.box, strict=True):
+            if (basis.lower, basis.upper) != interval:
+                raise ValueError(f"a basis of slab {i} is not one on {interval}")
+        if not all(np.isfinite(core).all() for core in slab.cores):
+            raise ValueError(f"the cores of slab {i} are not finite")
+
+
+def _check_error(outcome: Outcome, rtol: float) -> None:
+    """A solution that converged has a measured error within the tolerance."""
+    if not 0.0 < rtol < math.inf:
+        raise ValueError(f"rtol is {rtol}, not a positive number")
+    if outcome.status is Status.CONVERGED:
+        errors = None if outcome.measured is None else outcome.measured.interior
+        if errors is None or not all(0.0 <= error <= rtol for error in errors):
+            raise ValueError(f"the status is CONVERGED, the measured error {errors}, rtol {rtol}")
+
+
+def _ascending(numbers: Sequence[float]) -> bool:
+    """Whether numbers are finite and ascend."""
+    ascend = all(a < b for a, b in itertools.pairwise(numbers))
+    return ascend and all(map(math.isfinite, numbers))

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable
 from fractions import Fraction
 
-__all__ = ["clip", "count", "did_you_mean", "listing", "number", "quote"]
+__all__ = ["clip", "count", "did_you_mean", "listing", "number", "quote", "shown"]
 
 _LONGEST_QUOTE = 160
 _LONGEST_FRACTION = 24
@@ -16,6 +16,14 @@ _LONGEST_FRACTION = 24
 def quote(thing: object) -> str:
     """Show what the user wrote between backquotes, cut in the middle when it is long."""
     return f"`{clip(str(thing), _LONGEST_QUOTE)}`"
+
+
+def shown(value: object) -> str:
+    """Show a value as Python writes it, cut in the middle when it is long."""
+    try:
+        return clip(repr(value), _LONGEST_QUOTE)
+    except ValueError:  # Python refuses to write integers of thousands of digits
+        return "a number of thousands of digits"
 
 
 def clip(text: str, longest: int) -> str:

@@ -84,6 +84,7 @@ def test_python_imports_its_neighbours_and_leaves_the_path_alone(tmp_path: Path)
         (SCRIPT.replace("problem =", "decay ="), "no variable `problem`; it has `decay`"),
         ("\n1/0\n", r"bad\.py`, line 2, failed: ZeroDivisionError"),
         ("\n\nx = (\n", r"bad\.py`, line 3, failed: SyntaxError"),
+        ("raise BaseException('q')\n", "line 1, failed: BaseException: q"),
         ("import sys\nsys.exit(3)\n", "line 2, failed: SystemExit: 3"),
         (SCRIPT.replace("(0.5, 5)", "(5, 0.5)"), "k"),
     ],
@@ -91,6 +92,11 @@ def test_python_imports_its_neighbours_and_leaves_the_path_alone(tmp_path: Path)
 def test_bad_python(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ProblemError, match=message):
         load_problem(written(tmp_path, "bad.py", text))
+
+
+def test_an_interrupt_stays_one(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        load_problem(written(tmp_path, "bad.py", "raise KeyboardInterrupt\n"))
 
 
 @pytest.mark.parametrize("name", ["missing.py", "missing.toml", "problem.yaml", "problem"])

@@ -501,6 +501,13 @@ def test_grids_of_any_names(tmp_path):
         np.testing.assert_allclose(arrays["x"][-1], np.exp(-arrays["file"]), rtol=2e-3)
 
 
+@pytest.mark.parametrize("name", ["numpy", "scipy", "sympy", "math", "random", "rankone"])
+def test_files_that_would_hide_modules_are_refused(name, tmp_path):
+    with pytest.raises(ExportError, match=rf"hide the module `{name}`.*such as my_{name}\.py"):
+        compiled("decay").export(tmp_path / f"{name}.py")
+    assert not list(tmp_path.iterdir())
+
+
 def test_taken_names_are_renamed():
     roots = ["rankone.tensors.truncation:truncated_svd"]
     sections, _ = carry(roots, reserved={"_svd", "_DIRECT"})

@@ -151,8 +151,12 @@ def test_derivatives_have_the_same_names_everywhere() -> None:
     assert form.name == solution[velocity].name == "x_t"
     times = np.linspace(0, 3, 7)
     np.testing.assert_allclose(form(times, k=1.5), np.cos(times), atol=5e-3)
-    with pytest.raises(KeyError):
-        solution.modes["x_tt"]
+    assert solution.errors[velocity] == solution.errors["x_t"]
+    for mapping in (solution.modes, solution.errors):
+        with pytest.raises(KeyError, match=r"x_tt .did you mean `x_t`.*known are `x` and `x_t`"):
+            mapping["x_tt"]
+    assert "x_tt" not in solution.errors
+    assert solution.errors.get("x_tt") is None
 
 
 def test_warnings_are_at_the_line_of_the_user() -> None:

@@ -127,6 +127,16 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
     assert os.path.samefile(link, target)
 
 
+@pytest.mark.parametrize("path", [None, 5, b"solution.npz", ["a.npz"]])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(StorageError, match="is not a path"):
+        load(path)
+    with pytest.raises(StorageError, match="is not a path"):
+        SOLUTION.save(path)
+    with pytest.raises(ro.ExportError, match="is not a path"):
+        SOLUTION.export(path)
+
+
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"there is no file `.*nothing\.npz`"):
         load(tmp_path / "nothing.npz")
@@ -184,6 +194,36 @@ def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object])
         (lambda header, _: header.update(status="FINE"), "damaged"),
         (lambda header, _: header["slabs"][0].update(bases=[0, 99]), "damaged"),
         (lambda header, _: header["bases"][0].update(degree=5), "do not fit their bases"),
+        (lambda header, _: header["measured"].update(interior=[1e-7, 1e-5]), "CONVERGED"),
+        (lambda header, _: header["measured"].update(interior=[1e-7, -1e-7]), "CONVERGED"),
+        (lambda header, _: header["measured"].update(interior=["nan", 1e-7]), "CONVERGED"),
+        (lambda header, _: header.update(measured=None), "CONVERGED, the measured error None"),
+        (lambda header, _: header["metadata"].update(rtol="inf"), "rtol is inf"),
+        (lambda header, _: header["metadata"].update(rtol=0), "rtol is 0.0"),
+        (lambda header, _: header["metadata"].update(states=["x", "x"]), "unknowns do not fit"),
+        (
+            lambda header, _: header["metadata"].update(states=["x", "x"], unknowns=["x", "x"]),
+            "x, x are not distinct",
+        ),
+        (lambda header, _: header["metadata"].update(parameters=["t", "k"]), "not distinct"),
+        (lambda header, _: header["metadata"].update(horizon=[0, "inf"]), "the horizon is"),
+        (lambda header, _: header["metadata"].update(box=[[0, "nan"], [2, 3]]), "range of x0 is"),
+        (lambda header, _: header["metadata"].update(box=[[-1, 2], [2, 3]]), "basis of slab 0"),
+        (lambda header, _: header["bases"][0].update(upper="nan"), "basis of slab 0"),
+        (lambda header, _: header["bases"][0].update(lower=1, upper=-1), "basis of slab 0"),
+        (
+            lambda header, _: header["bases"][0].update(
+                degree=-header["bases"][0]["degree"], elements=-header["bases"][0]["elements"]
+            ),
+            "no nodes",
+        ),
+        (lambda header, _: header["slabs"][0].update(end="nan"), "slab 0 is .* not ascend"),
+        (lambda header, _: header["slabs"][0].update(end=-1), "slab 0 is .* not ascend"),
+        (lambda header, _: header["slabs"][0].update(start=0.5), "slab 0 is .* after 0.0"),
+        (lambda header, _: header["slabs"][1].update(start=1.1), "slab 1 is .* after 1.0"),
+        (lambda header, _: header["slabs"][2].update(end=4), "horizon up to 3.0"),
+        (lambda header, _: header["slabs"].reverse(), "slab 0"),
+        (lambda _, arrays: arrays["core_1_1"].fill(np.nan), "cores of slab 1 are not finite"),
         (lambda _, arrays: arrays.pop("core_1_1"), "damaged"),
         (lambda _, arrays: arrays.update(core_1_1=np.ones((2, 2, 2))), "do not fit"),
         (lambda _, arrays: arrays.update(core_0_0=np.ones((2, 14, 3), "i8")), "do not fit"),
@@ -199,6 +239,7 @@ def test_damaged_file(edit: Any, message: str, tmp_path: Path) -> None:
 def with_breaks() -> Solution:
     """Elements of unequal size in every slab, other ones in the last."""
     first, *_, last = SOLUTION.outcome.slabs
+    last = replace(last, start=first.end)
     rng = np.random.default_rng(4)
     slabs = []
     for slab, inside in ((first, [(-0.3, 0.1 + 0.2), ()]), (last, [(-0.3,), (7.0 / 3.0,)])):

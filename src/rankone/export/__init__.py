@@ -16,6 +16,7 @@ module              subject
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -24,12 +25,15 @@ from typing import Any
 from rankone.errors import ExportError
 from rankone.export.packing import States, pack
 from rankone.export.standalone import standalone_source
-from rankone.files import free_target, write_files
+from rankone.files import as_path, free_target, write_files
 from rankone.solution_core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.wording import quote
 
 __all__ = ["export_model", "export_solver", "solver_target"]
+
+
+_MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 
 
 def export_solver(
@@ -135,12 +139,18 @@ def export_model(
 
 def _named(path: str | PathLike[str], kinds: Mapping[str, str]) -> Path:
     """The path, if its suffix names something that can be exported, or an ExportError."""
-    given = Path(path)
+    given = as_path(path, ExportError)
     if given.suffix not in kinds:
         choices = ", ".join(f"{suffix} ({what})" for suffix, what in kinds.items())
         raise ExportError(
             f"`{given}`: the suffix {given.suffix!r} names no target of this export",
             term=given,
             remedy=f"choose one of {choices}",
+        )
+    if given.suffix == ".py" and given.stem in _MODULES:
+        raise ExportError(
+            f"`{given}` would hide the module `{given.stem}` from Python programs beside it",
+            term=given,
+            remedy=f"choose another name, such as my_{given.name}",
         )
     return given

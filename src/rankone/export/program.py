@@ -19,6 +19,7 @@ from rankone.arrays import Array
 from rankone.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.files import npz, write_files
 from rankone.metadata import SolutionMetadata
+from rankone.options import check_points
 from rankone.solution_core import SolutionCore, raise_blow_up
 from rankone.solvers.engine import Engine
 from rankone.solvers.outcome import SlabRecord
@@ -39,6 +40,7 @@ def solve_system(
     asked: Asked,
 ) -> SolutionCore:
     """Solve the system on its own box and horizon, or on others."""
+    check_points(asked.check)
     solution = SolutionCore(*Task.of((engine,), system, asked).run(metadata))
     raise_blow_up(solution)
     return solution

@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 
 from rankone.errors import ProblemError
-from rankone.wording import quote
+from rankone.wording import quote, shown
 
 __all__ = ["Box", "Time", "check_parameters", "check_time"]
 
@@ -114,7 +114,7 @@ def _real(value: Any, what: str, remedy: str) -> float:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         raise ProblemError(
-            f"{what} is {value!r}, not a real number", term=value, remedy=remedy
+            f"{what} is {shown(value)}, not a real number", term=value, remedy=remedy
         ) from None
     if not math.isfinite(number):
         raise ProblemError(f"{what} is {number}, not finite", term=value, remedy=remedy)

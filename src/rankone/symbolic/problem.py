@@ -26,7 +26,7 @@ from rankone.symbolic.initial import check_initial
 from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
-from rankone.wording import count, did_you_mean, quote
+from rankone.wording import count, did_you_mean, quote, shown
 
 __all__ = ["Problem"]
 
@@ -95,6 +95,10 @@ class Problem:
     mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str | None):
+            raise ProblemError(
+                f"the name is {shown(self.name)}, not text", term=self.name, remedy="give a title"
+            )
         time = check_time(self.time)
         box = check_parameters(self.parameters, time[0])
         equations, residuals = check_equations(self.equations, time[0])

@@ -33,7 +33,7 @@ from rankone.discretization import Basis1D, legendre_values
 from rankone.errors import EvaluationError, warn
 from rankone.options import checked_number
 from rankone.tensors.slab import SlabTrain
-from rankone.wording import listing
+from rankone.wording import did_you_mean, listing
 
 __all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
 
@@ -203,7 +203,12 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
 
     def __getitem__(self, state: Any) -> CanonicalForm:
         name = name_of(state)
-        if name in self._forms or name not in self._states:
+        if name not in self._states:
+            raise KeyError(
+                f"no unknown {name}{did_you_mean(name, self._states)}; "
+                f"known are {listing(self._states)}"
+            )
+        if name in self._forms:
             return self._forms[name]
         if name not in self._others:
             self._others[name] = self._form(self._states.index(name), name)
