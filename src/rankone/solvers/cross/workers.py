@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import concurrent.futures
 import math
-import multiprocessing
 import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 from rankone.deadline import OutOfTimeError, check_time, seconds_left, time_limit
@@ -22,6 +22,18 @@ __all__ = ["Workers", "open_workers"]
 _LOST = (BrokenExecutor, concurrent.futures.CancelledError)
 """How an executor says that a worker died."""
 _GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
+
+
+class _Spawn(SpawnContext):
+    """Starts processes anew, and keeps them in a list."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *arguments: Any, **named: Any) -> SpawnProcess:  # type: ignore[override]
+        self.started.append(SpawnProcess(*arguments, **named))
+        return self.started[-1]
 
 
 class Workers:
@@ -37,6 +49,7 @@ class Workers:
     def __init__(self, system: System, executor: Executor | int | None = None) -> None:
         self.system, self._asked = system, executor
         self._executor: Executor | None = None
+        self._processes: list[SpawnProcess] = []
         if executor is None:
             return
         recipe: Recipe | None = getattr(system, "RECIPE", None)
@@ -78,18 +91,23 @@ class Workers:
             ) from lost
         return [results[k] for k in range(len(tasks))]
 
-    def close(self, wait: bool = True) -> None:
-        """End the processes, if they were started here."""
-        if isinstance(self._asked, int) and self._executor is not None:
-            self._executor.shutdown(wait=wait, cancel_futures=True)
+    def close(self, now: bool = False) -> None:
+        """End the processes that were started here, ``now`` also in the middle of a task."""
+        if not isinstance(self._asked, int) or self._executor is None:
+            return
+        self._executor.shutdown(wait=not now, cancel_futures=True)
+        running = [process for process in self._processes if process.is_alive()]
+        for process in running:
+            process.terminate()
+        for process in running:
+            process.join()
 
     def _open(self) -> None:
         """Start processes, or ask whether the executor given takes work."""
         self._executor, starts = self._asked, 1  # type: ignore[assignment]
         if isinstance(self._asked, int):
-            spawn = multiprocessing.get_context("spawn")
-            starts = self._asked
-            self._executor = ProcessPoolExecutor(starts, mp_context=spawn)
+            starts, context = self._asked, _Spawn()
+            self._executor, self._processes = ProcessPoolExecutor(starts, context), context.started
         for _ in range(starts):
             try:
                 self._submit(time.time)
@@ -158,9 +176,9 @@ def open_workers(system: System, executor: Executor | int | None) -> Iterator[Wo
     try:
         yield workers
     except BaseException:
-        workers.close(wait=False)
+        workers.close(now=True)
         raise
-    workers.close()
+    workers.close(now=seconds_left() <= 0.0)
 
 
 def _call(recipe: Any, end: float, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
