@@ -132,7 +132,7 @@ def integrate_reference(
         steps = _Steps()
         state, stiff = stack.run(steps, rtol, rtol * _NEGLIGIBLE * size)
         largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
-        small = (0.0 < largest) & (largest < 10.0 * _NEGLIGIBLE * size)
+        small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
         if not small.any():
             break
         size = np.where(small, largest, size)

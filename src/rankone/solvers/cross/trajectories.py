@@ -74,9 +74,9 @@ class Trajectories:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
         if self.count + len(points) > self.most:
             raise TooManyTrajectories
-        parts = self._integrated(points)
+        found = self._integrated(points)
         self.count += len(points)
-        return self._coefficients(np.concatenate(parts, axis=1))
+        return self._coefficients(found)
 
     def states(self, coefficients: Array) -> Array:
         """States at the nodes from coefficients (rank, r): shape (n, T, r)."""
@@ -89,16 +89,15 @@ class Trajectories:
         reference = self.yardstick.reference
         chosen = reference.points[:points]
         exact = reference(self.grid.times)[:, :points] / self.units[:, None, None]
-        found = np.concatenate(self._integrated(chosen), axis=1)
-        found = found.reshape(self.units.size, -1, len(chosen))
+        found = self._integrated(chosen).reshape(self.units.size, -1, len(chosen))
         self.count += len(chosen)
         errors = np.abs(found - exact.transpose(0, 2, 1))
         return float(errors.max() * np.sqrt(self.grid.times.size))
 
-    def _integrated(self, points: Array) -> list[Array]:
-        """Trajectories at the points, chunk by chunk, each (n T, m).
+    def _integrated(self, points: Array) -> Array:
+        """Trajectories at the points, (n T, m).
 
-        Trajectories of a chunk share their steps. So the chunks depend on the problem and on the
+        Those of a chunk share their steps. So the chunks depend on the problem and on the
         number of points alone, and not on who integrates them.
         """
         yardstick, end = self.yardstick, self.grid.breaks[-1]
@@ -110,7 +109,7 @@ class Trajectories:
         given = edges, self.grid.times, yardstick.states, self.tolerance, yardstick.reference.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
-        return self.workers.map(_integrated, tasks, TrajectoryEnds)
+        return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
 
     def _chunk(self) -> int:
         """Largest number of trajectories in a chunk."""

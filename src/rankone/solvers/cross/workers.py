@@ -19,7 +19,7 @@ from rankone.system import Recipe, System
 
 __all__ = ["Workers", "open_workers"]
 
-_LOST = (BrokenExecutor, concurrent.futures.CancelledError)
+_DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
 """How an executor says that a worker died."""
 _GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
 
@@ -111,14 +111,14 @@ class Workers:
         for _ in range(starts):
             try:
                 self._submit(time.time)
-            except _LOST:
+            except _DEATHS:
                 return  # the tasks will say it
 
     def _submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         assert self._executor is not None
         try:
             return self._executor.submit(function, *arguments)
-        except _LOST:
+        except _DEATHS:
             raise
         except Exception as error:
             raise OptionError(
@@ -146,7 +146,7 @@ class Workers:
                 futures.values(), left, return_when=concurrent.futures.FIRST_EXCEPTION
             )
             check_time()
-        except _LOST as error:
+        except _DEATHS as error:
             lost = error
         finally:
             for future in futures.values():
@@ -157,7 +157,7 @@ class Workers:
             raised = future.exception()
             if raised is None:
                 results[k] = future.result()
-            elif isinstance(raised, _LOST):
+            elif isinstance(raised, _DEATHS):
                 lost = raised
             elif isinstance(raised, (RankoneError, OutOfTimeError, *failures)):
                 raise raised
