@@ -36,8 +36,8 @@ from rankone.codegen import (
     general_equation_texts,
     general_source,
     generate_source,
-    load_module,
 )
+from rankone.codegen.recipe import Recipe
 from rankone.errors import ConvergenceError, OptionError
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
@@ -107,7 +107,7 @@ class CompiledProblem:
     @cached_property
     def system(self) -> System:
         """The generated module; run again from its source after unpickling."""
-        return load_module(self.source, self.problem.name or "system", self.user_functions)
+        return Recipe(self.source, self.problem.name or "system", self.user_functions).load()
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., Any]]:

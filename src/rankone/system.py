@@ -31,14 +31,25 @@ kernel                                 meaning (n states in all, P points)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from rankone.arrays import Array
 
-__all__ = ["Kernel", "System"]
+__all__ = ["Kernel", "Recipe", "System"]
 
 Kernel = Callable[..., Array]
+
+
+class Recipe(Protocol):
+    """What a system is loaded from; ``system.RECIPE`` of those that rankone compiled. Pickles."""
+
+    @property
+    def namespace(self) -> Mapping[str, Callable[..., Any]]:
+        """The functions of the user that the system calls."""
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """``function(system, *arguments)``, in any process."""
 
 
 class System(Protocol):

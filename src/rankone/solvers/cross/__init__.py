@@ -5,6 +5,7 @@ module                  subject
 ======================  ==========================================================================
 ``time_grid``           slabs that resolve the reference, and their nodes
 ``trajectories``        stacked trajectories on the time grid, compressed in a growing basis
+``workers``               chunks of trajectories on the workers of an executor
 ``nodes``               numbers of parameter nodes, from trajectories on lines through the box
 ``samples``             trajectories at nodes of the grid, each integrated once
 ``sweep``               the cross interpolation: row spaces, skeletons, ranks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from rankone.solvers.cross.samples import Samples
 from rankone.solvers.cross.sweep import Interpolation, interpolate, left_points, rounded
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
+from rankone.solvers.cross.workers import Workers, open_workers
 from rankone.solvers.engine import Engine, Report, Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Outcome, Status
@@ -48,7 +50,10 @@ class CrossMarcher:
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
     }
 
-    def __init__(self, request: Request[CrossOptions], yardstick: Yardstick) -> None:
+    def __init__(
+        self, request: Request[CrossOptions], yardstick: Yardstick, workers: Workers
+    ) -> None:
+        self.workers = workers
         self.rtol, self.options, self.yardstick = request.rtol, request.options, yardstick
         self.share, self.left = 1.0, _LEFT_POINTS
         self.bases: tuple[Basis1D, ...] | None = None
@@ -65,7 +70,7 @@ class CrossMarcher:
             result.stopped = Status.SLAB_LIMIT
             return result
         most = self.options.max_trajectories - self.integrated
-        trajectories = Trajectories(self.yardstick, grid, self.tolerance, most)
+        trajectories = Trajectories(self.yardstick, grid, self.tolerance, most, self.workers)
         try:
             self._calibrate(trajectories, _INTEGRATION * level)
             found, bases = self._interpolated(trajectories, level)
@@ -186,7 +191,9 @@ def solve_cross(
     system: System, domain: Domain, request: Request[CrossOptions], report: Report
 ) -> Outcome:
     """Solve a system for the whole box by cross interpolation of its trajectories."""
-    return solve_in_attempts(CrossMarcher, system, domain, request, report)
+    with open_workers(system, request.options.executor) as workers:
+        prepared = partial(CrossMarcher, workers=workers)
+        return solve_in_attempts(prepared, system, domain, request, report)
 
 
 ENGINE = Engine("cross", CrossOptions, CrossRecord, solve_cross)

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any
 
 from rankone.discretization import BASES
-from rankone.options import Options, choice, integer
+from rankone.errors import OptionError
+from rankone.options import Options, checked_number, choice, integer
 
 __all__ = ["CrossOptions"]
+
+
+def _check_executor(name: str, value: Any) -> Executor | int:
+    """The value if it is an executor or a number of processes, or an OptionError."""
+    if isinstance(value, Executor):
+        return value
+    if isinstance(value, int):
+        return int(checked_number(name, value, 1))
+    raise OptionError(
+        f"{name}={value!r} is not valid",
+        remedy="give a number of processes or a concurrent.futures.Executor",
+    )
 
 
 @dataclass(frozen=True)
@@ -31,6 +46,9 @@ class CrossOptions(Options):
         Largest number of trajectories integrated in all.
     max_attempts : int
         How often the interpolation may be repeated with more nodes or points.
+    executor : concurrent.futures.Executor, int or None
+        What integrates trajectories: an executor, which is left running, or so many processes.
+        The results are the same to the bit.
     """
 
     basis: str = choice("chebyshev", BASES)
@@ -40,6 +58,7 @@ class CrossOptions(Options):
     max_slabs: int = integer(2000)
     max_trajectories: int = integer(200_000)
     max_attempts: int = integer(10)
+    executor: Executor | int | None = field(default=None, metadata={"check": _check_executor})
 
     def nodes_in_time(self, rtol: float) -> int:
         """Gauss nodes per slab: more for tighter tolerances."""

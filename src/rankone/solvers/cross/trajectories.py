@@ -8,13 +8,18 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.solvers.cross.time_grid import TimeGrid
+from rankone.solvers.cross.workers import Workers
 from rankone.solvers.integration import Stack
 from rankone.solvers.verification import Yardstick
+from rankone.system import Recipe, System
 
 __all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
 
-_STACKED, _STACKED_STIFF = 1500, 300
-"""Trajectories integrated together, by explicit and by implicit steps."""
+_FEWEST, _STACKED, _STACKED_STIFF, _STACKED_USER = 32, 1500, 300, 64
+"""Trajectories integrated together: at least, at most by explicit and by implicit steps, and at
+most with functions of the user, which may be slow."""
+_STACKED_STATES = 6000
+"""States of a stack that fits the cache."""
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
 _LOST = 0.3
@@ -29,7 +34,7 @@ class TrajectoryEnds(Exception):
     """Some trajectory cannot be integrated to the end; ``time`` is how far it came."""
 
     def __init__(self, time: float, points: Array) -> None:
-        super().__init__(time)
+        super().__init__(time, points)
         self.time, self.points = time, points
 
 
@@ -47,9 +52,19 @@ class Trajectories:
         Accuracy of the integration and of the basis.
     most : int
         Largest number of trajectories.
+    workers : Workers, optional
+        Where they are integrated.
     """
 
-    def __init__(self, yardstick: Yardstick, grid: TimeGrid, tolerance: float, most: int) -> None:
+    def __init__(
+        self,
+        yardstick: Yardstick,
+        grid: TimeGrid,
+        tolerance: float,
+        most: int,
+        workers: Workers | None = None,
+    ) -> None:
+        self.workers = workers or Workers(yardstick.system)
         self.yardstick, self.grid, self.tolerance, self.most = yardstick, grid, tolerance, most
         self.count = 0
         self.units = yardstick.states * np.sqrt(grid.times.size)
@@ -59,10 +74,9 @@ class Trajectories:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
         if self.count + len(points) > self.most:
             raise TooManyTrajectories
-        chunk = _STACKED_STIFF if self.yardstick.reference.stiff else _STACKED
-        parts = [self._integrated(points[k : k + chunk]) for k in range(0, len(points), chunk)]
+        found = self._integrated(points)
         self.count += len(points)
-        return self._coefficients(np.concatenate(parts, axis=1))
+        return self._coefficients(found)
 
     def states(self, coefficients: Array) -> Array:
         """States at the nodes from coefficients (rank, r): shape (n, T, r)."""
@@ -81,18 +95,29 @@ class Trajectories:
         return float(errors.max() * np.sqrt(self.grid.times.size))
 
     def _integrated(self, points: Array) -> Array:
-        """Trajectories at the points, (n T, m)."""
-        yardstick, times = self.yardstick, self.grid.times
-        horizon = yardstick.domain.horizon[0], self.grid.breaks[-1]
-        cuts = [cut for cut in yardstick.cuts if cut < horizon[1]]
-        record = _AtNodes(times, yardstick.states.size, len(points))
-        stack = Stack(yardstick.system, points, [horizon[0], *cuts, horizon[1]])
-        atol = _ABSOLUTE * self.tolerance * yardstick.states[:, None]
-        stack.run(record, self.tolerance, atol, yardstick.reference.stiff)
-        if record.reached < times.size or not np.isfinite(record.values).all():
-            raise TrajectoryEnds(float(times[max(record.reached - 1, 0)]), points)
-        scaled = record.values.transpose(1, 0, 2) / self.units[:, None, None]
-        return np.asarray(scaled.reshape(-1, len(points)))
+        """Trajectories at the points, (n T, m).
+
+        Those of a chunk share their steps. So the chunks depend on the problem and on the
+        number of points alone, and not on who integrates them.
+        """
+        yardstick, end = self.yardstick, self.grid.breaks[-1]
+        edges = [
+            yardstick.domain.horizon[0],
+            *(cut for cut in yardstick.cuts if cut < end),
+            end,
+        ]
+        given = edges, self.grid.times, yardstick.states, self.tolerance, yardstick.reference.stiff
+        chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
+        tasks = [(chunk, *given) for chunk in chunks]
+        return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
+
+    def _chunk(self) -> int:
+        """Largest number of trajectories in a chunk."""
+        recipe: Recipe | None = getattr(self.yardstick.system, "RECIPE", None)
+        if recipe is not None and recipe.namespace:
+            return _STACKED_USER
+        most = _STACKED_STIFF if self.yardstick.reference.stiff else _STACKED
+        return min(max(_STACKED_STATES // int(self.units.size), _FEWEST), most)
 
     def _coefficients(self, trajectories: Array) -> Array:
         """Coefficients in the basis, which grows by what it misses."""
@@ -110,6 +135,26 @@ class Trajectories:
         new, _ = np.linalg.qr(new - self.basis @ (self.basis.T @ new))
         self.basis = np.concatenate([self.basis, new], axis=1)
         return np.concatenate([found, new.T @ rest])
+
+
+def _integrated(
+    system: System,
+    points: Array,
+    edges: list[float],
+    times: Array,
+    sizes: Array,
+    tolerance: float,
+    stiff: bool,
+) -> Array:
+    """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
+    record = _AtNodes(times, sizes.size, len(points))
+    atol = _ABSOLUTE * tolerance * sizes[:, None]
+    Stack(system, points, edges).run(record, tolerance, atol, stiff)
+    if record.reached < times.size or not np.isfinite(record.values).all():
+        raise TrajectoryEnds(float(times[max(record.reached - 1, 0)]), points)
+    units = sizes * np.sqrt(times.size)
+    scaled = record.values.transpose(1, 0, 2) / units[:, None, None]
+    return np.asarray(scaled.reshape(-1, len(points)))
 
 
 def _span(columns: Array, tolerance: float) -> Array:

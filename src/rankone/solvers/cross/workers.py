@@ -1,0 +1,212 @@
+"""Chunks of trajectories on the workers of an executor, or in this process."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import math
+import pickle
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache
+from multiprocessing.context import SpawnContext, SpawnProcess
+from typing import Any
+
+from rankone.deadline import OutOfTimeError, check_time, seconds_left, time_limit
+from rankone.errors import OptionError, RankoneError
+from rankone.system import Recipe, System
+
+__all__ = ["Workers", "open_workers"]
+
+_DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
+"""How an executor says that a worker died."""
+_GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
+
+
+class _Spawn(SpawnContext):
+    """Starts processes anew, and keeps them in a list."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *arguments: Any, **named: Any) -> SpawnProcess:  # type: ignore[override]
+        self.started.append(SpawnProcess(*arguments, **named))
+        return self.started[-1]
+
+
+class Workers:
+    """Calls of a function of a system and further arguments; without an executor, here.
+
+    Parameters
+    ----------
+    system : System
+    executor : Executor or int, optional
+        An int is a number of processes, which :meth:`close` ends.
+    """
+
+    def __init__(self, system: System, executor: Executor | int | None = None) -> None:
+        self.system, self._asked = system, executor
+        self._executor: Executor | None = None
+        self._processes: list[SpawnProcess] = []
+        if executor is None:
+            return
+        recipe: Recipe | None = getattr(system, "RECIPE", None)
+        if recipe is None:
+            raise OptionError(
+                "executor= needs a system compiled by rankone: workers cannot load this one",
+                remedy="leave it out, or solve with rankone.solve",
+            )
+        processes = isinstance(executor, int | ProcessPoolExecutor)
+        self._recipe = _pickled(recipe) if processes else recipe
+        self._open()
+
+    def map(
+        self,
+        function: Callable[..., Any],
+        tasks: Sequence[tuple[Any, ...]],
+        *failures: type[Exception],
+    ) -> list[Any]:
+        """The results of ``function(system, *task)`` in order.
+
+        A single task is run here. Tasks of a worker that died are submitted once more. Failures
+        of the function are raised as they are, other errors as a RankoneError.
+        """
+        if self._executor is None or len(tasks) < 2:
+            return [function(self.system, *task) for task in tasks]
+        end = time.time() + seconds_left()
+        results: dict[int, Any] = {}
+        lost = self._round(function, tasks, range(len(tasks)), end, results, failures)
+        if lost is not None:
+            if isinstance(self._asked, int):
+                self.close()
+                self._open()
+            left = [k for k in range(len(tasks)) if k not in results]
+            lost = self._round(function, tasks, left, end, results, failures)
+        if lost is not None:
+            raise RankoneError(
+                f"a worker of the executor died, and once more when it was tried again: {lost}",
+                remedy="look for a crash or a lack of memory in the workers; " + _GUARD,
+            ) from lost
+        return [results[k] for k in range(len(tasks))]
+
+    def close(self, now: bool = False) -> None:
+        """End the processes that were started here, ``now`` also in the middle of a task."""
+        if not isinstance(self._asked, int) or self._executor is None:
+            return
+        self._executor.shutdown(wait=not now, cancel_futures=True)
+        running = [process for process in self._processes if process.is_alive()]
+        for process in running:
+            process.terminate()
+        for process in running:
+            process.join()
+
+    def _open(self) -> None:
+        """Start processes, or ask whether the executor given takes work."""
+        self._executor, starts = self._asked, 1  # type: ignore[assignment]
+        if isinstance(self._asked, int):
+            starts, context = self._asked, _Spawn()
+            self._executor, self._processes = ProcessPoolExecutor(starts, context), context.started
+        for _ in range(starts):
+            try:
+                self._submit(time.time)
+            except _DEATHS:
+                return  # the tasks will say it
+
+    def _submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        assert self._executor is not None
+        try:
+            return self._executor.submit(function, *arguments)
+        except _DEATHS:
+            raise
+        except Exception as error:
+            raise OptionError(
+                f"executor= takes no work: {type(error).__name__}: {error}",
+                remedy="give one that is open, or a number of processes",
+            ) from error
+
+    def _round(
+        self,
+        function: Callable[..., Any],
+        tasks: Sequence[tuple[Any, ...]],
+        chosen: Sequence[int],
+        end: float,
+        results: dict[int, Any],
+        failures: tuple[type[Exception], ...],
+    ) -> BaseException | None:
+        """Add results of the tasks chosen; how a worker was lost, if one was."""
+        futures: dict[int, Future[Any]] = {}
+        lost: BaseException | None = None
+        try:
+            for k in chosen:
+                futures[k] = self._submit(_call, self._recipe, end, function, tasks[k])
+            left = None if end == math.inf else max(end - time.time(), 0.0)
+            concurrent.futures.wait(
+                futures.values(), left, return_when=concurrent.futures.FIRST_EXCEPTION
+            )
+            check_time()
+        except _DEATHS as error:
+            lost = error
+        finally:
+            for future in futures.values():
+                future.cancel()
+        for k, future in futures.items():
+            if not future.done() or future.cancelled():
+                continue
+            raised = future.exception()
+            if raised is None:
+                results[k] = future.result()
+            elif isinstance(raised, _DEATHS):
+                lost = raised
+            elif isinstance(raised, (RankoneError, OutOfTimeError, *failures)):
+                raise raised
+            else:
+                raise RankoneError(
+                    f"a worker of the executor failed: {type(raised).__name__}: {raised}",
+                    remedy="solve without executor= to see whether the worker is the reason",
+                ) from raised
+        return lost
+
+
+@contextmanager
+def open_workers(system: System, executor: Executor | int | None) -> Iterator[Workers]:
+    """Workers for a solve; processes that were started end with it."""
+    workers = Workers(system, executor)
+    try:
+        yield workers
+    except BaseException:
+        workers.close(now=True)
+        raise
+    workers.close(now=seconds_left() <= 0.0)
+
+
+def _call(recipe: Any, end: float, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
+    """What a worker runs; ``end`` is a time of the clock on the wall."""
+    if isinstance(recipe, bytes):
+        recipe = _unpickled(recipe)
+    with time_limit(None if end == math.inf else end - time.time()):
+        check_time()
+        return recipe.call(function, *task)
+
+
+def _pickled(recipe: Recipe) -> bytes:
+    """The recipe for another process, or an error that names what cannot be sent."""
+    try:
+        return pickle.dumps(recipe)
+    except Exception as error:
+        raise OptionError(
+            f"a function of the user cannot be sent to another process: {error}",
+            remedy="define it by def at the top of a module, or leave out executor=",
+        ) from error
+
+
+@lru_cache(8)
+def _unpickled(recipe: bytes) -> Any:
+    try:
+        return pickle.loads(recipe)
+    except Exception as error:
+        raise OptionError(
+            f"a worker cannot load a function of the user: {type(error).__name__}: {error}",
+            remedy="define it in a module that the workers can import",
+        ) from error

@@ -1,0 +1,226 @@
+"""Trajectories on the workers of an executor: the same bits, and clear errors."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import rankone as ro
+from tests.problems import EXAMPLES
+
+FLAG = "RANKONE_TEST_FLAG"
+"""Environment variable that names a file; processes that are spawned inherit it."""
+
+
+def sine(x):
+    return np.sin(x)
+
+
+def cosine(x):
+    return np.cos(x)
+
+
+def in_a_worker():
+    return multiprocessing.parent_process() is not None
+
+
+def raising(x):
+    if in_a_worker():
+        raise ValueError("not today")
+    return np.sin(x)
+
+
+def shapeless(x):
+    return np.zeros(3) if in_a_worker() else np.sin(x)
+
+
+def dying_once(x):
+    """The first worker that takes the flag away dies."""
+    if in_a_worker():
+        try:
+            Path(os.environ[FLAG]).unlink()
+        except FileNotFoundError:
+            return np.sin(x)
+        os._exit(1)
+    return np.sin(x)
+
+
+def dying(x):
+    if in_a_worker():
+        os._exit(1)
+    return np.sin(x)
+
+
+def slow(x):
+    if in_a_worker():
+        time.sleep(0.2)
+    return np.sin(x)
+
+
+def problem(value=sine, slope=cosine):
+    """x' = -f(x) + k sin(m t), with enough parameters for several chunks."""
+    t, k, m = sp.symbols("t k m")
+    x = sp.Function("x")(t)
+    f = ro.function("f", value, slope)
+    equation = sp.Eq(x.diff(t), -f(x) + k * sp.sin(m * t))
+    return ro.Problem([equation], (t, 0, 2), {k: (0.5, 1.5), m: (1, 4)}, {x: k})
+
+
+def bits(solution):
+    """Values at some points, and the history."""
+    assert solution.success, solution.message
+    t = np.linspace(*solution.time, 7)
+    point = {name: np.linspace(*ends, 7) for name, ends in solution.parameters.items()}
+    return solution(t, point).tobytes(), solution.history
+
+
+def processes_have_ended():
+    """Whether none are left after a moment: another thread may be just about to reap them."""
+    end = time.perf_counter() + 5.0
+    while multiprocessing.active_children() and time.perf_counter() < end:
+        time.sleep(0.05)
+    return not multiprocessing.active_children()
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    return ro.compile(EXAMPLES["kirchhoff"].problem)
+
+
+@pytest.fixture(scope="module")
+def alone(compiled):
+    return bits(compiled.solve(1e-4, method="cross"))
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_processes_give_the_same_bits(compiled, alone, processes):
+    assert bits(compiled.solve(1e-4, executor=processes)) == alone
+    assert processes_have_ended()
+
+
+def test_threads_give_the_same_bits_and_are_left_running(compiled, alone):
+    with ThreadPoolExecutor(2) as executor:
+        assert bits(compiled.solve(1e-4, method="cross", executor=executor)) == alone
+        assert executor.submit(int, 3).result() == 3
+
+
+def test_functions_of_the_user_give_the_same_bits():
+    compiled = ro.compile(problem())
+    assert bits(compiled.solve(1e-6, executor=2)) == bits(compiled.solve(1e-6, method="cross"))
+
+
+def test_dask_gives_the_same_bits(compiled, alone):
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        executor = client.get_executor()
+        assert bits(compiled.solve(1e-4, executor=executor)) == alone
+
+
+def test_processes_end_when_the_solve_is_interrupted(compiled, monkeypatch):
+    def interrupted(*arguments, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(concurrent.futures, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        compiled.solve(1e-4, executor=2)
+    assert processes_have_ended()
+
+
+class Counting(ThreadPoolExecutor):
+    """Counts what it is given."""
+
+    count = 0
+
+    def submit(self, *arguments):
+        self.count += 1
+        return super().submit(*arguments)
+
+
+def test_the_executor_is_used(compiled, alone):
+    with Counting(2) as executor:
+        assert bits(compiled.solve(1e-4, executor=executor)) == alone
+    assert executor.count > 3
+
+
+@pytest.mark.parametrize("executor", [0, -1, True, 1.5, "x"])
+def test_what_is_no_executor(compiled, executor):
+    with pytest.raises(ro.OptionError, match="executor="):
+        compiled.solve(1e-4, executor=executor)
+
+
+@pytest.mark.parametrize("method", ["train", "greedy"])
+def test_other_engines_have_none(compiled, method):
+    with pytest.raises(ro.OptionError, match=r"'executor' belongs to method='cross'"):
+        compiled.solve(1e-4, method=method, executor=2)
+
+
+@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_an_executor_that_is_shut_down(compiled, kind):
+    executor = kind(1)
+    executor.shutdown()
+    with pytest.raises(ro.OptionError, match="takes no work"):
+        compiled.solve(1e-4, executor=executor)
+
+
+def test_a_function_that_cannot_be_pickled():
+    compiled = ro.compile(problem(lambda x: np.sin(x), lambda x: np.cos(x)))
+    with pytest.raises(ro.OptionError, match="cannot be sent to another process"):
+        compiled.solve(1e-6, executor=2)
+    with ThreadPoolExecutor(2) as executor:
+        assert compiled.solve(1e-6, executor=executor).success
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [(raising, "raised ValueError: not today"), (shapeless, r"returned shape \(3,\)")],
+)
+def test_a_function_that_fails_in_a_worker(value, message):
+    with pytest.raises(ro.RankoneError, match=message):
+        ro.solve(problem(value), rtol=1e-6, executor=2)
+
+
+def test_a_worker_that_dies_once(tmp_path, monkeypatch):
+    flag = tmp_path / "flag"
+    flag.touch()
+    monkeypatch.setenv(FLAG, str(flag))
+    expected = ro.solve(problem(), rtol=1e-6, method="cross")
+    solution = ro.solve(problem(dying_once), rtol=1e-6, executor=2)
+    assert not flag.exists()
+    assert bits(solution) == bits(expected)
+
+
+def test_a_worker_that_always_dies():
+    with pytest.raises(ro.RankoneError, match="died, and once more"):
+        ro.solve(problem(dying), rtol=1e-6, executor=2)
+    spawn = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(1, mp_context=spawn) as executor,
+        pytest.raises(ro.RankoneError, match="died, and once more"),
+    ):
+        ro.solve(problem(dying), rtol=1e-6, executor=executor)
+
+
+def test_the_time_limit_holds_for_workers():
+    began = time.perf_counter()
+    solution = ro.solve(problem(slow), rtol=1e-6, executor=2, max_seconds=4.0)
+    assert solution.status is ro.Status.TIME_LIMIT
+    assert time.perf_counter() - began < 9.0
+    assert processes_have_ended()
+
+
+def test_an_exported_solver_refuses_it(tmp_path):
+    from rankone.codegen import load_module
+    from rankone.solvers.cross import ENGINE
+
+    compiled = ro.compile(EXAMPLES["coupled"].problem)
+    with pytest.raises(ro.OptionError, match="cannot load this one"):
+        ENGINE.run(load_module(compiled.source, "bare"), 1e-4, executor=2)
