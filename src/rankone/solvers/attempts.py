@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
-from rankone.deadline import OutOfTimeError, seconds_left
+from rankone.deadline import OutOfTimeError, seconds_left, time_limit
 from rankone.domain import Domain
 from rankone.progress import Report
 from rankone.solvers.engine import Request
@@ -22,6 +22,8 @@ __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
 _PATIENCE = 20.0
 """Seconds after which no further attempt is begun if no time limit was asked for."""
+_LONGEST = 40.0
+"""Seconds after which, in the same case, an attempt that is not the first is given up."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -125,11 +127,15 @@ def solve_in_attempts(
         message = f"{Status.TIME_LIMIT.value} by the reference trajectories; raise max_seconds"
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
-        with _timed(timings, "march"):
+        spent = clock.perf_counter() - began
+        with _timed(timings, "march"), time_limit(_LONGEST - spent if index else None):
             result = marcher.march(index, report)
         with _timed(timings, "check"):
             if result.points is not None and yardstick.checked:
-                yardstick = yardstick.with_points(result.points)
+                try:
+                    yardstick = yardstick.with_points(result.points)
+                except OutOfTimeError:  # not measured where it must be
+                    result.stopped = Status.TIME_LIMIT
             attempt = Attempt(result, yardstick.measured(result.slabs))
         records += result.records
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0

@@ -32,7 +32,8 @@ _FARTHEST = 3.0
 _STEEP = 5.0
 """Number of nodes, over that of the lines, from which elements are tried."""
 _DEARER = 2.0
-"""Nodes in elements that are taken for one in a single element that does not suffice."""
+"""Nodes in elements that are taken for one in a single element that does not suffice, where there
+is one parameter; with more, what is steep moves, and only fewer nodes are taken."""
 _TAIL_STEEP = 0.01
 """As the tail above, where elements are taken: what is steep is so at few times only."""
 _CHECKED = 16
@@ -84,7 +85,7 @@ def divided(
         if basis.elements == 1 and basis.size > _STEEP * count:
             one = replace(basis, degree=count)
             elements = _elements(lines, j, one, (), _TAIL_STEEP * rtol, options.max_nodes)
-            if elements.size <= _DEARER * basis.size:
+            if elements.size <= basis.size * (_DEARER if len(bases) == 1 else 1.0):
                 found[j] = elements
     return tuple(found)
 
