@@ -18,7 +18,7 @@ __all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
 _FEWEST, _STACKED, _STACKED_STIFF, _STACKED_USER = 32, 1500, 300, 64
 """Trajectories integrated together: at least, at most by explicit and by implicit steps, and at
 most with functions of the user, which may be slow."""
-_STACKED_STATES = 15000
+_STACKED_STATES = 6000
 """States of a stack that fits the cache."""
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
