@@ -24,7 +24,7 @@ _BESIDE = 4e-9
 """Distance from special values, in widths of the interval: at a jump itself there is no value."""
 _NEGLIGIBLE = 1e-7
 """Part of a state's size at which its relative accuracy ends."""
-_LONGEST = 0.04
+_LONGEST = 0.1
 """Longest step, in horizons: what is shorter may be passed unseen."""
 _INTEGRATIONS = 3
 """Integrations at most, where states that start from zero turn out to be small."""
