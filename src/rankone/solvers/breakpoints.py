@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -26,6 +27,9 @@ _NODES = 14
 _TOLERANCE = 1e-7
 """Interpolation error that counts as resolved, relative to the largest value."""
 _NARROW = 1.0 / 64.0
+_UNIT = ChebyshevBasis(0.0, 1.0, _NODES)
+_EXTRA = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
+"""Places beside the samples, so that small pieces are looked at too."""
 _RARE = 0.25
 """Narrow pieces count if they make up less than this part of the interval."""
 _DEEPEST = 13
@@ -101,6 +105,26 @@ def breakpoints(
     return [x for x in finder.distinct(cuts) if min(x - lower, upper - x) > finder.closest]
 
 
+def _interpolation(places: Array) -> Array:
+    """From values at the nodes of [0, 1] to those at places (N,) and at the extra ones."""
+    at = _UNIT.modal_values(np.concatenate([places, _EXTRA]))
+    return np.asarray(np.sqrt(_UNIT.weights)[:, None] * (_UNIT.to_modal.T @ at.T))
+
+
+def _even(places: Array) -> bool:
+    """Whether places on [0, 1] are the middles of equal parts."""
+    if not places.size:
+        return False
+    first, last = places[0] * places.size, (1.0 - places[-1]) * places.size
+    return bool(abs(first - 0.5) + abs(last - 0.5) < 1e-6)
+
+
+@lru_cache(16)
+def _evenly(count: int) -> Array:
+    """The same for the middles of so many equal parts: what a dyadic piece has."""
+    return _interpolation((np.arange(count) + 0.5) / count)
+
+
 class _Finder:
     """Recursive bisection of one interval until the functions are resolved on every piece."""
 
@@ -115,14 +139,12 @@ class _Finder:
 
     def error(self, a: float, b: float) -> float:
         """Largest interpolation error on [a, b], at the fine samples and a few more points."""
-        basis = ChebyshevBasis(a, b, _NODES)
         inside = slice(*np.searchsorted(self.points, [a, b]))
-        extra = a + (b - a) * np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
-        points = np.concatenate([self.points[inside], extra])
-        values = np.concatenate([self.values[:, inside], self.function(extra)], axis=1)
-        scaled = self.function(basis.nodes) * np.sqrt(basis.weights)
-        fitted = scaled @ basis.to_modal.T @ basis.modal_values(points).T
-        return float(np.max(np.abs(values - fitted) / self.size))
+        places = (self.points[inside] - a) / (b - a)
+        few = self.function(a + (b - a) * np.concatenate([_UNIT.nodes, _EXTRA]))
+        matrix = _evenly(places.size) if _even(places) else _interpolation(places)
+        values = np.concatenate([self.values[:, inside], few[:, _NODES:]], axis=1)
+        return float(np.max(np.abs(values - few[:, :_NODES] @ matrix) / self.size))
 
     def pieces(self, a: float, b: float, depth: int = 0) -> list[tuple[float, float, bool]]:
         """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
