@@ -98,9 +98,9 @@ class Marcher(Protocol):
         ``stalls`` is the number of attempts in a row that hardly lowered the error.
         """
 
-    def cause(self, status: Status, attempt: Attempt) -> str:
-        """Why it ended with that status."""
-        return status.value
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
+        """The status, or one that says more, and why it ended so."""
+        return status, status.value
 
 
 def solve_in_attempts(
@@ -131,12 +131,15 @@ def solve_in_attempts(
         with _timed(timings, "march"), time_limit(_LONGEST - spent if index else None):
             result = marcher.march(index, report)
         with _timed(timings, "check"):
-            if result.points is not None and yardstick.checked:
+            attempt = Attempt(result, yardstick.measured(result.slabs))
+            if result.points is not None and attempt.error <= request.rtol:
                 try:
                     yardstick = yardstick.with_points(result.points)
                 except OutOfTimeError:  # not measured where it must be
                     result.stopped = Status.TIME_LIMIT
-            attempt = Attempt(result, yardstick.measured(result.slabs))
+                attempt = Attempt(result, yardstick.measured(result.slabs))
+                if best is not None:
+                    best = Attempt(best.result, yardstick.measured(best.result.slabs))
         records += result.records
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         best = attempt if attempt.better_than(best) else best
@@ -151,7 +154,8 @@ def solve_in_attempts(
     status = best.status(yardstick, request.rtol)
     if out_of_time and status is not Status.CONVERGED:
         status = Status.TIME_LIMIT
-    message = best.message(status, request.rtol, marcher.cause(status, best))
+    status, cause = marcher.explained(status, best)
+    message = best.message(status, request.rtol, cause)
     remedies = {Status.TIME_LIMIT: "raise max_seconds", **marcher.remedies}
     if status in remedies:
         message += f"; {remedies[status]}"

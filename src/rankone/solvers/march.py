@@ -66,7 +66,8 @@ class MarchResult:
     """Slabs solved so far, records of all trials, and the limits met on the way.
 
     ``stopped`` says why the march ended early; None if it reached the end. ``points`` (m, d) are
-    parameter points at which the error must be measured beside those always taken.
+    parameter points at which the error must be within the tolerance too if it is at those that are
+    always taken.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)

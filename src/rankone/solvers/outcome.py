@@ -24,6 +24,7 @@ class Status(Enum):
     TIME_LIMIT = "the time limit was reached"
     TRAJECTORY_LIMIT = "the limit of trajectories was reached"
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
+    STEEP = "the solution depends steeply on a parameter"
     BLOW_UP = "a trajectory blows up inside the horizon"
 
 

@@ -13,7 +13,7 @@ from rankone.wording import did_you_mean
 __all__ = ["AUTO", "ENGINES", "engines_for"]
 
 AUTO = "auto"
-_FEW_PARAMETERS = 1
+_FEW_PARAMETERS = 0
 """Up to so many parameters train is as fast as cross, and exact for solutions of few products."""
 
 ENGINES: dict[str, Engine[Any]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -17,8 +18,10 @@ from rankone.system import System
 
 __all__ = ["Asked", "Task"]
 
-_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP)
+_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP, Status.STEEP)
 """How a solve ends that no other engine is tried after."""
+_NEXT = 10.0
+"""Seconds for an engine that is not the first, if no time limit was asked for."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,8 @@ class Task:
         for engine, request in zip(self.engines, self.requests, strict=True):
             if found and seconds_left() <= 0.0:
                 break
-            outcome = engine.solve(self.system, self.domain, request, report)
+            with time_limit(_NEXT if found and math.isinf(seconds_left()) else None):
+                outcome = engine.solve(self.system, self.domain, request, report)
             found.append((outcome, engine.name))
             if outcome.status in _FINAL:
                 break

@@ -14,10 +14,12 @@ from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
 from rankone.solvers.attempts import Attempt, solve_in_attempts
-from rankone.solvers.cross.nodes import divided, first_bases, inside_elements, more_nodes
+from rankone.solvers.cross.nodes import divided, first_bases, line_count, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.samples import Samples
+from rankone.solvers.cross.steep import steepest_front
+from rankone.solvers.cross.suspects import steepest_point, suspects
 from rankone.solvers.cross.sweep import Interpolation, interpolate, left_points, rounded
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
@@ -34,8 +36,24 @@ __all__ = ["ENGINE", "solve_cross"]
 _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
 _LEFT_POINTS = 9
+_SMOOTH = 3.0
+"""Nodes in one parameter, over those of the first lines, from which a solution is steep there."""
+_PATIENCE, _CHEAP = 5, 20_000
+"""Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
+_FAR, _FAST = 10.0, 0.2
+"""Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 _CALIBRATED = 8
 """Reference points at which the error of the integration is measured."""
+
+
+_UNRESOLVED = (
+    Status.TOLERANCE,
+    Status.RANK_LIMIT,
+    Status.NODE_LIMIT,
+    Status.TRAJECTORY_LIMIT,
+    Status.TIME_LIMIT,
+)
+"""Failures for which a steep dependence on a parameter may be the reason."""
 
 
 class CrossMarcher:
@@ -48,6 +66,7 @@ class CrossMarcher:
         Status.TRAJECTORY_LIMIT: "raise max_trajectories, narrow the box or loosen rtol",
         Status.NO_CONVERGENCE: "narrow the box or shorten the horizon",
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
+        Status.STEEP: "solve the parts of the box on either side on their own, or loosen rtol",
     }
 
     def __init__(
@@ -58,7 +77,8 @@ class CrossMarcher:
         self.share, self.left = 1.0, _LEFT_POINTS
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
-        self.integrated = 0
+        self.trajectories: Trajectories | None = None
+        self.integrated, self.error = 0, np.inf
         self.tolerance = 0.3 * _INTEGRATION * request.rtol
 
     def march(self, number: int, report: Report) -> MarchResult:
@@ -71,6 +91,7 @@ class CrossMarcher:
             return result
         most = self.options.max_trajectories - self.integrated
         trajectories = Trajectories(self.yardstick, grid, self.tolerance, most, self.workers)
+        self.trajectories = trajectories
         try:
             self._calibrate(trajectories, _INTEGRATION * level)
             found, bases = self._interpolated(trajectories, level)
@@ -94,8 +115,10 @@ class CrossMarcher:
         cores = rounded(found.cores, _ROUNDING * level)
         modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
         self.spectra = _spectra(modal)
-        result.points = inside_elements(bases, number)
         result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
+        smooth = _SMOOTH * line_count(self.rtol, self.options)
+        if any(basis.elements > 1 or basis.size > smooth for basis in bases):
+            result.points = suspects(result.slabs, bases, trajectories.sizes, number)
         ranks = tuple(core.shape[0] for core in modal[1:])
         tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
         sizes = tuple(basis.size for basis in bases)
@@ -157,7 +180,12 @@ class CrossMarcher:
             return False
         finer = self._finer(self.bases)
         grown = sum(basis.elements for basis in finer) > sum(b.elements for b in self.bases)
-        if stalls >= 2 and not grown:
+        before, self.error = self.error, attempt.error
+        if self.integrated < _CHEAP:
+            patient = grown or stalls < _PATIENCE
+        else:
+            patient = stalls < 2 and attempt.error < max(_FAR * self.rtol, _FAST * before)
+        if not patient:
             return False
         if finer == self.bases or (stalls and not grown):
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
@@ -171,9 +199,22 @@ class CrossMarcher:
         tolerance = _HIGHEST * self.share * self.rtol
         return more_nodes(bases, self.spectra, tolerance, self.options.max_nodes)
 
-    def cause(self, status: Status, attempt: Attempt) -> str:
-        """The status says it."""
-        return status.value
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
+        """Whether a steep dependence on a parameter is the reason, and on which."""
+        trajectories, domain = self.trajectories, self.yardstick.domain
+        if status not in _UNRESOLVED or trajectories is None or not domain.box:
+            return status, status.value
+        lines = [domain.bounds.mean(axis=1)]
+        if attempt.result.slabs and self.bases is not None:
+            lines.append(steepest_point(attempt.result.slabs[-1], self.bases, trajectories.sizes))
+        try:
+            front = steepest_front(trajectories.values, domain, lines)
+        except (OutOfTimeError, TrajectoryEnds):
+            front = None
+        if front is None:
+            return status, status.value
+        system = self.yardstick.system
+        return Status.STEEP, front.sentence(system.STATES, system.PARAMETERS)
 
 
 def _spectra(cores: list[Array]) -> list[Array]:

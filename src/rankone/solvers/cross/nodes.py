@@ -19,7 +19,7 @@ from rankone.domain import Domain
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 
-__all__ = ["divided", "first_bases", "inside_elements", "more_nodes"]
+__all__ = ["divided", "first_bases", "line_count", "more_nodes"]
 
 _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
@@ -36,8 +36,10 @@ _DEARER = 2.0
 is one parameter; with more, what is steep moves, and only fewer nodes are taken."""
 _TAIL_STEEP = 0.01
 """As the tail above, where elements are taken: what is steep is so at few times only."""
-_CHECKED = 16
-"""Elements of a parameter in which the error is measured."""
+_AT_BORDERS = 30.0
+"""Error at the borders of an element, in the same unit, from which it is halved."""
+_BESIDE = 4e-9
+"""Distance from a border, in widths of the interval: there may be a jump."""
 _NARROWEST = 1e-9
 """Width of the smallest element, relative to the interval: it holds a jump."""
 
@@ -51,10 +53,10 @@ def first_bases(
     geometrically, which tells how many are needed beyond those of the line.
     """
     kind = BASES[options.basis]
-    count = _count(rtol, options)
+    count = line_count(rtol, options)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
     lines = Lines(trajectories, domain)
-    values = lines([(j, basis) for j, basis in enumerate(bases)])
+    values = lines([(j, basis.nodes) for j, basis in enumerate(bases)])
     special = trajectories.yardstick.special or ((),) * len(bases)
     found = []
     for j, basis in enumerate(bases):
@@ -78,7 +80,7 @@ def divided(
     options: CrossOptions,
 ) -> tuple[Basis1D, ...]:
     """The same bases, but elements where one of many nodes does no better."""
-    count = _count(rtol, options)
+    count = line_count(rtol, options)
     lines = Lines(trajectories, domain)
     found = list(bases)
     for j, basis in enumerate(bases):
@@ -90,8 +92,8 @@ def divided(
     return tuple(found)
 
 
-def _count(rtol: float, options: CrossOptions) -> int:
-    """Nodes of the lines, and of each element."""
+def line_count(rtol: float, options: CrossOptions) -> int:
+    """Nodes of the lines that come first, and of each element."""
     return min(max(round(4.0 + 1.4 * -math.log10(rtol)), 6), options.max_nodes)
 
 
@@ -105,23 +107,35 @@ def _elements(
     lines: Lines, j: int, basis: Basis1D, special: Sequence[float], tolerance: float, most: int
 ) -> Basis1D:
     """Elements that begin with the special points and are halved until the lines are resolved."""
-    narrowest = _NARROWEST * (basis.upper - basis.lower)
+    width = basis.upper - basis.lower
     waiting = list(itertools.pairwise([basis.lower, *special, basis.upper]))
     ends = {basis.upper}
     while waiting:
         pieces = [replace(basis, lower=a, upper=b) for a, b in waiting]
-        values = lines([(j, piece) for piece in pieces])
+        beside = [min(_BESIDE * width, 0.01 * (b - a)) for a, b in waiting]
+        borders = [np.array([a + s, b - s]) for (a, b), s in zip(waiting, beside, strict=True)]
+        points = zip((piece.nodes for piece in pieces), borders, strict=True)
+        values = lines([(j, np.concatenate(pair)) for pair in points])
         halves: list[tuple[float, float]] = []
-        for piece, found in zip(pieces, values, strict=True):
+        for piece, border, found in zip(pieces, borders, values, strict=True):
             a, b = piece.lower, piece.upper
-            rough = needed(_spectrum(piece, found), tolerance, math.inf) > piece.degree
+            inside, outside = found[..., :-2], found[..., -2:]
+            rough = needed(_spectrum(piece, inside), tolerance, math.inf) > piece.degree
+            if not rough:  # a layer may hide between the last node and the border
+                rough = _missed(piece, inside, border, outside) > _AT_BORDERS * tolerance
             room = (len(ends) + len(halves) + 2) * basis.degree <= most
-            if rough and room and b - a > narrowest:
+            if rough and room and b - a > _NARROWEST * width:
                 halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
             else:
                 ends.add(a)
         waiting = halves
     return replace(basis, breaks=tuple(sorted(ends)[1:-1]))
+
+
+def _missed(piece: Basis1D, values: Array, points: Array, exact: Array) -> float:
+    """Largest error at points of interpolants through values at the nodes."""
+    modal = piece.modal_values(points) @ piece.to_modal
+    return float(np.linalg.norm(values * np.sqrt(piece.weights) @ modal.T - exact, axis=0).max())
 
 
 class Lines:
@@ -134,17 +148,17 @@ class Lines:
         sides = np.random.default_rng(20140).choice([-1.0, 1.0], len(bounds))
         self.shifts = (np.zeros(len(bounds)), _OFF_CENTRE * sides)
 
-    def __call__(self, pieces: Sequence[tuple[int, Basis1D]]) -> list[Array]:
-        """Coefficients (rank, lines, nodes) at the nodes of bases of the parameters given."""
+    def __call__(self, places: Sequence[tuple[int, Array]]) -> list[Array]:
+        """Coefficients (rank, lines, N) at places (N,) of the parameters given."""
         points = []
         lines = self.shifts[: 1 + (self.centre.size > 1)]
-        for j, basis in pieces:
+        for j, where in places:
             for shift in lines:
-                line = np.tile(self.centre + shift * self.width, (basis.size, 1))
-                line[:, j] = basis.nodes
+                line = np.tile(self.centre + shift * self.width, (where.size, 1))
+                line[:, j] = where
                 points.append(line)
         values = self.trajectories(np.concatenate(points))
-        sizes = np.cumsum([len(lines) * basis.size for _, basis in pieces])[:-1]
+        sizes = np.cumsum([len(lines) * where.size for _, where in places])[:-1]
         parts = np.split(values, sizes, axis=1)
         return [part.reshape(len(part), len(lines), -1) for part in parts]
 
@@ -195,22 +209,3 @@ def _halved(basis: Basis1D, spectrum: Array, tolerance: float, most: int) -> Bas
     middles = 0.5 * (basis.edges[:-1] + basis.edges[1:])[chosen]
     breaks = np.sort(np.concatenate([basis.edges[1:-1], middles]))
     return replace(basis, elements=breaks.size + 1, breaks=tuple(breaks.tolist()))
-
-
-def inside_elements(bases: Sequence[Basis1D], number: int) -> Array | None:
-    """Random points (m, d) inside the narrowest elements of each parameter; None without any.
-
-    ``number`` is that of the attempt: each has points of its own.
-    """
-    generator = np.random.default_rng((20140, number))
-    lower = np.array([basis.lower for basis in bases])
-    width = np.array([basis.upper for basis in bases]) - lower
-    points = []
-    for j, basis in enumerate(bases):
-        if basis.elements > 1:
-            narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_CHECKED]
-            inside = lower + width * generator.random((narrow.size, len(bases)))
-            share = generator.random(narrow.size)
-            inside[:, j] = (1.0 - share) * basis.edges[narrow] + share * basis.edges[narrow + 1]
-            points.append(inside)
-    return np.concatenate(points) if points else None

@@ -78,6 +78,16 @@ class Trajectories:
         self.count += len(points)
         return self._coefficients(found)
 
+    @property
+    def sizes(self) -> Array:
+        """Sizes of the states, (n,)."""
+        return self.yardstick.states
+
+    def values(self, points: Array) -> Array:
+        """Trajectories at points (m, d) in units of the sizes: shape (n, T, m); not counted."""
+        found = self._integrated(points) * np.sqrt(self.grid.times.size)
+        return np.asarray(found.reshape(self.units.size, -1, len(points)))
+
     def states(self, coefficients: Array) -> Array:
         """States at the nodes from coefficients (rank, r): shape (n, T, r)."""
         rank, columns = coefficients.shape

@@ -81,10 +81,10 @@ class GreedyMarcher(Marcher):
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.05), 0.5)
         return True
 
-    def cause(self, status: Status, attempt: Attempt) -> str:
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
         """Where the lagged terms were furthest from settled, if that is why."""
         unsettled = status is Status.NO_CONVERGENCE
-        return _unsettled(attempt.result.records) if unsettled else status.value
+        return status, _unsettled(attempt.result.records) if unsettled else status.value
 
 
 def _stiffness(yardstick: Yardstick) -> float:

@@ -1,0 +1,119 @@
+"""Why an interpolation does not converge: a parameter on which the solution depends steeply."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.domain import Domain
+from rankone.wording import quote
+
+__all__ = ["Front", "steepest_front"]
+
+_PLACES, _ZOOM = 65, 9
+"""Places on a line through the box, and between two of them when looked at closer."""
+_LARGE = 0.1
+"""Change of a state, in units of its size, that makes a front."""
+_KEPT = 0.5
+"""Part of the change that a narrower piece must hold to be looked at instead."""
+_STEEP, _JUMP = 0.01, 1e-6
+"""Widths of a front and of a jump, relative to the interval."""
+
+
+@dataclass(frozen=True)
+class Front:
+    """A short piece of a line along one parameter over which the trajectory changes.
+
+    Attributes
+    ----------
+    parameter, state : int
+        The parameter, and the state that changes most.
+    lower, upper : float
+        The piece.
+    share : float
+        Its width over that of the interval.
+    change : float
+        Change of the state in units of its size.
+    at_end : bool
+        Whether the states at the end of the horizon differ as well.
+    point : ndarray (d,)
+        A point of the line.
+    """
+
+    parameter: int
+    state: int
+    lower: float
+    upper: float
+    share: float
+    change: float
+    at_end: bool
+    point: Array
+
+    def sentence(self, states: Sequence[str], parameters: Sequence[str]) -> str:
+        """What a user reads."""
+        name = parameters[self.parameter]
+        others = [
+            f"{other} = {value:.4g}"
+            for j, (other, value) in enumerate(zip(parameters, self.point, strict=True))
+            if j != self.parameter
+        ]
+        where = f" (at {', '.join(others)})" if others else ""
+        if self.share > _JUMP:
+            return (
+                f"the solution depends steeply on {quote(name)}: {states[self.state]} changes by "
+                f"{self.change:.2g} of its size between {name} = {self.lower:.6g} and "
+                f"{self.upper:.6g}{where}"
+            )
+        do = "end in different states" if self.at_end else "differ"
+        return (
+            f"the solution depends on {quote(name)} as on a jump: trajectories on both sides of "
+            f"{name} = {self.lower:.6g} {do}{where}"
+        )
+
+
+def steepest_front(
+    values: Callable[[Array], Array], domain: Domain, points: Sequence[Array]
+) -> Front | None:
+    """The narrowest front found on lines through points of the box; None without any.
+
+    Parameters
+    ----------
+    values : callable
+        Trajectories at points (m, d) in units of the states' sizes: shape (n, T, m).
+    points : sequence of ndarray (d,)
+        Through each goes one line for each parameter.
+    """
+    found = [
+        front
+        for point in points
+        for j in range(len(domain.box))
+        for front in _on_line(values, domain.box[j], point, j)
+    ]
+    return min(found, key=lambda front: (front.share, -front.change), default=None)
+
+
+def _on_line(
+    values: Callable[[Array], Array], interval: tuple[float, float], point: Array, j: int
+) -> Iterator[Front]:
+    """The front on the line through a point along parameter j, if there is one."""
+    (a, b), width, least = interval, interval[1] - interval[0], _LARGE
+    count = _PLACES
+    front = None
+    while (b - a) > _JUMP * width:
+        places = np.linspace(a, b, count)
+        line = np.tile(point, (count, 1))
+        line[:, j] = places
+        changes = np.abs(np.diff(values(line), axis=2))  # (n, T, count - 1)
+        i = int(changes.max(axis=(0, 1)).argmax())
+        change = float(changes[:, :, i].max())
+        if not change >= least:
+            break
+        a, b, least, count = places[i], places[i + 1], _KEPT * change, _ZOOM
+        state = int(changes[:, :, i].max(axis=1).argmax())
+        at_end = bool(changes[:, -1, i].max() >= _KEPT * change)
+        front = Front(j, state, a, b, (b - a) / width, change, at_end, point)
+    if front is not None and front.share < _STEEP:
+        yield front
