@@ -92,7 +92,7 @@ class ConvergenceError(RankoneError, RuntimeError):
 
 
 class BlowUpError(ConvergenceError):
-    """A trajectory leaves every bound inside the horizon.
+    """A trajectory leaves every bound inside the horizon, or where its rates are finite.
 
     Attributes
     ----------

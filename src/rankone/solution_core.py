@@ -276,14 +276,17 @@ class _ByState(dict[str, float]):
 
 
 def raise_blow_up(solution: SolutionCore) -> None:
-    """Raise a BlowUpError that carries the solution if a trajectory blew up."""
+    """Raise a BlowUpError that carries the solution if a trajectory has no end."""
     outcome = solution.outcome
-    if outcome.status is Status.BLOW_UP and outcome.blow_up is not None:
+    if outcome.status in (Status.BLOW_UP, Status.LEAVES) and outcome.blow_up is not None:
         when, values = outcome.blow_up
         where = dict(zip(solution.parameters, values, strict=True))
         at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
+        how = "blows up inside the horizon"
+        if outcome.status is Status.LEAVES:
+            how = "comes to where its right-hand side is not finite"
         raise BlowUpError(
-            f"the solution blows up inside the horizon: near t = {when:.4g}"
+            f"the solution {how}: near t = {when:.4g}"
             + (f" at {at}" if at else ""),
             time=when,
             parameters=where,

@@ -51,8 +51,8 @@ class Fake:
         self.seen.append(stalls)
         return len(self.seen) < self.patience
 
-    def cause(self, status: Status, attempt: Attempt) -> str:
-        return status.value
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
+        return status, status.value
 
 
 @pytest.fixture(scope="module")

@@ -57,7 +57,7 @@ class Attempt:
         limits = [status for status in _CAUSES if status in self.result.limits]
         stopped = self.result.stopped
         if yardstick.reference.blown is not None:
-            return Status.BLOW_UP
+            return Status.BLOW_UP if yardstick.reference.large else Status.LEAVES
         if stopped is not None:
             return limits[0] if stopped is Status.NO_CONVERGENCE and limits else stopped
         if not yardstick.checked:

@@ -26,6 +26,7 @@ class Status(Enum):
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     STEEP = "the solution depends steeply on a parameter"
     BLOW_UP = "a trajectory blows up inside the horizon"
+    LEAVES = "a trajectory comes to where its right-hand side is not finite"
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,8 @@ _NEGLIGIBLE = 1e-7
 """Part of a state's size at which its relative accuracy ends."""
 _LONGEST = 0.1
 """Longest step, in horizons, where functions of time or of unknowns may hide between its stages."""
+_GROWN = 1e3
+"""Size of a state, over the initial ones, that tells a blow-up from a pole or a border."""
 _INTEGRATIONS = 3
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -77,7 +79,9 @@ class Reference:
     stiff : bool
         Whether the stiff integrator was used.
     blown : int or None
-        The point whose trajectory blows up at ``end``.
+        The point whose trajectory blows up at ``end``, or leaves where its rates are finite.
+    large : bool
+        Whether it has grown by then.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
     """
@@ -89,6 +93,7 @@ class Reference:
     blown: int | None
     batches: tuple[tuple[int, Any], ...]
     states: int
+    large: bool = False
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
@@ -102,7 +107,8 @@ class Reference:
             first, blown = other, len(self.points) + other.blown
         points = np.concatenate([self.points, other.points])
         batches, stiff = self.batches + other.batches, self.stiff or other.stiff
-        return Reference(points, self.start, first.end, stiff, blown, batches, self.states)
+        ends = first.end, stiff, blown, batches, self.states, first.large
+        return Reference(points, self.start, *ends)
 
 
 def integrate_reference(
@@ -150,16 +156,17 @@ def integrate_reference(
             "finite there or varies without bound",
             remedy="check the initial values and the coefficients",
         )
-    blown = None
+    blown, large = None, False
     floor = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
     if reached < end:
         with np.errstate(all="ignore"):
             rates = np.abs(system.rhs(reached, state, points.T)) / np.maximum(np.abs(state), floor)
         blown = int(np.argmax(np.nan_to_num(rates, nan=np.inf).max(axis=0)))
+        large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
-    return Reference(points, start, reached, stiff, blown, batches, system.N_DIFFERENTIAL)
+    return Reference(points, start, reached, stiff, blown, batches, system.N_DIFFERENTIAL, large)
 
 
 def _polynomial(system: System, time: float) -> bool:

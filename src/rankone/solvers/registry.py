@@ -13,7 +13,7 @@ from rankone.wording import did_you_mean
 __all__ = ["AUTO", "ENGINES", "engines_for"]
 
 AUTO = "auto"
-_FEW_PARAMETERS = 0
+_FEW_PARAMETERS = 1
 """Up to so many parameters train is as fast as cross, and exact for solutions of few products."""
 
 ENGINES: dict[str, Engine[Any]] = {
@@ -31,8 +31,8 @@ def engines_for(
     ======  ===================  ================================================================
     cross   any right-hand side  first from two parameters on: the fastest on all problems
                                  measured, and the only one for systems that do not separate
-    train   separated systems    first up to one parameter, else where cross does not reach the
-                                 tolerance
+    train   separated systems    first up to one parameter, for two seconds; else for ten where
+                                 cross does not reach the tolerance and nothing is steep
     greedy  separated systems    never, only when it is asked for
     ======  ===================  ================================================================
 

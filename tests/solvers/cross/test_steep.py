@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.integrate
 
 import rankone as ro
 
@@ -62,7 +63,7 @@ def test_growth_at_a_pole_of_the_sensitivity_is_solved_or_refused():
     [("-1/x", "k", (1.3, 3), 1.3), ("-k*sqrt(x)", "1", (0.1, 0.69), 0.69)],
 )
 def test_an_end_names_the_trajectory_that_ends(rate, initial, box, where):
-    with pytest.raises(ro.BlowUpError) as caught:
+    with pytest.raises(ro.BlowUpError, match="right-hand side is not finite") as caught:
         ro.solve(problem({"x": rate}, {"x": initial}, {"k": box}, 3), rtol=1e-3)
     assert caught.value.parameters["k"] == pytest.approx(where, rel=0.01)
 
@@ -91,3 +92,52 @@ def test_trajectories_that_part_are_resolved_by_elements():
     start = np.concatenate([np.linspace(-1.0, 0.7, 101), np.linspace(-0.02, 0.02, 101)])
     exact = start * np.exp(5.0) / np.sqrt(1.0 + start**2 * (np.exp(10.0) - 1.0))
     np.testing.assert_allclose(solution["x"](t=5.0, x0=start), exact, atol=5e-3)
+
+
+def test_a_layer_beside_the_border_of_an_element():
+    steep = problem({"x": "-x + tanh(532.91*k - 329.33838)"}, {"x": 0}, {"k": (0, 1)}, 1.78)
+    solution = ro.solve(steep, rtol=1e-3)
+    assert solution.success
+    k = np.linspace(0.61, 0.64, 2001)
+    exact = (1 - np.exp(-1.78)) * np.tanh(532.91 * k - 329.33838)
+    assert np.abs(solution["x"](t=1.78, k=k) - exact).max() < 1e-3
+
+
+def test_a_front_at_one_end_of_another_parameter():
+    threshold = problem(
+        {"x": "s*x*(1 - x)*(x - 0.428)"}, {"x": "k"}, {"k": (0.05, 0.95), "s": (0.657, 2.621)}, 4.72
+    )
+    solution = ro.solve(threshold, rtol=1e-4)
+    assert solution.success
+    k = np.random.default_rng(3).uniform(0.38, 0.46, 200)
+    exact = scipy.integrate.solve_ivp(
+        lambda t, x: 2.6 * x * (1 - x) * (x - 0.428), (0, 4.72), k, rtol=1e-10, atol=1e-12
+    ).y[:, -1]
+    assert np.abs(solution["x"](t=4.72, k=k, s=2.6) - exact).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("rates", "initial", "box", "end", "said"),
+    [
+        (
+            {"x": "y", "y": "x - x**3 - 0.3*y"},
+            {"x": "a", "y": "b"},
+            {"a": (-1.2, 1.2), "b": (-1, 1)},
+            40,
+            "end in different states",
+        ),
+        (
+            {"x": "x - x**3 + b"},
+            {"x": "a"},
+            {"a": (-0.4, 0.4), "b": (-0.12, 0.12)},
+            8.7,
+            "x changes by",
+        ),
+    ],
+)
+def test_failures_name_the_parameter_and_the_place(rates, initial, box, end, said):
+    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3)
+    assert not solution.success
+    assert solution.status.name == "STEEP"
+    assert solution.method == "cross"
+    assert said in solution.message

@@ -22,6 +22,8 @@ _STACKED_STATES = 6000
 """States of a stack that fits the cache."""
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
+_GRAM = 1e-6
+"""Relative tolerance above which singular values may come from a Gram matrix."""
 _LOST = 0.3
 """Singular values left out of the basis, relative to the tolerance."""
 
@@ -168,11 +170,13 @@ def _integrated(
 
 
 def _span(columns: Array, tolerance: float) -> Array:
-    """Orthonormal columns in whose span most of the columns lie up to the tolerance."""
-    rows, count = columns.shape
-    if count > 2 * rows:
-        values, vectors = np.linalg.eigh(columns @ columns.T)
+    """Columns, to be made orthonormal, in whose span most of the given ones lie to a tolerance."""
+    if tolerance > _GRAM * np.linalg.norm(columns):
+        wide = columns.shape[1] > columns.shape[0]
+        values, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
         values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
+        if not wide:
+            vectors = columns @ vectors  # orthonormal but for the lengths and for rounding
     else:
         vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(vectors)[:, : max(int(np.count_nonzero(values > tolerance)), 1)]
