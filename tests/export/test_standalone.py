@@ -231,10 +231,10 @@ def test_program(folder):
     assert alone(folder, "--options", "max_rank=2", "--rtol", "1e-8").returncode == 1
     (folder / "folder.npz").mkdir()
     for wrong, message in (
-        (["--at", "t"], "--at: 't' has no name"),
+        (["--at", "t"], "--at: 't' cannot be read; remedy: write NAME=VALUE"),
         (["--at", "t=a"], "--at: 't=a' cannot be read"),
-        (["--at", "t=1", "t=2"], "'t=2' has no name, or one that is given twice"),
-        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read"),
+        (["--at", "t=1", "t=2"], "'t=2' has a name that is given twice"),
+        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read; remedy: write NAME=LOWER"),
         (["--rtol", "1e-3", "--grid", "0", "--save", "zero.npz"], "--grid 0"),
         (["--save", "values.npz"], "exists"),
         (["--save", "nowhere/values.npz"], "cannot be written: there is no directory `nowhere`"),
@@ -243,7 +243,7 @@ def test_program(folder):
         (["--save", "folder.npz", "--overwrite"], "cannot be written: it is a directory"),
         (["--save", f"{'x' * 300}.npz"], "cannot be written"),
         (["--load", ""], "cannot be read"),
-        (["--options", "rtol=1"], "no options of the engine"),
+        (["--options", "rtol=1"], "--options: `rtol` is no option of the engine"),
         (["--options", "cls=1"], "unknown option 'cls'"),
         (["--box", "x0=7"], "not two numbers"),
         (["--grid", "5"], "--grid needs --save"),

@@ -26,11 +26,14 @@ from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.task import Asked, Task
 from rankone.storage import read, target
 from rankone.system import System
+from rankone.wording import quote
 
-__all__ = ["load_solution", "run", "solve_system"]
+__all__ = ["box_of", "load_solution", "options_of", "run", "solve_system"]
 
 _LARGEST_GRID = 20_000_000
 """Largest number of values on a grid of the command line."""
+_PAIR, _SPAN = "NAME=VALUE", "NAME=LOWER:UPPER"
+"""How values and ranges are written on the command line."""
 
 
 def solve_system(
@@ -108,12 +111,11 @@ def _parser(description: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    pair, span = "NAME=VALUE", "NAME=LOWER:UPPER"
     add("--rtol", type=float, help="relative tolerance (default: 1e-6)")
-    add("--box", nargs="+", action="extend", metavar=span, help="other ranges of parameters")
+    add("--box", nargs="+", action="extend", metavar=_SPAN, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
-    add("--options", nargs="+", action="extend", metavar=pair, help="options of the engine")
-    add("--at", nargs="+", action="extend", metavar=pair, help="evaluate at one point")
+    add("--options", nargs="+", action="extend", metavar=_PAIR, help="options of the engine")
+    add("--at", nargs="+", action="extend", metavar=_PAIR, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
     add("--load", metavar="PATH", help="take a saved solution instead of solving")
     add("--save", metavar="PATH", help="write the values on the grid, or else the solution (.npz)")
@@ -124,11 +126,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
 
 def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> SolutionCore:
     """Solve as the command line asks; after a blow-up take the part before it."""
-    box = _pairs("--box", given.box, lambda text: [float(x) for x in text.split(":")])
-    as_json = "-0123456789["  # what begins with one of these is a number or a list of them
-    options = _pairs("--options", given.options, lambda v: json.loads(v) if v[:1] in as_json else v)
-    if own := options.keys() & set(Asked.keywords()):
-        raise OptionError(f"--options: {own} are no options of the engine")
+    box, options = box_of(given.box), options_of(given.options, Asked.keywords())
     rtol = 1e-6 if given.rtol is None else given.rtol
     try:
         return solve(rtol, parameters=box, t_final=given.t_final, **options)
@@ -137,6 +135,21 @@ def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> So
             raise
         print(f"error: {error}", file=sys.stderr)
         return error.solution
+
+
+def box_of(texts: Sequence[str] | None) -> dict[str, list[float]]:
+    """Ranges of parameters as ``--box`` has them."""
+    return _pairs("--box", texts, lambda text: [float(x) for x in text.split(":")], _SPAN)
+
+
+def options_of(texts: Sequence[str] | None, others: Sequence[str]) -> dict[str, Any]:
+    """Options of the engine as ``--options`` has them; ``others`` are arguments of ``solve``."""
+    as_json = "-0123456789["  # what begins with one of these is a number or a list of them
+    options = _pairs("--options", texts, lambda v: json.loads(v) if v[:1] in as_json else v)
+    for name in options:
+        if name in others:
+            raise OptionError(f"--options: {quote(name)} is no option of the engine")
+    return options
 
 
 def _save(solution: SolutionCore, given: argparse.Namespace) -> None:
@@ -165,15 +178,19 @@ def _values(solution: SolutionCore, at: Sequence[str] | None) -> dict[str, float
     return dict(zip(solution.unknowns, values, strict=True))
 
 
-def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any]) -> dict[str, Any]:
-    """Values by name from texts of the form NAME=VALUE."""
+def _pairs(
+    option: str, texts: Sequence[str] | None, read: Callable[[str], Any], form: str = _PAIR
+) -> dict[str, Any]:
+    """Values by name from texts of a form."""
     values: dict[str, Any] = {}
     for text in texts or ():
         name, _, value = text.rpartition("=")
-        if not name or name in values:
-            raise OptionError(f"{option}: {text!r} has no name, or one that is given twice")
+        if name in values:
+            raise OptionError(f"{option}: {text!r} has a name that is given twice")
         try:
             values[name] = read(value)
         except ValueError:
-            raise OptionError(f"{option}: {text!r} cannot be read; --help has the form") from None
+            name = ""
+        if not name:
+            raise OptionError(f"{option}: {text!r} cannot be read", remedy=f"write {form}")
     return values
