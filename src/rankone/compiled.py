@@ -38,7 +38,7 @@ from rankone.codegen import (
     generate_source,
 )
 from rankone.codegen.recipe import Recipe
-from rankone.errors import ConvergenceError, OptionError
+from rankone.errors import ConvergenceError, OptionError, check_kind
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
@@ -265,11 +265,10 @@ def compile_problem(problem: Problem) -> CompiledProblem:
         A coefficient is complex or not finite somewhere in the box, or a function cannot be
         written with NumPy or SciPy.
     """
-    if not isinstance(problem, Problem):
-        raise OptionError(
-            f"compile needs a rankone.Problem, not {type(problem).__name__}",
-            remedy="build one with rankone.Problem(...) or Problem.from_strings(...)",
-        )
+    remedy = "build one with rankone.Problem(...) or Problem.from_strings(...)"
+    if isinstance(problem, CompiledProblem):
+        remedy = "this one is compiled already; call its .solve(...)"
+    check_kind("compile", problem, Problem, remedy=remedy)
     timings: dict[str, float] = {}
     with _timed(timings, "first order"):
         system = first_order(problem)
