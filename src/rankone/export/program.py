@@ -34,6 +34,7 @@ _LARGEST_GRID = 20_000_000
 """Largest number of values on a grid of the command line."""
 _PAIR, _SPAN = "NAME=VALUE", "NAME=LOWER:UPPER"
 """How values and ranges are written on the command line."""
+_STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
 
 
 def solve_system(
@@ -88,15 +89,14 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
         solution = load(given.load) if given.load is not None else _solved(solve, given)
         if given.save is not None:
             _save(solution, given)
-        values = _values(solution, given.at)
+        values = _values(solution, given)
     except KeyboardInterrupt:
         parser.exit(130, "interrupted\n")
     except RankoneError as error:
         failed = isinstance(error, ConvergenceError) or (solution and not solution.success)
         parser.exit(1 if failed else 2, f"error: {error}\n")
     if given.json:
-        summary = {"success": solution.success, "message": solution.message}
-        print(json.dumps(summary | ({"values": values} if values else {})))
+        print(json.dumps(_summary(solution) | ({"values": values} if values else {})))
     else:
         print(solution.message)
         for name, value in values.items():
@@ -117,6 +117,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
     add("--options", nargs="+", action="extend", metavar=_PAIR, help="options of the engine")
     add("--at", nargs="+", action="extend", metavar=_PAIR, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
+    add("--states", choices=("unknowns", "all"), default="unknowns", help=_STATES_HELP)
     add("--load", metavar="PATH", help="take a saved solution instead of solving")
     add("--save", metavar="PATH", help="write the values on the grid, or else the solution (.npz)")
     add("--overwrite", action="store_true", help="let --save replace a file")
@@ -157,25 +158,42 @@ def _save(solution: SolutionCore, given: argparse.Namespace) -> None:
     if given.grid is None:
         solution.save(given.save, overwrite=given.overwrite)
         return
-    arrays = _grid(solution, given.grid)
+    arrays = _grid(solution, given.grid, _names(solution, given))
     write_files({target(given.save, given.overwrite): npz(arrays)}, given.overwrite, StorageError)
 
 
-def _grid(solution: SolutionCore, count: int) -> dict[str, Array]:
-    """Axes and unknowns on a tensor grid, by name."""
+def _summary(solution: SolutionCore) -> dict[str, Any]:
+    """How good a solution is; errors that are not known are null."""
+    known = {name: float(error) for name, error in solution.errors.items() if np.isfinite(error)}
+    return {
+        "success": solution.success,
+        "message": solution.message,
+        "error": float(solution.error) if np.isfinite(solution.error) else None,
+        "errors": {name: known.get(name) for name in solution.states},
+        "corner_error": solution.corner_error if np.isfinite(solution.corner_error) else None,
+    }
+
+
+def _names(solution: SolutionCore, given: argparse.Namespace) -> tuple[str, ...]:
+    """What is evaluated."""
+    return solution.states if given.states == "all" else solution.unknowns
+
+
+def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str, Array]:
+    """Axes and states on a tensor grid, by name."""
     intervals = {solution.metadata.time: solution.time, **solution.parameters}
-    if count < 1 or count ** len(intervals) * len(solution.unknowns) > _LARGEST_GRID:
+    if count < 1 or count ** len(intervals) * len(names) > _LARGEST_GRID:
         raise OptionError(f"--grid {count}: from 1 on, at most {_LARGEST_GRID:,} values in all")
     axes = {name: np.linspace(*interval, count) for name, interval in intervals.items()}
-    return axes | dict(zip(solution.unknowns, solution.grid(axes), strict=True))
+    return axes | {name: solution[name].grid(axes) for name in names}
 
 
-def _values(solution: SolutionCore, at: Sequence[str] | None) -> dict[str, float]:
-    """The unknowns at one point, by name."""
-    if not at:
+def _values(solution: SolutionCore, given: argparse.Namespace) -> dict[str, float]:
+    """Values at one point, by name."""
+    if not given.at:
         return {}
-    values = solution(_pairs("--at", at, float)).tolist()
-    return dict(zip(solution.unknowns, values, strict=True))
+    at = _pairs("--at", given.at, float)
+    return {name: float(solution[name](at)) for name in _names(solution, given)}
 
 
 def _pairs(
