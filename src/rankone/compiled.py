@@ -167,7 +167,8 @@ class CompiledProblem:
         t_final : float, optional
             Another end of the horizon.
         progress : bool or callable
-            True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
+            True shows a bar on stderr; a callable gets a
+            :class:`~rankone.progress.ProgressEvent` after each slab (cross: after each attempt).
         check : bool or int
             Number of random check points (24 for True, at most 100000). False skips the check; the
             solution then does not count as a success.
