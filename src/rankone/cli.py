@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
         "--check",
         metavar="N",
         type=_count,
-        help="number of trajectories compared; 0 leaves the error unknown (status 1)",
+        help="number of random check points; 0 leaves the error unknown (status 1)",
     )
     solve.add_argument(
         "--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)"
