@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -60,11 +62,36 @@ def test_the_public_functions_start_anywhere() -> None:
     assert ro.generate_source(form) == ro.generate_source(quadratic_system(form))
 
 
-@pytest.mark.parametrize("function", [ro.weak_form, ro.separate, ro.generate_source])
-@pytest.mark.parametrize("wrong", [None, 3, "x' = -x"])
-def test_anything_else_is_refused(function, wrong) -> None:
-    with pytest.raises(ro.OptionError, match="not "):
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (ro.compile, "compile needs a Problem, not {}; remedy: build one"),
+        (ro.solve, "compile needs a Problem, not {}; remedy: build one"),
+        (ro.first_order, "first_order needs a Problem, not {}; remedy: build one"),
+        (ro.weak_form, "weak_form needs a FirstOrderSystem or a Problem, not {}; remedy: give a"),
+        (ro.separate, "separate needs a WeakForm or a Problem, not {}; remedy: give a problem or"),
+        (ro.quadratic_system, "quadratic_system needs a SeparatedForm, not {}; remedy: give sep"),
+        (ro.generate_source, "generate_source needs a QuadraticSystem or a SeparatedForm, not {};"),
+    ],
+)
+@pytest.mark.parametrize("wrong", [None, 3, "x' = -x", GOLDEN])
+def test_anything_else_is_refused(
+    function: Callable[[object], object], message: str, wrong: object
+) -> None:
+    with pytest.raises(ro.OptionError, match=re.escape(message.format(type(wrong).__name__))):
         function(wrong)
+
+
+def test_a_stage_of_another_place_is_refused() -> None:
+    compiled = ro.compile(REFERENCE["decay"]())
+    with pytest.raises(ro.OptionError, match=r"compiled already; call its \.solve"):
+        ro.solve(compiled)  # type: ignore[arg-type]
+    with pytest.raises(ro.OptionError, match=r"not CompiledProblem; .* has `\.separated`"):
+        ro.quadratic_system(compiled)  # type: ignore[arg-type]
+    with pytest.raises(ro.OptionError, match="load_module needs a str, not QuadraticSystem"):
+        ro.load_module(compiled.quadratic, "decay")  # type: ignore[arg-type]
+    with pytest.raises(ro.OptionError, match="load_module needs a str, not int"):
+        ro.load_module(compiled.source, 3)  # type: ignore[arg-type]
 
 
 def test_rationals_stay_exact() -> None:

@@ -31,6 +31,11 @@ _STAGES = {
     "source": ("generated module", "source"),
 }
 """What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
+_ARGUMENTS = (
+    *("self", "rtol", "method", "parameters", "t_final"),
+    *("check", "max_seconds", "progress", "on_failure"),
+)
+"""What ``solve`` takes beside options of the engine."""
 _FILE_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 _EXIT_HELP = """\
 exit status:
@@ -92,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
 
     solve = commands.add_parser(
         "solve",
+        usage="rankone solve FILE [options]",
         help="solve a problem, print a summary and optionally save the solution",
         description="Solve a problem for every parameter value of its box and measure the error.",
         epilog=f"{layout}\n{_EXIT_HELP}",
@@ -109,10 +115,27 @@ def _parser() -> argparse.ArgumentParser:
         "--check",
         metavar="N",
         type=_count,
-        help="number of trajectories compared; 0 leaves the error unknown (status 1)",
+        help="number of random check points; 0 leaves the error unknown (status 1)",
     )
     solve.add_argument(
         "--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)"
+    )
+    solve.add_argument(
+        "--box",
+        metavar="NAME=LOWER:UPPER",
+        nargs="+",
+        action="extend",
+        help="other ranges of parameters, for this solve",
+    )
+    solve.add_argument(
+        "--t-final", metavar="T", type=float, help="another end of the horizon, for this solve"
+    )
+    solve.add_argument(
+        "--options",
+        metavar="NAME=VALUE",
+        nargs="+",
+        action="extend",
+        help="options of the engine, such as max_rank=300",
     )
     solve.add_argument(
         "--max-seconds", metavar="S", type=float, help="time limit; the best so far is kept"
@@ -178,9 +201,11 @@ def _solve(arguments: argparse.Namespace) -> int:
     """Run ``rankone solve``."""
     import rankone
     from rankone.errors import ConvergenceError
+    from rankone.export.program import box_of, options_of
     from rankone.problem_files import load_problem
     from rankone.storage import target
 
+    box, options = box_of(arguments.box), options_of(arguments.options, _ARGUMENTS)
     if arguments.save is not None:  # find out before the solve, not after it
         target(arguments.save, arguments.overwrite)
 
@@ -191,9 +216,12 @@ def _solve(arguments: argparse.Namespace) -> int:
         solution = compiled.solve(
             rtol=arguments.rtol,
             method=arguments.method,
+            parameters=box,
+            t_final=arguments.t_final,
             check=check,
             max_seconds=arguments.max_seconds,
             progress=bar,
+            **options,
         )
     except ConvergenceError as error:
         if error.solution is None:

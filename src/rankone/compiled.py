@@ -38,7 +38,7 @@ from rankone.codegen import (
     generate_source,
 )
 from rankone.codegen.recipe import Recipe
-from rankone.errors import ConvergenceError, OptionError
+from rankone.errors import ConvergenceError, OptionError, check_kind
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
@@ -158,19 +158,23 @@ class CompiledProblem:
         rtol : float
             Largest error asked for, relative to the largest value of each unknown, between 1e-10
             and 0.1. It is measured against SciPy trajectories after the solve.
-        method : {"train", "cross", "greedy"}
-            The engine: the tensor train on the preconditioned Volterra form; trajectories at
-            chosen parameter points, interpolated; or the classic proper generalized decomposition
-            with rank-one enrichments. Right-hand sides that do not separate need "cross".
+        method : {"auto", "train", "cross", "greedy"}
+            The engine. "auto" tries cross and train, which first depends on the number of
+            parameters. "train" is the tensor train on the preconditioned Volterra form; "cross"
+            interpolates trajectories at chosen parameter points; "greedy" is the classic proper
+            generalized decomposition with rank-one enrichments. Right-hand sides that do not
+            separate need "cross".
         parameters : mapping, optional
             Other intervals of parameters, by symbols or names; nothing is compiled again.
         t_final : float, optional
             Another end of the horizon.
         progress : bool or callable
-            True shows a bar on stderr; a callable gets a ``ProgressEvent`` after each slab.
+            True shows a bar on stderr; a callable gets a
+            :class:`~rankone.progress.ProgressEvent` after each slab (cross: after each attempt).
         check : bool or int
-            Number of random check points (24 for True, at most 100000). False skips the check; the
-            solution then does not count as a success.
+            Number of random check points (24 for True, at most 100000), four times as many where
+            terms do not separate. False skips the check; the solution then does not count as a
+            success.
         max_seconds : float, optional
             Time limit; the best solution so far is returned, with ``success`` False. Without one no
             further attempt is begun after 20 seconds.
@@ -265,11 +269,10 @@ def compile_problem(problem: Problem) -> CompiledProblem:
         A coefficient is complex or not finite somewhere in the box, or a function cannot be
         written with NumPy or SciPy.
     """
-    if not isinstance(problem, Problem):
-        raise OptionError(
-            f"compile needs a rankone.Problem, not {type(problem).__name__}",
-            remedy="build one with rankone.Problem(...) or Problem.from_strings(...)",
-        )
+    remedy = "build one with rankone.Problem(...) or Problem.from_strings(...)"
+    if isinstance(problem, CompiledProblem):
+        remedy = "this one is compiled already; call its .solve(...)"
+    check_kind("compile", problem, Problem, remedy=remedy)
     timings: dict[str, float] = {}
     with _timed(timings, "first order"):
         system = first_order(problem)

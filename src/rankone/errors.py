@@ -23,6 +23,7 @@ __all__ = [
     "RankoneWarning",
     "SeparationError",
     "StorageError",
+    "check_kind",
     "warn",
 ]
 
@@ -69,6 +70,14 @@ class SeparationError(ProblemError):
 
 class OptionError(RankoneError, ValueError):
     """An option of the solver is out of its range."""
+
+
+def check_kind(function: str, given: object, *kinds: type, remedy: str) -> None:
+    """Raise an OptionError unless what a function was given is of one of these kinds."""
+    if not isinstance(given, kinds):
+        wanted = " or a ".join(kind.__name__ for kind in kinds)
+        message = f"{function} needs a {wanted}, not {type(given).__name__}"
+        raise OptionError(message, term=given, remedy=remedy)
 
 
 class EvaluationError(RankoneError, ValueError):

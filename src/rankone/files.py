@@ -18,6 +18,7 @@ __all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
 
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
+_OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
 
 
 def as_path(given: Any, error: type[RankoneError]) -> Path:
@@ -50,8 +51,7 @@ def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneE
         missing = f"there is no directory `{target.parent}`"
         raise error(f"`{target}` cannot be written: {missing}", term=target)
     if exists and not overwrite:
-        remedy = "choose another name, or overwrite=True (--overwrite on the command line)"
-        raise error(f"`{target}` exists", term=target, remedy=remedy)
+        raise error(f"`{target}` exists", term=target, remedy=_OTHER_NAME)
     return target
 
 
@@ -59,7 +59,8 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
     """Write files that belong together.
 
     Each is written beside its place and moved there when all are complete, so that an interrupt or
-    a full disk leaves no half-written file and older files stay as they were.
+    a full disk leaves no half-written file and older files stay as they were. Of several that write
+    the same new file at the same time without ``overwrite`` one succeeds.
 
     Parameters
     ----------
@@ -84,7 +85,10 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
         for number, (path, place) in enumerate(places.items(), 1):
             keep = number < len(places) and place.exists()  # nothing can fail after the last
             old = place.read_bytes() if keep else None
-            beside[path].replace(place)
+            try:
+                _move(beside[path], place, overwrite)
+            except FileExistsError:  # since it was looked for
+                raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
             moved[place] = old
     except BaseException as reason:
         _undo(moved)
@@ -118,6 +122,24 @@ def _write(path: Path, content: Content) -> None:
             stream.write(content.encode() if isinstance(content, str) else content)
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def _move(complete: Path, place: Path, overwrite: bool) -> None:
+    """Give a complete file its name; a FileExistsError if there is a file that has to stay."""
+    if overwrite:
+        complete.replace(place)
+        return
+    try:
+        os.link(complete, place)  # unlike a renaming, this never replaces a file
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links: who creates the file may replace it
+        place.open("xb").close()
+        try:
+            complete.replace(place)
+        except BaseException:
+            place.unlink(missing_ok=True)
+            raise
 
 
 def _undo(moved: Mapping[Path, bytes | None]) -> None:

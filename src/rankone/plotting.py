@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.errors import EvaluationError, OptionError, RankoneError
+from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
+from rankone.wording import count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +41,8 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
     For ``method="greedy"``, on one slab: change of each new mode in the passes of its fixed point,
     residual after every enrichment, amplitudes of the modes in the end; for all slabs: change of
     the unknowns in every update of the lagged terms. For ``method="train"``: change in every sweep
-    of each slab, and the ranks of the slabs.
+    of each slab, and the ranks of the slabs. For ``method="cross"``, which has one record for each
+    attempt: size of the two highest modes of each parameter, and the ranks.
 
     Parameters
     ----------
@@ -57,6 +60,8 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
         If there is no such slab.
     """
     records = _last_attempt(solution)
+    if isinstance(records[-1], CrossRecord):
+        return _plot_attempts(solution, records[-1].slabs)
     chosen = _chosen(records, slab)
     if isinstance(chosen, GreedySlabRecord) and chosen.equations:
         figure, axes = _panels(4)
@@ -68,7 +73,7 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
         _plot_changes(axes[3], records, "update of the lagged terms")
         return figure
     figure, axes = _panels(2)
-    figure.suptitle(f"{solution.metadata.method}, {len(records)} slabs")
+    figure.suptitle(f"{solution.metadata.method}, {count(len(records), 'slab')}")
     _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
     _plot_ranks(axes[1], records)
     return figure
@@ -180,6 +185,25 @@ def _plot_changes(axes: Axes, records: Sequence[SlabRecord], step: str) -> None:
     axes.set(xlabel=step, title="largest change of a state, in units of its size")
     if len(records) <= _MOST_NAMED:
         axes.legend(title="slab", fontsize="small")
+
+
+def _plot_attempts(solution: Solution, slabs: int) -> Figure:
+    """For each parameter its highest modes and the rank before it, a line for each attempt."""
+    records = solution.history
+    figure, axes = _panels(2)
+    figure.suptitle(f"cross, {count(slabs, 'slab')}, {count(len(records), 'attempt')}")
+    names = solution.metadata.parameters
+    for record in records:
+        label = f"{record.attempt + 1}"
+        axes[0].semilogy(range(len(names)), _positive(record.residuals), "o-", label=label)
+        axes[1].plot(range(len(names)), record.ranks, "o-", label=label)
+    axes[0].set(title="two highest modes, in units of a state's size")
+    axes[1].set(title="ranks before each parameter")
+    for panel in axes:
+        panel.set_xticks(range(len(names)), names)
+        panel.set_xlabel("parameter")
+        panel.legend(title="attempt", fontsize="small")
+    return figure
 
 
 def _plot_ranks(axes: Axes, records: Sequence[SlabRecord]) -> None:

@@ -22,17 +22,18 @@ Instead of ``time = [0, 6]`` there may be a table ``[time]`` with ``start`` and 
 
 from __future__ import annotations
 
+import math
 import runpy
 import sys
 import tomllib
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from rankone.errors import ProblemError, RankoneError
-from rankone.wording import did_you_mean, listing
+from rankone.wording import did_you_mean, listing, shown
 
 if TYPE_CHECKING:
     from rankone.symbolic import Problem
@@ -57,6 +58,7 @@ y0 = [4, 6]
 
 _REQUIRED = ("time", "rhs", "initial")
 _OPTIONAL = ("parameters", "name")
+_SHOWN = "`rankone solve --help` shows the layout"
 
 
 def load_problem(path: str | PathLike[str]) -> Problem:
@@ -125,7 +127,13 @@ def _from_toml(file: Path) -> Problem:
     try:
         with file.open("rb") as stream:
             content = tomllib.load(stream)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+    except tomllib.TOMLDecodeError as error:
+        raise ProblemError(
+            f"`{file}` is not readable TOML: {error}",
+            term=file,
+            remedy=f"{_SHOWN}, with formulas in quotes",
+        ) from error
+    except (UnicodeDecodeError, OSError) as error:
         raise ProblemError(f"`{file}` is not readable TOML: {error}", term=file) from error
     known = (*_REQUIRED, *_OPTIONAL)
     for key in content:
@@ -138,34 +146,79 @@ def _from_toml(file: Path) -> Problem:
     missing = [key for key in _REQUIRED if key not in content]
     if missing:
         raise ProblemError(
-            f"`{file}` lacks {listing(missing)}",
+            f"`{file}` lacks {listing(missing)}{_misplaced(content, missing)}",
             term=missing,
-            remedy="`rankone solve --help` shows the layout",
+            remedy=_SHOWN,
         )
     return Problem.from_strings(
-        rhs=_texts(content["rhs"]),
-        initial=content["initial"],
-        parameters=content.get("parameters", {}),
+        rhs={n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
+        initial={n: _formula("initial", n, f) for n, f in _table(content, "initial").items()},
+        parameters={
+            n: _pair(f"`{n}` in [parameters]", n, interval)
+            for n, interval in _table(content, "parameters").items()
+        },
         time=_horizon(content["time"]),
         name=content.get("name"),
     )
 
 
-def _texts(table: Any) -> Any:
-    """Right-hand sides as text: TOML numbers are welcome as well."""
+def _misplaced(content: Mapping[str, Any], missing: Sequence[str]) -> str:
+    """In which tables keys stand that belong above the first one."""
+    found = [
+        f"; `{key}` in [{name}] belongs above the first table"
+        for key in missing
+        for name, table in content.items()
+        if isinstance(table, Mapping) and key in table
+    ]
+    return "".join(found)
+
+
+def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """A table of the file, empty if it is left out."""
+    table = content.get(key, {})
     if not isinstance(table, Mapping):
-        return table
-    return {key: value if isinstance(value, str) else repr(value) for key, value in table.items()}
+        raise ProblemError(
+            f"`{key}` is {shown(table)}, not a table",
+            term=table,
+            remedy=f"write a line [{key}], and below it one for each name; {_SHOWN}",
+        )
+    return table
 
 
-def _horizon(time: Any) -> Any:
-    """Start and end, from a pair or from a table."""
+def _formula(table: str, name: str, value: Any) -> str | float:
+    """A formula as text, or a number."""
+    if isinstance(value, str) or (_is_number(value) and math.isfinite(value)):
+        return value
+    raise ProblemError(
+        f"`{name}` in [{table}] is {shown(value)}, neither text nor a finite number",
+        term=value,
+        remedy=f'write the formula in quotes, for example {name} = "2*a + 1"',
+    )
+
+
+def _horizon(time: Any) -> tuple[float, float]:
+    """Start and end, from a list or from a table."""
     if not isinstance(time, Mapping):
-        return time
+        return _pair("`time`", "time", time)
     if set(time) != {"start", "end"}:
         raise ProblemError(
             f"the table [time] has {listing(time) or 'nothing'}",
             term=time,
             remedy="give `start` and `end`, or write time = [start, end]",
         )
-    return time["start"], time["end"]
+    return _pair("what [time] holds", "time", [time["start"], time["end"]])
+
+
+def _pair(what: str, name: str, value: Any) -> tuple[float, float]:
+    """A list of two numbers; which ones are possible is checked with the problem."""
+    if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
+        return value[0], value[1]
+    raise ProblemError(
+        f"{what} is {shown(value)}, not a list of two numbers",
+        term=value,
+        remedy=f"write it like {name} = [0.5, 1.5]",
+    )
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -9,18 +9,19 @@ from types import TracebackType
 from typing import Any, Self
 
 from rankone.errors import OptionError
+from rankone.wording import count
 
 __all__ = ["ProgressBar", "ProgressEvent", "Report", "quiet", "resolve_progress"]
 
 
 @dataclass(frozen=True, slots=True)
 class ProgressEvent:
-    """The state of a solve after a slab was accepted.
+    """The state of a solve after a slab was accepted; for the cross engine after an attempt.
 
     Attributes
     ----------
     time : float
-        End of the slab.
+        End of the slab; for the cross engine that of what is solved.
     fraction : float
         Fraction of the horizon solved in this attempt, 0 to 1.
     attempt : int
@@ -28,7 +29,7 @@ class ProgressEvent:
     slabs : int
         Number of slabs accepted in this attempt.
     rank : int
-        Largest rank of the slab.
+        Largest rank of the slab; for the cross engine that of the train over all slabs.
     """
 
     time: float
@@ -39,7 +40,7 @@ class ProgressEvent:
 
 
 Report = Callable[[ProgressEvent], object]
-"""Called after each accepted slab; an exception stops the solve."""
+"""Called with each event; an exception stops the solve."""
 
 
 def quiet(event: ProgressEvent, /) -> None:
@@ -68,7 +69,7 @@ class ProgressBar:
         self._bar.n = event.fraction
         attempt = "" if event.attempt == 0 else f" (attempt {event.attempt + 1})"
         self._bar.set_description_str(f"solving{attempt}", refresh=False)
-        shown = f"t = {event.time:.4g}, {event.slabs} slabs, rank {event.rank}"
+        shown = f"t = {event.time:.4g}, {count(event.slabs, 'slab')}, rank {event.rank}"
         self._bar.set_postfix_str(shown, refresh=False)
         self._bar.update(0)
         self._bar.refresh()

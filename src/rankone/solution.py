@@ -10,8 +10,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from rankone.solution_core import SolutionCore
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
@@ -40,12 +38,6 @@ class Solution(SolutionCore):
     """
 
     # --- how it was found ----------------------------------------------------------------------
-
-    @property
-    def corner_error(self) -> float:
-        """Largest measured error at corners of the box; NaN if there are none or unchecked."""
-        measured = self.outcome.measured
-        return float(np.max(measured.corners)) if measured and measured.corners else float("nan")
 
     @property
     def ranks(self) -> tuple[tuple[int, ...], ...]:

@@ -169,6 +169,12 @@ class SolutionCore:
         return _ByState(zip(self.states, measured.interior, strict=True))
 
     @property
+    def corner_error(self) -> float:
+        """Largest measured error at corners of the box; NaN if there are none or unchecked."""
+        measured = self.outcome.measured
+        return float(np.max(measured.corners)) if measured and measured.corners else float("nan")
+
+    @property
     def method(self) -> str:
         """Name of the engine that found it."""
         return self.metadata.method
@@ -286,8 +292,7 @@ def raise_blow_up(solution: SolutionCore) -> None:
         if outcome.status is Status.LEAVES:
             how = "comes to where its right-hand side is not finite"
         raise BlowUpError(
-            f"the solution {how}: near t = {when:.4g}"
-            + (f" at {at}" if at else ""),
+            f"the solution {how}: near t = {when:.4g}" + (f" at {at}" if at else ""),
             time=when,
             parameters=where,
             solution=solution,

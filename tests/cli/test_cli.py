@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 import rankone
-from rankone.cli import main
+from rankone.cli import _ARGUMENTS, main
 from rankone.errors import BlowUpError, OptionError, RankoneWarning
 from rankone.problem_files import TOML_LAYOUT
 from rankone.solution import Solution, load
@@ -121,6 +122,64 @@ def test_options_reach_the_solver(file: str, solver: Callable[[Solver], None]) -
     assert [options["check"] for options in seen] == [True, 7, False]
     # standard error is no terminal here
     assert not any(options["progress"] for options in seen)
+
+
+def test_another_domain_and_options_reach_the_solver(
+    file: str, solver: Callable[[Solver], None]
+) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def solve(**options: Any) -> Solution:
+        seen.append(options)
+        return SOLVED
+
+    solver(solve)
+    assert main(["solve", file]) == 0
+    domain = ["--box", "x0=7:13", "y0=-1:2e0", "--box", "z=0:1", "--t-final", "4.5"]
+    options = ["--options", "max_rank=300", "basis=legendre", "--options", "time_nodes=[3, 4]"]
+    assert main(["solve", file, *domain, *options]) == 0
+    plain, moved = seen
+    assert plain["parameters"] == {}
+    assert plain["t_final"] is None
+    assert moved["parameters"] == {"x0": [7.0, 13.0], "y0": [-1.0, 2.0], "z": [0.0, 1.0]}
+    assert moved["t_final"] == 4.5
+    given = {name: moved[name] for name in moved.keys() - plain.keys()}
+    assert given == {"max_rank": 300, "basis": "legendre", "time_nodes": [3, 4]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read; remedy: write NAME=LOWER:UPPER"),
+        (["--box", "x0"], "--box: 'x0' cannot be read; remedy: write NAME=LOWER:UPPER"),
+        (["--box", "x0=1:2", "x0=3:4"], "--box: 'x0=3:4' has a name that is given twice"),
+        (["--box", "x0=7"], "the range of `x0` is [7.0], not two numbers"),
+        (["--box", "x0=13:7"], "the range of `x0` is [13.0, 7.0], not two numbers"),
+        (["--box", "x1=7:13"], "there is no parameter `x1`"),
+        (["--t-final", "-1"], "the horizon is (0.0, -1.0)"),
+        (["--t-final", "late"], "--t-final: invalid float value: 'late'"),
+        (["--options", "max_rank"], "--options: 'max_rank' cannot be read"),
+        (["--options", "max_rank="], "--options: 'max_rank=' cannot be read"),
+        (["--options", "max_rank=many"], "max_rank='many' is not valid"),
+        (["--options", "max_rnk=3"], "unknown option 'max_rnk' (did you mean `max_rank`?)"),
+        (["--options", "rtol=1e-3"], "--options: `rtol` is no option of the engine"),
+        (["--options", "self=1"], "--options: `self` is no option of the engine"),
+    ],
+)
+def test_wrong_domains_and_options_are_named(
+    arguments: list[str], message: str, file: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["solve", file, *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+
+
+def test_all_arguments_of_solve_are_known() -> None:
+    """What is not an option of an engine cannot be given as one."""
+    arguments = inspect.signature(rankone.CompiledProblem.solve).parameters
+    kinds = {arguments[name].kind for name in arguments.keys() - {*_ARGUMENTS}}
+    assert kinds == {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
 
 
 def test_quiet(
@@ -330,5 +389,9 @@ def test_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert main(["solve", str(path), "--rtol", "1e-5", "--json", "--save", str(saved)]) == 0
     assert json.loads(capsys.readouterr().out)["error"] <= 1e-5
     assert load(saved)(1.0, k=2.0)[0] == pytest.approx(0.1353352832, abs=1e-5)
+    domain = ["--box", "k=6:7", "--t-final", "3", "--options", "max_rank=30"]
+    assert main(["solve", str(path), "--json", *domain]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["time"], answer["parameters"]) == ([0, 3], {"k": [6, 7]})
     assert main(["show", str(path)]) == 0
     assert "Separated form" in capsys.readouterr().out

@@ -45,15 +45,33 @@ def test_toml_with_tables_numbers_and_a_name(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("time = [0, 1\n", r"bad\.toml` is not readable TOML"),
+        (TOML_LAYOUT.replace('"x0"', "x0 + 1"), "shows the layout, with formulas in quotes"),
         ("time = [0, 1]\n", "lacks `rhs` and `initial`"),
         (f"tim = 1\n{TOML_LAYOUT}", r"unknown key `tim` \(did you mean `time`\?\)"),
         (TOML_LAYOUT.replace("[0, 6]", "{begin = 0, end = 6}"), r"\[time\] has `begin` and `end`"),
-        (TOML_LAYOUT.replace("[0, 6]", "[0, 6, 1]"), "time is"),
+        (TOML_LAYOUT.replace("[0, 6]", "[0, 6, 1]"), r"`time` is \[0, 6, 1\], not a list of two"),
+        (TOML_LAYOUT.replace("[0, 6]", "6"), r"`time` is 6, not .*; remedy: write it like time ="),
+        (TOML_LAYOUT.replace("[0, 6]", '["0", 6]'), r"`time` is \['0', 6\], not a list of two num"),
+        (
+            TOML_LAYOUT.replace("[0, 6]", "{start = 0, end = true}"),
+            r"what \[time\] holds is \[0, True\], not a list of two numbers",
+        ),
+        (
+            TOML_LAYOUT.replace("time = [0, 6]\n", "") + "time = [0, 6]\n",
+            r"lacks `time`; `time` in \[parameters\] belongs above the first table",
+        ),
         (TOML_LAYOUT.replace("x0 = [8, 12]", "x0 = [12, 8]"), "x0"),
-        (TOML_LAYOUT.replace("x0 = [8, 12]", "x0 = 8"), "x0"),
+        (TOML_LAYOUT.replace("x0 = [8, 12]", "x0 = 8"), r"`x0` in \[parameters\] is 8, not a list"),
+        (
+            TOML_LAYOUT.replace("[8, 12]", "{lower = 8, upper = 12}"),
+            r"`x0` in \[parameters\] is \{.*\}, not .*; remedy: write it like x0 = \[0.5, 1.5\]",
+        ),
+        (TOML_LAYOUT.replace("[8, 12]", "[8, inf]"), "the upper bound of parameter `x0` is inf"),
         (TOML_LAYOUT.replace('x = "x0"', 'x = "x0 +"'), "x0 +"),
-        (TOML_LAYOUT.replace('x = "x0"', "x = [1]"), "initial value"),
-        ("time = [0, 1]\nrhs = 3\ninitial = 4\n", "not a mapping"),
+        (TOML_LAYOUT.replace('x = "x0"', "x = [1]"), r"`x` in \[initial\] is \[1\], neither text"),
+        (TOML_LAYOUT.replace('"x*(1.5 - y)"', "true"), r"`x` in \[rhs\] is True, neither text nor"),
+        (TOML_LAYOUT.replace('"x*(1.5 - y)"', "nan"), r"`x` in \[rhs\] is nan, neither text nor"),
+        ("time = [0, 1]\nrhs = 3\ninitial = 4\n", r"`rhs` is 3, not a table; .* a line \[rhs\]"),
     ],
 )
 def test_bad_toml(text: str, message: str, tmp_path: Path) -> None:

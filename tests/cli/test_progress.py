@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from rankone.errors import OptionError
@@ -30,6 +32,12 @@ def test_bar(capsys: pytest.CaptureFixture[str]) -> None:
     assert out == ""
     assert "solving (attempt 2)  50% |" in err
     assert "t = 1.5, 4 slabs, rank 9" in err
+
+
+def test_one_slab(capsys: pytest.CaptureFixture[str]) -> None:
+    with resolve_progress(True) as report:
+        report(replace(EVENT, slabs=1))
+    assert "t = 1.5, 1 slab, rank 9" in capsys.readouterr().err
 
 
 def test_anything_else_is_an_error() -> None:

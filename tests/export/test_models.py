@@ -501,14 +501,17 @@ def test_paths(tmp_path):
 def test_both_or_none(tmp_path, monkeypatch):
     """When the second file cannot be put in its place, the first is taken back."""
     solution = solved("decay")
-    replace = Path.replace
 
-    def fail(self, target):
-        if Path(target).suffix == ".h":
-            raise OSError("disk full")
-        return replace(self, target)
+    def failing(put):
+        def fail(source, target):
+            if Path(target).suffix == ".h":
+                raise OSError("disk full")
+            return put(source, target)
 
-    monkeypatch.setattr(Path, "replace", fail)
+        return fail
+
+    monkeypatch.setattr(Path, "replace", failing(Path.replace))
+    monkeypatch.setattr(os, "link", failing(os.link))
     with pytest.raises(ExportError, match="disk full"):
         solution.export(tmp_path / "model.c")
     assert not list(tmp_path.iterdir())

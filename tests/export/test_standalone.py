@@ -42,6 +42,8 @@ import numpy as np
 import solver
 """
 
+_ALL = ("--states", "all")
+
 
 def source_of(problem: ro.CompiledProblem, method: str = "train") -> str:
     """Text of the standalone solver."""
@@ -231,10 +233,10 @@ def test_program(folder):
     assert alone(folder, "--options", "max_rank=2", "--rtol", "1e-8").returncode == 1
     (folder / "folder.npz").mkdir()
     for wrong, message in (
-        (["--at", "t"], "--at: 't' has no name"),
+        (["--at", "t"], "--at: 't' cannot be read; remedy: write NAME=VALUE"),
         (["--at", "t=a"], "--at: 't=a' cannot be read"),
-        (["--at", "t=1", "t=2"], "'t=2' has no name, or one that is given twice"),
-        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read"),
+        (["--at", "t=1", "t=2"], "'t=2' has a name that is given twice"),
+        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read; remedy: write NAME=LOWER"),
         (["--rtol", "1e-3", "--grid", "0", "--save", "zero.npz"], "--grid 0"),
         (["--save", "values.npz"], "exists"),
         (["--save", "nowhere/values.npz"], "cannot be written: there is no directory `nowhere`"),
@@ -243,7 +245,7 @@ def test_program(folder):
         (["--save", "folder.npz", "--overwrite"], "cannot be written: it is a directory"),
         (["--save", f"{'x' * 300}.npz"], "cannot be written"),
         (["--load", ""], "cannot be read"),
-        (["--options", "rtol=1"], "no options of the engine"),
+        (["--options", "rtol=1"], "--options: `rtol` is no option of the engine"),
         (["--options", "cls=1"], "unknown option 'cls'"),
         (["--box", "x0=7"], "not two numbers"),
         (["--grid", "5"], "--grid needs --save"),
@@ -280,6 +282,36 @@ def test_saved_by_the_program(folder):
     run = alone(folder, "--load", "decay.npz")
     assert run.returncode == 2
     assert "other equations" in run.stderr
+
+
+def test_derivatives_and_corners_by_the_program(tmp_path):
+    t, k = sp.symbols("t k")
+    x = sp.Function("x")(t)
+    problem = ro.Problem(
+        [sp.Eq(x.diff(t, 2), -k * x)], (t, 0, 1), {k: (1, 2)}, {x: 1, x.diff(t): 0}
+    )
+    ro.compile(problem).export(tmp_path / "solver.py")
+    saved = str(tmp_path / "saved.npz")
+    assert alone(tmp_path, "--rtol", "1e-4", "--save", saved).returncode == 0
+    solution = ro.load(saved)
+    at = ("--load", saved, "--at", "t=0.5", "k=1.5", "--json")
+    plain, full = (json.loads(alone(tmp_path, *at, *more).stdout) for more in ((), _ALL))
+    assert set(plain["values"]) == {"x"}
+    wanted = {name: float(solution[name](t=0.5, k=1.5)) for name in ("x", "x_t")}
+    assert full["values"] == pytest.approx(wanted, rel=1e-12)
+    assert full["values"]["x_t"] == pytest.approx(-np.sqrt(1.5) * np.sin(np.sqrt(0.375)), rel=1e-3)
+    assert (full["error"], full["errors"]) == (solution.error, solution.errors)
+    assert full["corner_error"] == solution.corner_error
+    grid = ("--load", saved, "--grid", "4", "--save", "grid.npz")
+    assert alone(tmp_path, *grid, *_ALL).returncode == 0
+    with np.load(tmp_path / "grid.npz") as arrays:
+        assert set(arrays) == {"t", "k", "x", "x_t"}
+        wanted = solution["x_t"].grid(t=arrays["t"], k=arrays["k"])
+        np.testing.assert_allclose(arrays["x_t"], wanted, rtol=1e-12, atol=1e-15)
+    script = "s = solver.solve(1e-4, check=False); print(s['x_t'](t=0, k=1) + 1, s.corner_error)"
+    value, corners = alone(tmp_path, script=ALONE + script).stdout.split()
+    assert float(value) == pytest.approx(1.0, abs=1e-3)
+    assert corners == "nan"
 
 
 def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +62,32 @@ def test_slabs_can_be_chosen(greedy):
 
 
 def test_train_history():
-    solution = ro.solve(coupled.problem, rtol=1e-4)
-    changes, ranks = plotting.plot_history(solution).axes
+    solution = ro.solve(coupled.problem, rtol=1e-4, method="train")
+    figure = plotting.plot_history(solution)
+    changes, ranks = figure.axes
     last = solution.history[-1]
     assert _lines(changes)[-1].tolist() == list(last.residuals)
     assert [patch.get_data().values.tolist()[-1] for patch in ranks.patches] == list(last.ranks)
+
+    assert figure.get_suptitle() == f"train, {len(solution.history)} slabs"
+
+
+def test_cross_history():
+    """One record for each attempt: highest modes and ranks over the parameters."""
+    solution = ro.solve(coupled.problem, rtol=1e-4, method="cross")
+    first = solution.history[0]
+    records = (replace(first, attempt=0, slabs=2, ranks=(9, 5, 2)), replace(first, attempt=1))
+    two = ro.Solution(replace(solution.outcome, history=records), solution.metadata)
+    for solved, title in (
+        (solution, "cross, 1 slab, 1 attempt"),
+        (two, "cross, 1 slab, 2 attempts"),
+    ):
+        figure = plotting.plot_history(solved)
+        modes, ranks = figure.axes
+        assert figure.get_suptitle() == title
+        assert [tick.get_text() for tick in modes.get_xticklabels()] == list(solved.parameters)
+        assert [tuple(line) for line in _lines(modes)] == [r.residuals for r in solved.history]
+        assert [tuple(line) for line in _lines(ranks)] == [r.ranks for r in solved.history]
 
 
 def test_modes_of_one_parameter():

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import pytest
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.errors import StorageError
+from rankone.files import write_files
 from rankone.solution import Solution, load
 from rankone.solvers.outcome import Status
 from tests.problems import REFERENCE
@@ -82,6 +85,70 @@ def test_existing_files_are_kept(tmp_path: Path) -> None:
     assert path.read_text() == "precious"
     SOLUTION.save(path, overwrite=True)
     assert load(path).unknowns == ("x", "y")
+
+
+@pytest.fixture(params=["with links", "without links"])
+def _links(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise PermissionError("no links here")
+
+    if request.param == "without links":
+        monkeypatch.setattr(os, "link", refuse)
+
+
+@pytest.mark.usefixtures("_links")
+def test_of_several_at_once_one_saves(tmp_path: Path) -> None:
+    """All have found the place free when the first of them takes it."""
+    place, count = tmp_path / "a.npz", 8
+    ready = threading.Barrier(count)
+
+    def write(number: int) -> str:
+        def content(stream: IO[bytes]) -> None:
+            stream.write(bytes([number]))
+            ready.wait(60)
+
+        try:
+            write_files({place: content}, False, StorageError)
+        except StorageError as error:
+            return str(error)
+        return "saved"
+
+    with ThreadPoolExecutor(count) as pool:
+        told = list(pool.map(write, range(count)))
+    assert place.read_bytes() == bytes([told.index("saved")])
+    told.remove("saved")
+    assert all("a.npz` exists; remedy: choose another name" in message for message in told)
+    assert os.listdir(tmp_path) == ["a.npz"]
+
+
+@pytest.mark.usefixtures("_links")
+def test_a_file_that_comes_up_meanwhile_is_kept(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.c", tmp_path / "a.h"
+
+    def content(stream: IO[bytes]) -> None:
+        stream.write(b"new")
+        second.write_bytes(b"of somebody else")
+
+    with pytest.raises(StorageError, match=r"a\.h` exists"):
+        write_files({first: b"new", second: content}, False, StorageError)
+    assert os.listdir(tmp_path) == ["a.h"]
+    assert second.read_bytes() == b"of somebody else"
+    write_files({first: b"new", second: content}, True, StorageError)
+    assert second.read_bytes() == b"new"
+    assert sorted(os.listdir(tmp_path)) == ["a.c", "a.h"]
+
+
+@pytest.mark.parametrize("_links", ["without links"], indirect=True)
+def test_a_place_that_was_taken_is_given_back(
+    _links: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        SOLUTION.save(tmp_path / "a.npz")
+    assert not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, MemoryError])

@@ -15,7 +15,7 @@ from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
 from rankone.codegen.text import described_table, docstring, literal, nested, quoted, table
-from rankone.errors import OptionError
+from rankone.errors import check_kind
 from rankone.ir import QuadraticSystem, SeparatedForm, Term
 from rankone.lowering import quadratic_system
 from rankone.system import System
@@ -44,9 +44,11 @@ def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = N
     ------
     SeparationError
         If a factor cannot be written with NumPy, or a derivative has a factor.
+    OptionError
+        If the form is neither.
     """
-    if not isinstance(form, QuadraticSystem | SeparatedForm):
-        raise OptionError(f"a QuadraticSystem or SeparatedForm is printed, not {form!r}")
+    remedy = "give separate(problem) or quadratic_system(form); what is compiled has `.source`"
+    check_kind("generate_source", form, QuadraticSystem, SeparatedForm, remedy=remedy)
     system = form if isinstance(form, QuadraticSystem) else quadratic_system(form)
     pointwise = PointwiseWriter(system)
     functions = pointwise.functions()
@@ -86,7 +88,14 @@ def load_module(
         Name of the module.
     namespace : mapping of str to callable, optional
         Functions of the user that the source calls by these names.
+
+    Raises
+    ------
+    OptionError
+        If the source or the name is not a text.
     """
+    check_kind("load_module", source, str, remedy="give the text of generate_source(form)")
+    check_kind("load_module", name, str, remedy="give the name of the module as text")
     digest = hashlib.sha256(source.encode()).hexdigest()[:8]
     filename = f"<rankone {name} {digest}>"
     module = types.ModuleType(name)

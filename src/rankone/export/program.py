@@ -26,11 +26,15 @@ from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.task import Asked, Task
 from rankone.storage import read, target
 from rankone.system import System
+from rankone.wording import quote
 
-__all__ = ["load_solution", "run", "solve_system"]
+__all__ = ["box_of", "load_solution", "options_of", "run", "solve_system"]
 
 _LARGEST_GRID = 20_000_000
 """Largest number of values on a grid of the command line."""
+_PAIR, _SPAN = "NAME=VALUE", "NAME=LOWER:UPPER"
+"""How values and ranges are written on the command line."""
+_STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
 
 
 def solve_system(
@@ -85,15 +89,14 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
         solution = load(given.load) if given.load is not None else _solved(solve, given)
         if given.save is not None:
             _save(solution, given)
-        values = _values(solution, given.at)
+        values = _values(solution, given)
     except KeyboardInterrupt:
         parser.exit(130, "interrupted\n")
     except RankoneError as error:
         failed = isinstance(error, ConvergenceError) or (solution and not solution.success)
         parser.exit(1 if failed else 2, f"error: {error}\n")
     if given.json:
-        summary = {"success": solution.success, "message": solution.message}
-        print(json.dumps(summary | ({"values": values} if values else {})))
+        print(json.dumps(_summary(solution) | ({"values": values} if values else {})))
     else:
         print(solution.message)
         for name, value in values.items():
@@ -108,13 +111,13 @@ def _parser(description: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    pair, span = "NAME=VALUE", "NAME=LOWER:UPPER"
     add("--rtol", type=float, help="relative tolerance (default: 1e-6)")
-    add("--box", nargs="+", action="extend", metavar=span, help="other ranges of parameters")
+    add("--box", nargs="+", action="extend", metavar=_SPAN, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
-    add("--options", nargs="+", action="extend", metavar=pair, help="options of the engine")
-    add("--at", nargs="+", action="extend", metavar=pair, help="evaluate at one point")
+    add("--options", nargs="+", action="extend", metavar=_PAIR, help="options of the engine")
+    add("--at", nargs="+", action="extend", metavar=_PAIR, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
+    add("--states", choices=("unknowns", "all"), default="unknowns", help=_STATES_HELP)
     add("--load", metavar="PATH", help="take a saved solution instead of solving")
     add("--save", metavar="PATH", help="write the values on the grid, or else the solution (.npz)")
     add("--overwrite", action="store_true", help="let --save replace a file")
@@ -124,11 +127,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
 
 def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> SolutionCore:
     """Solve as the command line asks; after a blow-up take the part before it."""
-    box = _pairs("--box", given.box, lambda text: [float(x) for x in text.split(":")])
-    as_json = "-0123456789["  # what begins with one of these is a number or a list of them
-    options = _pairs("--options", given.options, lambda v: json.loads(v) if v[:1] in as_json else v)
-    if own := options.keys() & set(Asked.keywords()):
-        raise OptionError(f"--options: {own} are no options of the engine")
+    box, options = box_of(given.box), options_of(given.options, Asked.keywords())
     rtol = 1e-6 if given.rtol is None else given.rtol
     try:
         return solve(rtol, parameters=box, t_final=given.t_final, **options)
@@ -139,41 +138,77 @@ def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> So
         return error.solution
 
 
+def box_of(texts: Sequence[str] | None) -> dict[str, list[float]]:
+    """Ranges of parameters as ``--box`` has them."""
+    return _pairs("--box", texts, lambda text: [float(x) for x in text.split(":")], _SPAN)
+
+
+def options_of(texts: Sequence[str] | None, others: Sequence[str]) -> dict[str, Any]:
+    """Options of the engine as ``--options`` has them; ``others`` are arguments of ``solve``."""
+    as_json = "-0123456789["  # what begins with one of these is a number or a list of them
+    options = _pairs("--options", texts, lambda v: json.loads(v) if v[:1] in as_json else v)
+    for name in options:
+        if name in others:
+            raise OptionError(f"--options: {quote(name)} is no option of the engine")
+    return options
+
+
 def _save(solution: SolutionCore, given: argparse.Namespace) -> None:
     """Write the solution, or its values on a grid."""
     if given.grid is None:
         solution.save(given.save, overwrite=given.overwrite)
         return
-    arrays = _grid(solution, given.grid)
+    arrays = _grid(solution, given.grid, _names(solution, given))
     write_files({target(given.save, given.overwrite): npz(arrays)}, given.overwrite, StorageError)
 
 
-def _grid(solution: SolutionCore, count: int) -> dict[str, Array]:
-    """Axes and unknowns on a tensor grid, by name."""
+def _summary(solution: SolutionCore) -> dict[str, Any]:
+    """How good a solution is; errors that are not known are null."""
+    known = {name: float(error) for name, error in solution.errors.items() if np.isfinite(error)}
+    return {
+        "success": solution.success,
+        "message": solution.message,
+        "error": float(solution.error) if np.isfinite(solution.error) else None,
+        "errors": {name: known.get(name) for name in solution.states},
+        "corner_error": solution.corner_error if np.isfinite(solution.corner_error) else None,
+    }
+
+
+def _names(solution: SolutionCore, given: argparse.Namespace) -> tuple[str, ...]:
+    """What is evaluated."""
+    return solution.states if given.states == "all" else solution.unknowns
+
+
+def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str, Array]:
+    """Axes and states on a tensor grid, by name."""
     intervals = {solution.metadata.time: solution.time, **solution.parameters}
-    if count < 1 or count ** len(intervals) * len(solution.unknowns) > _LARGEST_GRID:
+    if count < 1 or count ** len(intervals) * len(names) > _LARGEST_GRID:
         raise OptionError(f"--grid {count}: from 1 on, at most {_LARGEST_GRID:,} values in all")
     axes = {name: np.linspace(*interval, count) for name, interval in intervals.items()}
-    return axes | dict(zip(solution.unknowns, solution.grid(axes), strict=True))
+    return axes | {name: solution[name].grid(axes) for name in names}
 
 
-def _values(solution: SolutionCore, at: Sequence[str] | None) -> dict[str, float]:
-    """The unknowns at one point, by name."""
-    if not at:
+def _values(solution: SolutionCore, given: argparse.Namespace) -> dict[str, float]:
+    """Values at one point, by name."""
+    if not given.at:
         return {}
-    values = solution(_pairs("--at", at, float)).tolist()
-    return dict(zip(solution.unknowns, values, strict=True))
+    at = _pairs("--at", given.at, float)
+    return {name: float(solution[name](at)) for name in _names(solution, given)}
 
 
-def _pairs(option: str, texts: Sequence[str] | None, read: Callable[[str], Any]) -> dict[str, Any]:
-    """Values by name from texts of the form NAME=VALUE."""
+def _pairs(
+    option: str, texts: Sequence[str] | None, read: Callable[[str], Any], form: str = _PAIR
+) -> dict[str, Any]:
+    """Values by name from texts of a form."""
     values: dict[str, Any] = {}
     for text in texts or ():
         name, _, value = text.rpartition("=")
-        if not name or name in values:
-            raise OptionError(f"{option}: {text!r} has no name, or one that is given twice")
+        if name in values:
+            raise OptionError(f"{option}: {text!r} has a name that is given twice")
         try:
             values[name] = read(value)
         except ValueError:
-            raise OptionError(f"{option}: {text!r} cannot be read; --help has the form") from None
+            name = ""
+        if not name:
+            raise OptionError(f"{option}: {text!r} cannot be read", remedy=f"write {form}")
     return values

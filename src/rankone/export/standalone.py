@@ -271,7 +271,8 @@ def solve(
     t_final : float, optional
         Another end of the horizon.
     check : bool or int
-        Number of random check points, 24 for True; without any the error is not known.
+        Number of random check points, 24 for True, four times as many where terms do not
+        separate; without any the error is not known.
     max_seconds : float, optional
         Time limit; the best solution so far is returned.
     **options

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from rankone.errors import check_kind
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering.grouping import group_terms
 from rankone.lowering.products import auxiliary_states, lower
@@ -26,7 +27,11 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     SeparationError
         If the form has general terms, or its derivative terms are anything but one ``u'`` for
         each state.
+    OptionError
+        If it is not a separated form.
     """
+    remedy = "give separate(problem); what is compiled has `.separated`"
+    check_kind("quadratic_system", form, SeparatedForm, remedy=remedy)
     form.require_separated()
     f = right_hand_side(form)
     products, terms = lower(f, len(form.states))

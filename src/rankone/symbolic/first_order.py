@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from rankone.display import aligned_equations
+from rankone.errors import check_kind
 from rankone.ir import Coordinate, Role, State
 from rankone.symbolic.equations import state_name
 from rankone.symbolic.mass import MassForm
@@ -86,7 +87,15 @@ class FirstOrderSystem(Stage):
 
 
 def first_order(problem: Problem) -> FirstOrderSystem:
-    """Reduce a problem to first order and solve it for the derivatives."""
+    """Reduce a problem to first order and solve it for the derivatives.
+
+    Raises
+    ------
+    OptionError
+        If it is not a problem.
+    """
+    remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
+    check_kind("first_order", problem, Problem, remedy=remedy)
     time = problem.time[0]
     solved, origins = _solved(problem.mass)
     expressions = list(problem.initial)

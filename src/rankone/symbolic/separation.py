@@ -12,7 +12,7 @@ from fractions import Fraction
 
 import sympy as sp
 
-from rankone.errors import OptionError, ProblemError
+from rankone.errors import ProblemError, check_kind
 from rankone.ir import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
 from rankone.symbolic.admissible import located_defect
 from rankone.symbolic.monomials import Monomial, MonomialSum
@@ -45,10 +45,12 @@ def separate(form: WeakForm | Problem) -> SeparatedForm:
     ------
     ProblemError
         If a factor is not finite and real everywhere on its interval.
+    OptionError
+        If the form is neither.
     """
     weak = weak_form(form) if isinstance(form, Problem) else form
-    if not isinstance(weak, WeakForm):
-        raise OptionError(f"a WeakForm or a Problem is separated, not {form!r}")
+    remedy = "give a problem or weak_form(problem); what is compiled has `.separated`"
+    check_kind("separate", weak, WeakForm, Problem, remedy=remedy)
     return _Separation(weak).form()
 
 

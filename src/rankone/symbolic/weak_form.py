@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from rankone.display import aligned_equations
-from rankone.errors import OptionError
+from rankone.errors import check_kind
 from rankone.symbolic.first_order import FirstOrderSystem, Stage, first_order
 from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.problem import Problem
@@ -73,11 +73,16 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
     ----------
     system : FirstOrderSystem or Problem
         A problem is reduced to first order before.
+
+    Raises
+    ------
+    OptionError
+        If it is neither.
     """
     if isinstance(system, Problem):
         system = first_order(system)
-    if not isinstance(system, FirstOrderSystem):
-        raise OptionError(f"a FirstOrderSystem or a Problem has a weak form, not {system!r}")
+    remedy = "give a problem or first_order(problem); what is compiled has `.weak_form`"
+    check_kind("weak_form", system, FirstOrderSystem, Problem, remedy=remedy)
     rates = [sp.Derivative(u, system.coordinates[0].symbol) for u in system.functions]
     return WeakForm(
         coordinates=system.coordinates,
