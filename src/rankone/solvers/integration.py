@@ -85,10 +85,18 @@ class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
         self, *arguments: Any, blocks: Callable[[float, Array], Array], **options: Any
     ) -> None:
         self._blocks = blocks
+        self._newton: Any = None
         super().__init__(*arguments, **options)
         self.J = blocks(self.t, self.y)
         self.I = np.eye(self.J.shape[1])
-        self.lu, self.solve_lu = np.linalg.inv, self._solve
+        self.lu, self.solve_lu = self._inverted, self._solve
+
+    def _inverted(self, matrix: Any) -> Any:
+        """Inverses; those of the real matrix of the Newton iteration are kept for the check."""
+        inverse = np.asarray(np.linalg.inv(matrix))
+        if np.isrealobj(inverse):
+            self._newton = inverse
+        return inverse
 
     def _validate_jac(self, *_: Any) -> Any:
         """The Jacobian as a function; what stands in for its first value is not used."""
@@ -106,8 +114,7 @@ class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
             if not done:
                 return done, message
             h = self.t - before["t"]
-            inverse = np.linalg.inv(3.0 / h * self.I - self.J)
-            error = max(self._interpolation_error(self.sol, inverse, share) for share in _BETWEEN)
+            error = max(self._interpolation_error(share) for share in _BETWEEN)
             if error <= _INTERPOLATED or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
                 return done, message
             check_time()
@@ -116,19 +123,17 @@ class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
                 setattr(self, name, value)
             self.h_abs, self.LU_real, self.LU_complex = wanted, None, None
 
-    def _interpolation_error(self, interpolant: Any, inverse: Array, share: float) -> float:
+    def _interpolation_error(self, share: float) -> float:
         """Largest error of a trajectory at a share of the step, in units of the tolerance."""
+        interpolant = self.sol
         h = interpolant.h
         t = interpolant.t_old + share * h
-        powers = np.arange(1, interpolant.order + 2) * share ** np.arange(interpolant.order + 1)
-        slope = interpolant.Q @ powers / h
-        state = interpolant(t)
-        defect = slope - self.fun(t, state)
-        scaled = self._solve(inverse, defect) / (self.atol + np.abs(state) * self.rtol)
-        if not np.isfinite(scaled).all():
-            return math.inf
-        n = len(self.I)
-        return float(np.sqrt(np.square(scaled).reshape(n, -1).mean(axis=0).max()))
+        powers = share ** np.arange(interpolant.order + 1)
+        state = interpolant.y_old + interpolant.Q @ (share * powers)
+        defect = interpolant.Q @ (powers * np.arange(1, powers.size + 1)) / h - self.fun(t, state)
+        scaled = self._solve(self._newton, defect) / (self.atol + np.abs(state) * self.rtol)
+        square = np.square(scaled).reshape(len(self.I), -1).mean(axis=0).max()
+        return math.sqrt(square) if math.isfinite(square) else math.inf
 
     @staticmethod
     def _solve(inverses: Array, right: Array) -> Array:
