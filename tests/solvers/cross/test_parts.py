@@ -43,7 +43,7 @@ def test_cuts_are_kept():
 def trajectories():
     system = ro.compile(EXAMPLES["coupled"].problem).system
     yardstick = Yardstick.of(system, Domain.of(system), 1e-6, 24)
-    return Trajectories(yardstick, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 10_000)
+    return Trajectories(yardstick, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 1.0, 10_000)
 
 
 def test_trajectories_are_held_in_a_growing_basis(trajectories):

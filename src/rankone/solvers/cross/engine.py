@@ -42,8 +42,6 @@ _PATIENCE, _CHEAP = 5, 20_000
 """Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
 _FAR, _FAST = 10.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
-_CALIBRATED = 8
-"""Reference points at which the error of the integration is measured."""
 
 
 _UNRESOLVED = (
@@ -79,7 +77,7 @@ class CrossMarcher:
         self.spectra: list[Array] = []
         self.trajectories: Trajectories | None = None
         self.integrated, self.error = 0, np.inf
-        self.tolerance = 0.3 * _INTEGRATION * request.rtol
+        self.tightness = 0.3
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
@@ -90,10 +88,9 @@ class CrossMarcher:
             result.stopped = Status.SLAB_LIMIT
             return result
         most = self.options.max_trajectories - self.integrated
-        trajectories = Trajectories(self.yardstick, grid, self.tolerance, most, self.workers)
-        self.trajectories = trajectories
+        given = grid, _INTEGRATION * level, self.tightness, most, self.workers
+        self.trajectories = trajectories = Trajectories(self.yardstick, *given)
         try:
-            self._calibrate(trajectories, _INTEGRATION * level)
             found, bases = self._interpolated(trajectories, level)
         except TooManyTrajectories:
             result.stopped = Status.TRAJECTORY_LIMIT
@@ -107,6 +104,7 @@ class CrossMarcher:
             return result
         finally:
             self.integrated += trajectories.count
+            self.tightness = trajectories.tightness
         self.bases = bases
         if found.limited:
             result.limits.add(Status.RANK_LIMIT)
@@ -128,20 +126,6 @@ class CrossMarcher:
         result.records.append(record)
         report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
         return result
-
-    def _calibrate(self, trajectories: Trajectories, wanted: float) -> None:
-        """Choose the tolerance of the integration by its error at points that are known."""
-        if self.yardstick.reference.stiff:
-            trajectories.tolerance = self.tolerance = 0.5 * wanted
-            return
-        for _ in range(3):
-            error = trajectories.integration_error(_CALIBRATED)
-            if wanted / 10.0 <= error <= wanted:
-                break
-            change = min(max(0.5 * wanted / max(error, 1e-300), 1e-3), 4.0)
-            trajectories.tolerance = self.tolerance = max(change * self.tolerance, 1e-13)
-            if change > 1.0:
-                break
 
     def _grid(self, level: float) -> TimeGrid | None:
         """Slabs that resolve the reference, or None if there are too many."""

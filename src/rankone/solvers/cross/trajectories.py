@@ -20,6 +20,11 @@ _FEWEST, _STACKED, _STACKED_STIFF, _STACKED_USER = 32, 1500, 300, 64
 most with functions of the user, which may be slow."""
 _STACKED_STATES = 6000
 """States of a stack that fits the cache."""
+_CALIBRATED, _CALIBRATIONS = 8, 3
+"""Reference points at which the error of the integration is measured, and how often at most."""
+_STIFF = 0.5
+"""Tolerance of stiff integrations over the error wanted."""
+_TIGHTEST = 1e-13
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
 _GRAM = 1e-6
@@ -50,8 +55,11 @@ class Trajectories:
     ----------
     yardstick : Yardstick
     grid : TimeGrid
-    tolerance : float
-        Accuracy of the integration and of the basis.
+    wanted : float
+        Largest error of the integration in units of sizes.
+    tightness : float
+        Tolerance of the integration and of the basis over that error, to begin with. Together with
+        the first trajectories some of the reference are integrated, whose error then sets it.
     most : int
         Largest number of trajectories.
     workers : Workers, optional
@@ -62,12 +70,15 @@ class Trajectories:
         self,
         yardstick: Yardstick,
         grid: TimeGrid,
-        tolerance: float,
+        wanted: float,
+        tightness: float,
         most: int,
         workers: Workers | None = None,
     ) -> None:
         self.workers = workers or Workers(yardstick.system)
-        self.yardstick, self.grid, self.tolerance, self.most = yardstick, grid, tolerance, most
+        self.yardstick, self.grid, self.wanted, self.most = yardstick, grid, wanted, most
+        self.tightness = _STIFF if yardstick.reference.stiff else tightness
+        self.calibrated = yardstick.reference.stiff
         self.count = 0
         self.units = yardstick.states * np.sqrt(grid.times.size)
         self.basis = np.zeros((self.units.size * grid.times.size, 0))
@@ -76,7 +87,7 @@ class Trajectories:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
         if self.count + len(points) > self.most:
             raise TooManyTrajectories
-        found = self._integrated(points)
+        found = self._integrated(points) if self.calibrated else self._first(points)
         self.count += len(points)
         return self._coefficients(found)
 
@@ -85,10 +96,14 @@ class Trajectories:
         """Sizes of the states, (n,)."""
         return self.yardstick.states
 
+    @property
+    def tolerance(self) -> float:
+        """Tolerance of the integration and of the basis."""
+        return max(self.tightness * self.wanted, _TIGHTEST)
+
     def values(self, points: Array) -> Array:
         """Trajectories at points (m, d) in units of the sizes: shape (n, T, m); not counted."""
-        found = self._integrated(points) * np.sqrt(self.grid.times.size)
-        return np.asarray(found.reshape(self.units.size, -1, len(points)))
+        return self._in_sizes(self._integrated(points))
 
     def states(self, coefficients: Array) -> Array:
         """States at the nodes from coefficients (rank, r): shape (n, T, r)."""
@@ -96,15 +111,27 @@ class Trajectories:
         values = (self.basis[:, :rank] @ coefficients).reshape(self.units.size, -1, columns)
         return np.asarray(values * self.units[:, None, None])
 
-    def integration_error(self, points: int) -> float:
-        """Largest error of the integration at some of the reference's points, in units of sizes."""
+    def _first(self, points: Array) -> Array:
+        """The first trajectories, at a tolerance that brings the error wanted."""
+        self.calibrated = True
         reference = self.yardstick.reference
-        chosen = reference.points[:points]
-        exact = reference(self.grid.times)[:, :points] / self.units[:, None, None]
-        found = self._integrated(chosen).reshape(self.units.size, -1, len(chosen))
-        self.count += len(chosen)
-        errors = np.abs(found - exact.transpose(0, 2, 1))
-        return float(errors.max() * np.sqrt(self.grid.times.size))
+        known = reference.points[:_CALIBRATED]
+        exact = reference(self.grid.times)[:, : len(known)] / self.sizes[:, None, None]
+        for _ in range(_CALIBRATIONS):
+            found = self._integrated(np.concatenate([known, points]))
+            self.count += len(known)
+            ours, found = np.split(found, [len(known)], axis=1)
+            share = float(np.abs(exact.swapaxes(1, 2) - self._in_sizes(ours)).max()) / self.wanted
+            if not 0.1 <= share <= 1.0:
+                self.tightness *= min(max(0.5 / max(share, 1e-300), 1e-3), 4.0)
+            if share <= 1.0:
+                break
+        return found
+
+    def _in_sizes(self, trajectories: Array) -> Array:
+        """Trajectories (n T, m) in units of the sizes: shape (n, T, m)."""
+        scaled = trajectories * np.sqrt(self.grid.times.size)
+        return np.asarray(scaled.reshape(self.units.size, -1, trajectories.shape[1]))
 
     def _integrated(self, points: Array) -> Array:
         """Trajectories at the points, (n T, m).
