@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -22,8 +22,8 @@ __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
 _PATIENCE = 20.0
 """Seconds after which no further attempt is begun if no time limit was asked for."""
-_LONGEST = 40.0
-"""Seconds after which, in the same case, an attempt that is not the first is given up."""
+_FIRST, _LONGEST = 60.0, 40.0
+"""Seconds after which, in the same case, the first attempt is given up, and any other."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -128,7 +128,7 @@ def solve_in_attempts(
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
         spent = clock.perf_counter() - began
-        with _timed(timings, "march"), time_limit(_LONGEST - spent if index else None):
+        with _timed(timings, "march"), _unless_asked((_LONGEST if index else _FIRST) - spent):
             result = marcher.march(index, report)
         with _timed(timings, "check"):
             attempt = Attempt(result, yardstick.measured(result.slabs))
@@ -161,6 +161,11 @@ def solve_in_attempts(
         message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
     return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
+
+
+def _unless_asked(seconds: float) -> AbstractContextManager[None]:
+    """A time limit that holds only if there is no other."""
+    return time_limit(seconds if math.isinf(seconds_left()) else None)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.solvers.cross.workers import Workers
 from rankone.solvers.integration import Stack
@@ -27,8 +28,8 @@ _STIFF = 0.5
 _TIGHTEST = 1e-13
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
-_GRAM = 1e-6
-"""Relative tolerance above which singular values may come from a Gram matrix."""
+_SEEN = 1e-6
+"""Singular values, over the largest, that can be told from a Gram matrix."""
 _LOST = 0.3
 """Singular values left out of the basis, relative to the tolerance."""
 
@@ -197,16 +198,29 @@ def _integrated(
 
 
 def _span(columns: Array, tolerance: float) -> Array:
-    """Columns, to be made orthonormal, in whose span most of the given ones lie to a tolerance."""
-    if tolerance > _GRAM * np.linalg.norm(columns):
+    """Orthonormal columns in whose span most of the columns lie up to the tolerance.
+
+    By eigenvectors of Gram matrices, several times faster than singular vectors: each gives the
+    directions that are not lost in its rounding errors, and the next is one of what is left.
+    """
+    found = np.zeros((len(columns), 0))
+    while True:
+        check_time()
         wide = columns.shape[1] > columns.shape[0]
         values, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
         values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
-        if not wide:
-            vectors = columns @ vectors  # orthonormal but for the lengths and for rounding
-    else:
-        vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(vectors)[:, : max(int(np.count_nonzero(values > tolerance)), 1)]
+        seen = max(tolerance, _SEEN * values[0])
+        keep = max(int(np.count_nonzero(values > seen)), 1)
+        new = (
+            vectors[:, :keep]
+            if wide
+            else columns @ (vectors[:, :keep] / np.maximum(values[:keep], 1e-300))
+        )
+        new, _ = np.linalg.qr(new - found @ (found.T @ new))
+        found = np.concatenate([found, new], axis=1)
+        if seen == tolerance or found.shape[1] >= len(found):
+            return found
+        columns = columns - new @ (new.T @ columns)
 
 
 class _AtNodes:
