@@ -49,7 +49,7 @@ def engines_for(
         knowing = [e for e in possible if set(options) <= set(e.options.names())]
         if knowing:
             return tuple(knowing)
-        engine = ENGINES["train" if separated else "cross"]
+        engine = max(possible, key=lambda e: len(set(options) & set(e.options.names())))
     elif isinstance(method, str) and method in ENGINES:
         engine = ENGINES[method]
     else:
@@ -59,9 +59,11 @@ def engines_for(
             remedy=f"choose from {', '.join(known)}",
         )
     for option in sorted(set(options).difference(engine.options.names())):
-        for name, other in ENGINES.items():
-            if option in other.options.names():
-                raise OptionError(
-                    f"option {option!r} belongs to method={name!r}, not to method={method!r}"
-                )
+        owners = [f"method={e.name!r}" for e in ENGINES.values() if option in e.options.names()]
+        if owners:
+            raise OptionError(
+                f"option {option!r} belongs to {' and '.join(owners)}, not to "
+                f"method={engine.name!r}",
+                remedy=f"choose {' or '.join(owners)}, or leave the option out",
+            )
     return (engine,)
