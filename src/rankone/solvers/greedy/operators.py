@@ -139,9 +139,8 @@ class Equation:
 
     def loads(self, source: RankOneSum) -> RankOneSum:
         """The source G tested: from values at the quadrature points."""
-        tested = []
-        for k in range(len(self.tests[0])):
-            tested.append(source.applied([tests[k].T for tests in self.tests]))
+        terms = zip(*self.tests, strict=True)
+        tested = [source.applied([test.T for test in term]) for term in terms]
         return RankOneSum.joined(tested, self.sizes)
 
     def image(self, nodal: RankOneSum) -> RankOneSum:
