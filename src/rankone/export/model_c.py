@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import textwrap
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.codegen.text import paragraph
 from rankone.errors import ExportError
 from rankone.export.packing import PackedModel
 from rankone.files import Content
@@ -100,10 +100,7 @@ def _filled(template: str, values: dict[str, str]) -> str:
 
 
 def _comment(model: PackedModel) -> str:
-    lines = []
-    for line in model.summary:
-        indent = " " * (len(line) - len(line.lstrip()) + 4)
-        lines += textwrap.wrap(line, _WIDTH, subsequent_indent=indent) or [""]
+    lines = (part for line in model.summary for part in paragraph(line, _WIDTH))
     return "\n".join(f" * {_outside_of_comments(line)}".rstrip() for line in lines)
 
 

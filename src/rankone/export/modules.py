@@ -7,6 +7,7 @@ importing it and follows ``from rankone... import name`` to where the name is de
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -32,6 +33,17 @@ class Import:
     def internal(self) -> bool:
         """Whether it comes from the library itself."""
         return self.module.split(".")[0] == PACKAGE
+
+    @property
+    def standard(self) -> bool:
+        """Whether it comes from the standard library."""
+        return self.module.split(".")[0] in sys.stdlib_module_names
+
+    @property
+    def text(self) -> str:
+        """The name as an import statement has it: ``numpy as np``."""
+        own = self.name or self.module
+        return own if own == self.alias else f"{own} as {self.alias}"
 
 
 @dataclass(frozen=True)

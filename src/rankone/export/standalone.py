@@ -10,11 +10,11 @@ from __future__ import annotations
 import ast
 import itertools
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from rankone.codegen.names import is_identifier
-from rankone.codegen.text import WIDTH, docstring, literal, quoted
+from rankone.codegen.text import INDENT, WIDTH, docstring, literal, quoted, tuple_lines
 from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names
 from rankone.metadata import SolutionMetadata
@@ -27,7 +27,6 @@ __all__ = ["standalone_source"]
 
 
 _PROGRAM = "rankone.export.program"
-_CORE = "rankone.solution_core:SolutionCore"
 _PARTS: dict[str, tuple[str, ...]] = {
     "Foundations": (
         *("arrays", "errors", "wording", "options", "progress", "domain", "system"),
@@ -87,7 +86,7 @@ def standalone_source(
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
         reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
-        renamed={_CORE: "Solution"},
+        renamed={"SolutionCore": "Solution"},
         order=_part,
         titles=_TITLES,
     )
@@ -231,7 +230,7 @@ def _system_object(module: _GeneratedModule) -> str:
         line
         for name in (*System.__annotations__, *methods)
         if name in present
-        for line in _argument(name, module.kernels.get(name, name))
+        for line in tuple_lines(f"{name}=", module.kernels.get(name, name), ",", INDENT)
     ]
     return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
 
@@ -239,7 +238,11 @@ def _system_object(module: _GeneratedModule) -> str:
 def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
     """What ties the parts together: the metadata, ``solve`` and ``load``."""
     fields = (name for name in type(metadata).__slots__ if name != "source")
-    entries = [line for name in fields for line in _argument(name, _text(getattr(metadata, name)))]
+    entries = [
+        line
+        for name in fields
+        for line in tuple_lines(f"{name}=", _text(getattr(metadata, name)), ",", INDENT)
+    ]
     text = _END.format(metadata="\n".join(entries), options=engine.options.__name__)
     return f"{banner('This solver: what was asked, solve and load')}\n\n{text.strip()}"
 
@@ -296,16 +299,6 @@ def load(path: str) -> Solution:
 if __name__ == "__main__":
     sys.exit(run(solve, load, __doc__))
 '''
-
-
-def _argument(name: str, text: str | Sequence[str]) -> list[str]:
-    """A keyword argument, one line for each item of a tuple that is too long for one line."""
-    if isinstance(text, str):
-        return [f"    {name}={text},"]
-    line = f"    {name}=({', '.join(text)}{',' if len(text) == 1 else ''}),"
-    if len(line) <= WIDTH and "\n" not in line:
-        return [line]
-    return [f"    {name}=(", *(f"        {item}," for item in text), "    ),"]
 
 
 def _text(value: object) -> str | list[str]:
