@@ -102,7 +102,8 @@ def _factored(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str],
             outside.append((coefficient, symbols))
     sum_inside, count_inside = _factored(inside, names)
     if len(sum_inside) == 1:  # a product again: k * (x * (a + b)) needs no outer parentheses
-        sign, factor = _split_sign(sum_inside[0])
+        sign = "-" if sum_inside[0].startswith("-") else ""
+        factor = sum_inside[0].removeprefix("-")
         factor = _FRACTION.sub(r"(\g<0>)", factor)
         first = f"{sign}{names[common]} * {factor}"
     else:
@@ -121,11 +122,8 @@ def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], in
     chunks: list[str] = []
     operations = max(len(terms) - 1, 0)
     positive = next((i for i, term in enumerate(terms) if term[0] > 0), 0)  # y - x, not -x + y
-    for coefficient, symbols in [
-        *terms[positive : positive + 1],
-        *terms[:positive],
-        *terms[positive + 1 :],
-    ]:
+    rest = [*terms[:positive], *terms[positive + 1 :]]
+    for coefficient, symbols in [*terms[positive : positive + 1], *rest]:
         size = abs(coefficient)
         factors = [names[symbol] for symbol in symbols]
         if size != 1.0 or not factors:
@@ -135,12 +133,3 @@ def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], in
         sign = ("-" if minus else "") if not chunks else ("- " if minus else "+ ")
         chunks.append(sign + " * ".join(factors))
     return chunks, operations
-
-
-def _split_sign(chunk: str) -> tuple[str, str]:
-    """Separate the sign of a first term.
-
-    >>> _split_sign("-x"), _split_sign("x")
-    (('-', 'x'), ('', 'x'))
-    """
-    return ("-", chunk[1:]) if chunk.startswith("-") else ("", chunk)
