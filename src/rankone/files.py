@@ -29,15 +29,7 @@ def as_path(given: Any, error: type[RankoneError]) -> Path:
 
 
 def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
-    """The path of a file that can be written and need not stay as it is.
-
-    Parameters
-    ----------
-    overwrite : bool
-        Whether an existing file may be replaced.
-    error : type
-        What is raised otherwise.
-    """
+    """The path of a file that can be written and need not stay as it is, or an ``error``."""
     target = as_path(path, error)
     try:
         place = Path(os.path.realpath(target))
@@ -59,16 +51,8 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
     """Write files that belong together.
 
     Each is written beside its place and moved there when all are complete, so that an interrupt or
-    a full disk leaves no half-written file and older files stay as they were.
-
-    Parameters
-    ----------
-    files : mapping of Path to str, bytes or function
-        Content by path; see :data:`Content`.
-    overwrite : bool
-        Whether existing files may be replaced.
-    error : type
-        What is raised if a file is not to be replaced or cannot be written.
+    a full disk leaves no half-written file and older files stay as they were. An ``error`` is
+    raised if a file is not to be replaced or cannot be written.
     """
     places = {path: Path(os.path.realpath(free_target(path, overwrite, error))) for path in files}
     if len({*places.values()}) < len(places):

@@ -60,16 +60,8 @@ def helpers(writers: Iterable[KernelWriter]) -> list[str]:
 class KernelWriter:
     """Writes the kernels of one group.
 
-    Parameters
-    ----------
-    group : Group
-        The terms.
-    factor : str
-        The group's parameter factor as people write it, for comments.
-    states, rates : sequence of str
-        Names of all states, and what each equation gives, for comments.
-    time_factors : sequence of str
-        The time factors as people write them, for comments.
+    For comments: the group's parameter factor and the time factors as people write them, the names
+    of all states, and what each equation gives.
     """
 
     def __init__(

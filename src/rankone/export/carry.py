@@ -32,14 +32,7 @@ _MARK = re.compile(r"  # (?:noqa|type: ignore)\b.*")
 class Section:
     """The definitions of one module, ready to be written.
 
-    Attributes
-    ----------
-    title : str
-        First line of its docstring, or the title asked for.
-    prose : tuple of str
-        The rest of its docstring, unless a title was asked for.
-    text : str
-        Its definitions, without imports.
+    Title and prose are those of its docstring unless a title was asked for.
     """
 
     module: str
@@ -68,24 +61,10 @@ def carry(
 ) -> tuple[list[Section], set[Import]]:
     """Select what the roots need and write it as sections, each after those it needs.
 
-    Parameters
-    ----------
-    roots : iterable of str
-        ``"module:name"``.
-    reserved : collection of str
-        Names that are taken by the text the sections will stand beside.
-    renamed : mapping of str to str
-        New names, which are not used otherwise, of some definitions.
-    order : callable
-        From the name of a module to a number: modules of a smaller one come first.
-    titles : mapping of str to str
-        For modules of which only a part is carried over, the titles of their sections.
-
-    Returns
-    -------
-    sections : list of Section
-    imports : set of Import
-        What the sections import from elsewhere.
+    Roots are given as ``"module:name"``. ``reserved`` names are taken by the text beside the
+    sections, and ``renamed`` gives definitions new names, which are not used otherwise. Modules of
+    a smaller ``order`` come first; those of which only a part is carried over have ``titles``.
+    Returned as well is what the sections import from elsewhere.
 
     Raises
     ------

@@ -53,30 +53,11 @@ _OWN_NAMES = ("SYSTEM", "METADATA", "Solution", "solve", "load", "np", "os", "sy
 def standalone_source(
     title: str | None, separated: object, source: str, metadata: SolutionMetadata
 ) -> str:
-    """Text of the standalone solver of a problem.
+    """Text of the standalone solver of a problem: the same text, byte for byte, each time.
 
-    Parameters
-    ----------
-    title : str or None
-        Name of the problem.
-    separated : SeparatedForm
-        Shown in the header.
-    source : str
-        Text of the generated module.
-    metadata : SolutionMetadata
-        What a solution of the problem says was asked, the engine among it.
-
-    Returns
-    -------
-    str
-        A module, formatted; the same problem gives the same text, byte for byte.
-
-    Raises
-    ------
-    OptionError
-        If there is no such engine.
-    ExportError
-        If a part of the library cannot be carried over.
+    The header shows the separated form; ``source`` is the text of the generated module, and the
+    engine is that of the metadata. If there is no such engine that is an OptionError, if a part of
+    the library cannot be carried over an ExportError.
     """
     engine, *_ = engines_for(metadata.method)
     module = _GeneratedModule(source)

@@ -60,18 +60,10 @@ def parse_expression(
 ) -> sp.Expr:
     """Translate a formula into a SymPy expression.
 
-    Parameters
-    ----------
-    text : str
-        A formula in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls
-        of :data:`FUNCTIONS`.
-    names : mapping of str to Expr
-        What the user's names stand for; they come before :data:`CONSTANTS`. A name that stands
-        for an applied function ``x(t)`` may be written ``x`` or ``x(t)``.
-    where : str
-        What the formula is, for messages: ``"right-hand side of `x`"``.
-    equation : int, optional
-        Number of the equation, for messages.
+    It is one in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls of
+    :data:`FUNCTIONS`. What the user's ``names`` stand for comes before :data:`CONSTANTS`; one that
+    stands for an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say
+    ``where`` the formula is, ``"right-hand side of `x`"``, and the number of the equation.
 
     Raises
     ------

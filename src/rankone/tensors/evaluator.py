@@ -220,16 +220,7 @@ class TrainEvaluator:
     def many(self, points: Array, rows: Rows) -> Array:
         """Evaluate at paired points, in chunks of bounded memory.
 
-        Parameters
-        ----------
-        points : ndarray (1 + d, N)
-            Times, then the values of each parameter.
-        rows : slice or ndarray of int
-            States to evaluate.
-
-        Returns
-        -------
-        ndarray (rows, N)
+        ``points`` (1 + d, N) are times, then the values of each parameter; the shape is (rows, N).
         """
         count = points.shape[1]
         result = np.empty((len(self.slabs[0].dimensions[0].matrices[0][rows]), count))
@@ -266,16 +257,8 @@ class TrainEvaluator:
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid.
 
-        Parameters
-        ----------
-        axes : sequence of ndarray
-            1 + d axes of any order of values: times, then each parameter.
-        rows : slice or ndarray of int
-            States to evaluate.
-
-        Returns
-        -------
-        ndarray (rows, *sizes of the axes)
+        The 1 + d axes, times and then each parameter, may have any order of values; the shape is
+        (rows, *sizes of the axes).
         """
         owner = np.searchsorted(self._breaks, axes[0], side="right")
         count = len(self.slabs[0].dimensions[0].matrices[0][rows])

@@ -221,16 +221,8 @@ def compressed(
 ) -> RankOneSum:
     """Fewer products for a function given at nodes: the classic method with the identity.
 
-    Parameters
-    ----------
-    tensor : RankOneSum
-        Values at the nodes.
-    metrics : sequence of ndarray (N_j, N_j)
-        Inner product of each dimension.
-    tolerance : float
-        Norm of what may be lost.
-    options : GreedyOptions
-        Limits; all functions are updated.
+    ``metrics`` (N_j, N_j) are the inner products of each dimension, ``tolerance`` is the norm of
+    what may be lost.
     """
     stacks = tuple(metric[None] for metric in metrics)
     equation = Equation(
