@@ -42,9 +42,8 @@ def literal(value: object) -> str:
     ('(1e200, 0.5)', '1.5', '1 / 3')
     """
     if isinstance(value, Fraction):
-        decimal = float(value)
         text = number(value)
-        return text.replace("/", " / ") if "/" in text else literal(decimal)
+        return text.replace("/", " / ") if "/" in text else literal(float(value))
     return repr(value).replace("e+", "e")
 
 

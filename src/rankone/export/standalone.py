@@ -16,7 +16,7 @@ from typing import Any
 from rankone.codegen.names import is_identifier
 from rankone.codegen.text import INDENT, WIDTH, docstring, literal, quoted, tuple_lines
 from rankone.export.carry import Section, banner, carry, import_lines
-from rankone.export.modules import Import, bound_names
+from rankone.export.modules import Import, bound_names, imported
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
@@ -74,7 +74,6 @@ def standalone_source(
     imports |= module.imports | {
         Import("types", "SimpleNamespace", "SimpleNamespace"),
         Import("sys", None, "sys"),
-        Import("numpy", None, "np"),
     }
     blocks = [
         _head(title, separated, metadata, module, imports)
@@ -97,12 +96,7 @@ class _GeneratedModule:
             for node in tree.body
             if not isinstance(node, ast.Expr | ast.Import | ast.ImportFrom)
         ]
-        self.imports = {
-            Import(node.module, alias.name, alias.asname or alias.name)
-            for node in tree.body
-            if isinstance(node, ast.ImportFrom) and node.module
-            for alias in node.names
-        }
+        self.imports = {found for node in tree.body for found in imported(node)}
         self.docstring = (ast.get_docstring(tree) or "").splitlines()
         self.kernels: dict[str, list[str]] = {}
         self.names: set[str] = set()

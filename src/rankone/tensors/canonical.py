@@ -153,10 +153,8 @@ class CanonicalForm:
 
     def __call__(self, *at: Any, **named: Any) -> Array:
         """Evaluate as a solution does: the result has the broadcast shape of the values."""
-        coordinates = Coordinates(
-            [axis.name for axis in self.axes],
-            [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes],
-        )
+        intervals = [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes]
+        coordinates = Coordinates([axis.name for axis in self.axes], intervals)
         given = coordinates.gather(at, named)
         points, shape = coordinates.broadcast(coordinates.arrays(given))
         products = np.ones((points.shape[1], self.rank))
@@ -287,10 +285,8 @@ def canonical_form(
     axes = _common_axes(slabs, names)
     train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)
     if norm == 0.0:
-        factors = [np.ones((axis.nodes.size, 0)) for axis in axes]
-        return CanonicalForm(
-            label, np.empty(0), dict(zip(names, factors, strict=True)), axes, 0.0, rtol
-        )
+        nothing = {axis.name: np.ones((axis.nodes.size, 0)) for axis in axes}
+        return CanonicalForm(label, np.empty(0), nothing, axes, 0.0, rtol)
     tolerance = (1.0 - 1.1 * _ROUNDING_SHARE) * rtol * norm
     amplitudes, modes = _branches(train, tolerance, max_rank)
     error = _distance(train, amplitudes, modes)
@@ -303,12 +299,9 @@ def canonical_form(
             f"{relative:.2g}, more than rtol = {rtol:g}; remedy: a larger max_rank or rtol"
         )
     amplitudes, modes = _standard(amplitudes, modes)
-    factors = [
-        mode / np.sqrt(axis.weights)[:, None] for mode, axis in zip(modes, axes, strict=True)
-    ]
-    return CanonicalForm(
-        label, amplitudes, dict(zip(names, factors, strict=True)), axes, relative, rtol
-    )
+    pairs = zip(modes, axes, strict=True)
+    factors = {axis.name: mode / np.sqrt(axis.weights)[:, None] for mode, axis in pairs}
+    return CanonicalForm(label, amplitudes, factors, axes, relative, rtol)
 
 
 # --- one train over the horizon ----------------------------------------------------------------
@@ -316,12 +309,8 @@ def canonical_form(
 
 def _common_axes(slabs: Sequence[SlabTrain], names: Sequence[str]) -> tuple[Axis, ...]:
     """Axes on which every slab is represented exactly."""
-    time = Axis(
-        names[0],
-        (*(slab.start for slab in slabs), slabs[-1].end),
-        tuple(slab.cores[0].shape[1] for slab in slabs),
-    )
-    axes = [time]
+    ends = (*(slab.start for slab in slabs), slabs[-1].end)
+    axes = [Axis(names[0], ends, tuple(slab.cores[0].shape[1] for slab in slabs))]
     for j, name in enumerate(names[1:]):
         bases = [slab.bases[j] for slab in slabs]
         breaks = _common_edges(bases)

@@ -56,8 +56,6 @@ def element_trains(
     first = np.zeros((n, time.elements, time.order + 1, rank))
     begin = 0
     for state, total in enumerate(sums):
-        if not total.rank:
-            continue
         first[state, :, :, begin : begin + total.rank] = time.to_modes(total.factors[0])
         begin += total.rank
     first /= tolerance[:, None, None, None]

@@ -225,13 +225,8 @@ def compressed(
     what may be lost.
     """
     stacks = tuple(metric[None] for metric in metrics)
-    equation = Equation(
-        stacks,
-        ((0,),) * len(stacks),
-        ((),) * len(stacks),
-        tuple(metrics),
-        tuple(len(metric) for metric in metrics),
-    )
+    one, none = ((0,),) * len(stacks), ((),) * len(stacks)
+    equation = Equation(stacks, one, none, tuple(metrics), tuple(map(len, metrics)))
     fast = replace(
         options, update="all", max_fixed_point=6, fixed_point_tolerance=1e-2, update_sweeps=2
     )

@@ -181,13 +181,8 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
     metrics = list(space.masses)
     if options.projection == "minimal-residual":
         metrics[0] = matrices[0][0]
-    return Equation(
-        tuple(matrices),
-        tuple(index),
-        tuple(tests),
-        tuple(metrics),
-        tuple(map(_bandwidth, matrices)),
-    )
+    bandwidth = tuple(map(_bandwidth, matrices))
+    return Equation(tuple(matrices), tuple(index), tuple(tests), tuple(metrics), bandwidth)
 
 
 def named_matrices(system: System, space: ShapeSpace) -> dict[str, Array]:
