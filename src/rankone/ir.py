@@ -224,31 +224,28 @@ class SeparatedForm:
             count(len(self.coordinates), "dimension"),
             count(sum(len(distinct) - 1 for distinct in self.factors), "factor"),
         ]
-        header = ["equation", "coefficient", "monomial", *(c.name for c in self.coordinates)]
+        clock, *parameters = (c.name for c in self.coordinates)
+        header = ["equation", "coefficient", "monomial", clock, *parameters]
         start = f"({self.coordinates[0].lower:g})"
         rows = [
             [
                 self.states[term.equation].name + suffix,
                 number(term.coefficient),
-                self._monomial(term),
+                f"d{text}/d{clock}" if term.derivative else text,
                 *factor_texts(self.factors, term.factors),
             ]
             for terms, suffix in ((self.terms, ""), (self.initial, start))
             for term in terms
+            for text in [monomial_text(self.states, term.monomial)]
         ]
         return f"Separated form: {', '.join(counts)} (residual u' - f = 0)", header, rows
 
-    def _monomial(self, term: Term) -> str:
-        text = monomial_text(self.states, term.monomial) or "1"
-        return f"d{text}/d{self.coordinates[0].name}" if term.derivative else text
-
     def _latex_sum(self, terms: Sequence[Term], equation: int) -> str:
-        products = [self._latex_term(term) for term in terms if term.equation == equation]
-        text = " ".join(("- " if negative else "+ ") + product for negative, product in products)
-        return text.removeprefix("+ ") or "0"
+        products = (self._latex_term(term) for term in terms if term.equation == equation)
+        return " ".join(products).removeprefix("+ ") or "0"
 
-    def _latex_term(self, term: Term) -> tuple[bool, str]:
-        """Whether the term is negative, and its absolute value."""
+    def _latex_term(self, term: Term) -> str:
+        """The term with its sign in front."""
         size = latex_number(term.size)
         parts = [
             rf"\left[{latex(distinct[i].expression)}\right]"
@@ -262,7 +259,7 @@ class SeparatedForm:
             parts.append(f"{{{self._latex_state(self.states[i])}}}{raised}")
         if size != "1" or not parts:
             parts.insert(0, size)
-        return term.coefficient < 0, " ".join(parts)
+        return " ".join(["-" if term.coefficient < 0 else "+", *parts])
 
     def _latex_state(self, state: State) -> str:
         """A state without its argument."""
@@ -396,7 +393,7 @@ class QuadraticSystem:
                 *factor_texts(self.factors, term.factors)[1:],
                 self.names[term.equation],
                 number(term.coefficient),
-                monomial_text(self.states, term.monomial) or "1",
+                monomial_text(self.states, term.monomial),
                 factor_texts(self.factors, term.factors)[0],
             ]
             for group in self.groups
@@ -412,6 +409,6 @@ def factor_texts(factors: Sequence[Sequence[Factor]], rows: Sequence[int]) -> li
 
 
 def monomial_text(states: Sequence[State], monomial: Sequence[int]) -> str:
-    """``x**2*y``; nothing for a constant."""
+    """``x**2*y``; one for a constant."""
     powers = sorted(Counter(monomial).items())
-    return "*".join(f"{states[i].name}" + (f"**{k}" if k > 1 else "") for i, k in powers)
+    return "*".join(states[i].name + (f"**{k}" if k > 1 else "") for i, k in powers) or "1"

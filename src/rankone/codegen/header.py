@@ -76,15 +76,13 @@ def equation_texts(system: QuadraticSystem) -> list[str]:
 
 def sum_text(terms: Iterable[Term], system: QuadraticSystem) -> str:
     """A sum of terms as people write it."""
-    text = ""
-    for term in terms:
-        product = plain_product(number(term.size), term_factors(term, system))
-        minus = term.coefficient < 0
-        if text:
-            text += f" - {product}" if minus else f" + {product}"
-        else:
-            text = f"-{product}" if minus else product
-    return text or "0"
+    products = (
+        ("- " if term.coefficient < 0 else "+ ")
+        + plain_product(number(term.size), term_factors(term, system))
+        for term in terms
+    )
+    text = " ".join(products).removeprefix("+ ")
+    return f"-{text[2:]}" if text.startswith("- ") else text or "0"
 
 
 def term_factors(term: Term, system: QuadraticSystem) -> list[str]:

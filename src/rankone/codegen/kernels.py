@@ -10,10 +10,11 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from rankone.codegen.combination import Combination, Entry
+from rankone.codegen.header import signature_text
 from rankone.codegen.names import Names
 from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import assignment, commented, docstring
-from rankone.ir import Group
+from rankone.ir import Group, QuadraticSystem
 
 __all__ = ["KERNELS", "KernelWriter", "helpers"]
 
@@ -60,22 +61,13 @@ def helpers(writers: Iterable[KernelWriter]) -> list[str]:
 class KernelWriter:
     """Writes the kernels of one group.
 
-    For comments: the group's parameter factor and the time factors as people write them, the names
-    of all states, and what each equation gives.
+    ``time_factors`` are written as people write them, for comments.
     """
 
-    def __init__(
-        self,
-        group: Group,
-        factor: str,
-        states: Sequence[str],
-        rates: Sequence[str],
-        time_factors: Sequence[str],
-    ) -> None:
-        self.group = group
-        self.factor = factor
-        self.rates = rates
-        self.n_time_factors = len(time_factors)
+    def __init__(self, system: QuadraticSystem, group: Group, time_factors: Sequence[str]) -> None:
+        self.group, self.factor = group, signature_text(system, group.signature)
+        self.rates, self.n_time_factors = system.rates, len(time_factors)
+        rates, states = system.rates, system.names
         self.monomials = [f"{states[min(pair)]}*{states[max(pair)]}" for pair in group.monomials]
         order = {tuple(sorted(pair)): k for k, pair in enumerate(group.monomials)}
         linear = [

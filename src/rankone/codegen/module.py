@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.factors import coordinate_functions
-from rankone.codegen.header import header, signature_text, sum_text
+from rankone.codegen.header import header, sum_text
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
@@ -121,16 +121,7 @@ def term_text(term: Term, left: str, system: QuadraticSystem) -> str:
 def kernel_functions(system: QuadraticSystem) -> list[list[str]]:
     """What the kernels share, the kernels of every group, then the tables that list them."""
     time_factors = [plain_text(factor.expression) for factor in system.factors[0]]
-    writers = [
-        KernelWriter(
-            group,
-            signature_text(system, group.signature),
-            system.names,
-            system.rates,
-            time_factors,
-        )
-        for group in system.groups
-    ]
+    writers = [KernelWriter(system, group, time_factors) for group in system.groups]
     blocks = [helpers(writers)]
     listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}
     for writer in writers:

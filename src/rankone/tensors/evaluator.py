@@ -66,11 +66,6 @@ def _to_chebyshev(basis: Basis1D) -> Array:
 class _Dimension:
     """One core of one slab: for each element a matrix (left, degree * right)."""
 
-    __slots__ = (
-        *("degree", "elements", "left", "lower", "matrices", "right", "scale", "tensor"),
-        "edges",
-    )
-
     def __init__(self, core: Array, basis: Basis1D) -> None:
         self.left, _, self.right = core.shape
         self.degree, self.elements = basis.degree, basis.elements
@@ -128,8 +123,6 @@ class _Dimension:
 class _UnequalDimension(_Dimension):
     """One core whose elements are unequal: between two of them the later one counts."""
 
-    __slots__ = ("breaks", "lowers", "scales")
-
     def __init__(self, core: Array, basis: Basis1D) -> None:
         super().__init__(core, basis)
         self.breaks = basis.breaks
@@ -155,8 +148,6 @@ def _columnwise_kronecker(values: Array, carry: Array | None) -> Array:
 
 class _SlabEvaluator:
     """The cores of one slab, ready for evaluation."""
-
-    __slots__ = ("chunk", "degree", "dimensions")
 
     def __init__(self, slab: SlabTrain) -> None:
         time = LegendreBasis(slab.start, slab.end, slab.cores[0].shape[1])
