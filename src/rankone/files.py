@@ -71,7 +71,11 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
             beside[path].replace(place)
             moved[place] = old
     except BaseException as reason:
-        _undo(moved)
+        for place, old in moved.items():  # put back what was replaced before one failed
+            if old is None:
+                place.unlink(missing_ok=True)
+            else:
+                place.write_bytes(old)
         if not isinstance(reason, OSError):
             raise
         why = reason.strerror or reason
@@ -102,12 +106,3 @@ def _write(path: Path, content: Content) -> None:
             stream.write(content.encode() if isinstance(content, str) else content)
         stream.flush()
         os.fsync(stream.fileno())
-
-
-def _undo(moved: Mapping[Path, bytes | None]) -> None:
-    """Put back what files replaced before one of them failed."""
-    for place, old in moved.items():
-        if old is None:
-            place.unlink(missing_ok=True)
-        else:
-            place.write_bytes(old)

@@ -97,16 +97,9 @@ class KernelWriter:
 
     def functions(self) -> dict[str, list[str]]:
         """Source lines of the kernels the group needs, by kernel."""
-        functions: dict[str, list[str]] = {}
-        if self.group.constant:
-            functions["constant"] = self.constant()
-        if self.group.linear:
-            functions["linear"] = self.linear()
-            functions["linear_adjoint"] = self.linear_adjoint()
-        if self.group.quadratic:
-            functions["quadratic"] = self.quadratic()
-            functions["quadratic_adjoint"] = self.quadratic_adjoint()
-        return functions
+        terms = self.group.by_degree
+        needed = [kernel for kernel in KERNELS if terms[kernel.removesuffix("_adjoint")]]
+        return {kernel: getattr(self, kernel)() for kernel in needed}
 
     def constant(self) -> list[str]:
         sums: list[list[Addend]] = [[] for _ in range(len(self.rates))]

@@ -98,12 +98,8 @@ def _head(model: PackedModel, path: Path) -> list[str]:
     if is_identifier(stem):
         lines += [f"    import {stem}", ""]
     else:
-        lines += [
-            "    import importlib",
-            "",
-            f"    model = importlib.import_module({quoted(stem)})",
-        ]
-        stem = "model"
+        found = f"    model = importlib.import_module({quoted(stem)})"
+        stem, lines = "model", [*lines, "    import importlib", "", found]
     lines += [f"    {stem}.value({call})", "", f"    {stem}.gradient({call})", ""]
     lines += [f"The gradient is with respect to {', '.join(model.coordinates)}, in this order."]
     return [part for line in lines for part in paragraph(line)]

@@ -183,14 +183,9 @@ class LaggedSlab:
         change = self._distance(before, new) / norm
         self.modes[state] = new
         self._points[state] = (self._start[state] + self.space.at_points(new)).merged()
-        return EquationRecord(
-            iteration,
-            self.coupling.system.STATES[state],
-            result.records,
-            tuple((result.amplitudes / norm).tolist()),
-            result.residual / unit,
-            change,
-        )
+        name, amplitudes = self.coupling.system.STATES[state], (result.amplitudes / norm).tolist()
+        found = result.records, tuple(amplitudes), result.residual / unit
+        return EquationRecord(iteration, name, *found, change)
 
     def _source(self, state: int) -> RankOneSum:
         """G at the quadrature points: lagged terms, and own terms of the initial value."""
