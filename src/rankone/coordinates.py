@@ -65,15 +65,7 @@ def name_of(key: object, time: str | None = None) -> str:
 
 
 class Coordinates:
-    """The coordinates of a solution, time first, with the interval of each.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Time, then the parameters.
-    intervals : sequence of (float, float)
-        The interval of each.
-    """
+    """The coordinates of a solution, time first, with the interval of each."""
 
     def __init__(self, names: Sequence[str], intervals: Sequence[tuple[float, float]]) -> None:
         self.names = tuple(names)
@@ -83,13 +75,8 @@ class Coordinates:
     def gather(self, at: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
         """Put what was given in order: one entry for each coordinate.
 
-        Parameters
-        ----------
-        at : sequence
-            Positional arguments: times, or a mapping from names or symbols to values, or both in
-            this order; None counts as not given.
-        named : mapping of str
-            Keyword arguments.
+        Positional arguments ``at`` are times, or a mapping from names or symbols to values, or both
+        in this order; None counts as not given. ``named`` are keyword arguments.
 
         Raises
         ------

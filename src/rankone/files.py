@@ -30,15 +30,7 @@ def as_path(given: Any, error: type[RankoneError]) -> Path:
 
 
 def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
-    """The path of a file that can be written and need not stay as it is.
-
-    Parameters
-    ----------
-    overwrite : bool
-        Whether an existing file may be replaced.
-    error : type
-        What is raised otherwise.
-    """
+    """The path of a file that can be written and need not stay as it is, or an ``error``."""
     target = as_path(path, error)
     try:
         place = Path(os.path.realpath(target))
@@ -60,16 +52,8 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
 
     Each is written beside its place and moved there when all are complete, so that an interrupt or
     a full disk leaves no half-written file and older files stay as they were. Of several that write
-    the same new file at the same time without ``overwrite`` one succeeds.
-
-    Parameters
-    ----------
-    files : mapping of Path to str, bytes or function
-        Content by path; see :data:`Content`.
-    overwrite : bool
-        Whether existing files may be replaced.
-    error : type
-        What is raised if a file is not to be replaced or cannot be written.
+    the same new file at the same time without ``overwrite`` one succeeds. An ``error`` is raised if
+    a file is not to be replaced or cannot be written.
     """
     places = {path: Path(os.path.realpath(free_target(path, overwrite, error))) for path in files}
     if len({*places.values()}) < len(places):
@@ -91,7 +75,11 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
                 raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
             moved[place] = old
     except BaseException as reason:
-        _undo(moved)
+        for place, old in moved.items():  # put back what was replaced before one failed
+            if old is None:
+                place.unlink(missing_ok=True)
+            else:
+                place.write_bytes(old)
         if not isinstance(reason, OSError):
             raise
         why = reason.strerror or reason
@@ -140,12 +128,3 @@ def _move(complete: Path, place: Path, overwrite: bool) -> None:
         except BaseException:
             place.unlink(missing_ok=True)
             raise
-
-
-def _undo(moved: Mapping[Path, bytes | None]) -> None:
-    """Put back what files replaced before one of them failed."""
-    for place, old in moved.items():
-        if old is None:
-            place.unlink(missing_ok=True)
-        else:
-            place.write_bytes(old)

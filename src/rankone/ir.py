@@ -41,6 +41,10 @@ __all__ = [
 ]
 
 
+Table = tuple[str, list[str], list[list[str]]]
+"""Summary, header and rows."""
+
+
 @dataclass(frozen=True, slots=True)
 class Coordinate:
     """One dimension of the box: time (always the first) or a parameter."""
@@ -174,16 +178,13 @@ class SeparatedForm:
             raise self.general[0].error
 
     def __str__(self) -> str:
-        text = text_table(self._summary(), self._header(), self._rows())
-        return "\n".join([text.rstrip("\n"), *self._general_lines()]) if self.general else text
+        return "\n".join([text_table(*self._table()), *self._general_lines()])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        text = html_table(self._summary(), self._header(), self._rows())
-        if not self.general:
-            return text
-        return text + f"<pre>{html.escape(chr(10).join(self._general_lines()))}</pre>"
+        general = html.escape("\n".join(self._general_lines()))
+        return html_table(*self._table()) + (f"<pre>{general}</pre>" if general else "")
 
     def _repr_latex_(self) -> str:
         """Each equation, and each initial value, as a sum of separated products."""
@@ -199,27 +200,14 @@ class SeparatedForm:
             lines.append(f"{self._latex_state(state)} {at_start} &= {value}")
         return aligned_equations(lines)
 
-    def _summary(self) -> str:
-        counts = [
-            (len(self.states), "equation"),
-            (len(self.terms), "term"),
-            (len(self.coordinates), "dimension"),
-            (sum(len(distinct) - 1 for distinct in self.factors), "factor"),
-        ]
-        if self.general:
-            counts.insert(2, (len(self.general), "general term"))
-        return f"Separated form: {', '.join(count(*pair) for pair in counts)} (residual u' - f = 0)"
-
     def _general_lines(self) -> list[str]:
-        """The general terms, one in a line."""
+        """The general terms, one in a line under a heading."""
         start = f"({self.coordinates[0].lower:g})"
-        return [
-            "General terms, which do not separate:",
-            *(
-                f"  {self.states[term.equation].name}{start if term.initial else ''}: {term.reason}"
-                for term in self.general
-            ),
+        lines = [
+            f"  {self.states[term.equation].name}{start if term.initial else ''}: {term.reason}"
+            for term in self.general
         ]
+        return ["General terms, which do not separate:", *lines] if lines else []
 
     def _latex_general(self, equation: int, *, initial: bool) -> list[str]:
         return [
@@ -228,33 +216,36 @@ class SeparatedForm:
             if term.equation == equation and term.initial == initial
         ]
 
-    def _header(self) -> list[str]:
-        return ["equation", "coefficient", "monomial", *(c.name for c in self.coordinates)]
-
-    def _rows(self) -> list[list[str]]:
+    def _table(self) -> Table:
+        counts = [
+            count(len(self.states), "equation"),
+            count(len(self.terms), "term"),
+            *([count(len(self.general), "general term")] if self.general else []),
+            count(len(self.coordinates), "dimension"),
+            count(sum(len(distinct) - 1 for distinct in self.factors), "factor"),
+        ]
+        clock, *parameters = (c.name for c in self.coordinates)
+        header = ["equation", "coefficient", "monomial", clock, *parameters]
         start = f"({self.coordinates[0].lower:g})"
-        return [
+        rows = [
             [
                 self.states[term.equation].name + suffix,
                 number(term.coefficient),
-                self._monomial(term),
+                f"d{text}/d{clock}" if term.derivative else text,
                 *factor_texts(self.factors, term.factors),
             ]
             for terms, suffix in ((self.terms, ""), (self.initial, start))
             for term in terms
+            for text in [monomial_text(self.states, term.monomial)]
         ]
-
-    def _monomial(self, term: Term) -> str:
-        text = monomial_text(self.states, term.monomial) or "1"
-        return f"d{text}/d{self.coordinates[0].name}" if term.derivative else text
+        return f"Separated form: {', '.join(counts)} (residual u' - f = 0)", header, rows
 
     def _latex_sum(self, terms: Sequence[Term], equation: int) -> str:
-        products = [self._latex_term(term) for term in terms if term.equation == equation]
-        text = " ".join(("- " if negative else "+ ") + product for negative, product in products)
-        return text.removeprefix("+ ") or "0"
+        products = (self._latex_term(term) for term in terms if term.equation == equation)
+        return " ".join(products).removeprefix("+ ") or "0"
 
-    def _latex_term(self, term: Term) -> tuple[bool, str]:
-        """Whether the term is negative, and its absolute value."""
+    def _latex_term(self, term: Term) -> str:
+        """The term with its sign in front."""
         size = latex_number(term.size)
         parts = [
             rf"\left[{latex(distinct[i].expression)}\right]"
@@ -268,7 +259,7 @@ class SeparatedForm:
             parts.append(f"{{{self._latex_state(self.states[i])}}}{raised}")
         if size != "1" or not parts:
             parts.insert(0, size)
-        return term.coefficient < 0, " ".join(parts)
+        return " ".join(["-" if term.coefficient < 0 else "+", *parts])
 
     def _latex_state(self, state: State) -> str:
         """A state without its argument."""
@@ -382,37 +373,34 @@ class QuadraticSystem:
         return list(zip(auxiliary, products, strict=True))
 
     def __str__(self) -> str:
-        return text_table(self._summary(), self._header(), self._rows())
+        return text_table(*self._table())
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return html_table(self._summary(), self._header(), self._rows())
+        return html_table(*self._table())
 
-    def _summary(self) -> str:
-        counts = (len(self.states), "state"), (len(self.terms), "term"), (len(self.groups), "group")
+    def _table(self) -> Table:
+        states, terms = count(len(self.states), "state"), count(len(self.terms), "term")
         auxiliary = f" ({', '.join(self.definitions)})" if self.products else ""
-        states, terms, groups = (count(*pair) for pair in counts)
-        return f"Quadratic system: {states}{auxiliary}, {terms} in {groups} (u' = f)"
-
-    def _header(self) -> list[str]:
+        in_groups = f"{terms} in {count(len(self.groups), 'group')}"
+        summary = f"Quadratic system: {states}{auxiliary}, {in_groups} (u' = f)"
         clock, *parameters = (c.name for c in self.coordinates)
-        return ["group", *parameters, "equation", "coefficient", "monomial", clock]
-
-    def _rows(self) -> list[list[str]]:
-        return [
+        header = ["group", *parameters, "equation", "coefficient", "monomial", clock]
+        rows = [
             [
                 str(group.index),
                 *factor_texts(self.factors, term.factors)[1:],
                 self.names[term.equation],
                 number(term.coefficient),
-                monomial_text(self.states, term.monomial) or "1",
+                monomial_text(self.states, term.monomial),
                 factor_texts(self.factors, term.factors)[0],
             ]
             for group in self.groups
             for part in group.by_degree.values()
             for term in part
         ]
+        return summary, header, rows
 
 
 def factor_texts(factors: Sequence[Sequence[Factor]], rows: Sequence[int]) -> list[str]:
@@ -421,6 +409,6 @@ def factor_texts(factors: Sequence[Sequence[Factor]], rows: Sequence[int]) -> li
 
 
 def monomial_text(states: Sequence[State], monomial: Sequence[int]) -> str:
-    """``x**2*y``; nothing for a constant."""
+    """``x**2*y``; one for a constant."""
     powers = sorted(Counter(monomial).items())
-    return "*".join(f"{states[i].name}" + (f"**{k}" if k > 1 else "") for i, k in powers)
+    return "*".join(states[i].name + (f"**{k}" if k > 1 else "") for i, k in powers) or "1"

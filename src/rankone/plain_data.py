@@ -56,7 +56,8 @@ def rebuilt(kind: Any, value: Any) -> Any:
     parts: tuple[Any, ...] = get_args(kind)
     origin = get_origin(kind)
     if origin in (Union, UnionType):
-        return rebuilt(type(None) if value is None else _other(parts), value)
+        part = next(part for part in parts if (part is type(None)) == (value is None))
+        return rebuilt(part, value)
     if origin is tuple and isinstance(value, list):
         if parts[-1:] == (...,):
             parts = parts[:1] * len(value)
@@ -72,12 +73,6 @@ def rebuilt(kind: Any, value: Any) -> Any:
     if type(value) is kind:
         return value
     raise TypeError(f"{value!r} is not of the kind {kind}")
-
-
-def _other(parts: tuple[Any, ...]) -> Any:
-    """The part of an optional annotation that is not None."""
-    (part,) = (part for part in parts if part is not type(None))
-    return part
 
 
 def _dataclass(kind: Any, value: Mapping[str, Any]) -> Any:

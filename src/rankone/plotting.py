@@ -9,7 +9,6 @@ Every function returns a Matplotlib figure and shows nothing: ``figure.savefig(.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -148,10 +147,9 @@ def _plot_fixed_points(axes: Axes, equations: Sequence[EquationRecord]) -> None:
 
 def _plot_residuals(axes: Axes, equations: Sequence[EquationRecord], tolerance: float) -> None:
     """Residuals after every enrichment, over all updates, a line for each solve."""
-    for color, state in enumerate(_states(equations)):
+    for color, state in enumerate(dict.fromkeys(record.state for record in equations)):
         count = 0
-        solves = [record for record in equations if record.state == state]
-        for record in solves:
+        for record in (record for record in equations if record.state == state):
             values = [mode.residual for mode in record.modes]
             steps = range(count + 1, count + 1 + len(values))
             label = state if not count and values else None
@@ -217,10 +215,6 @@ def _plot_ranks(axes: Axes, records: Sequence[SlabRecord]) -> None:
         axes.legend(title="bond", fontsize="small")
 
 
-def _states(equations: Sequence[EquationRecord]) -> list[str]:
-    return list(dict.fromkeys(record.state for record in equations))
-
-
 def _positive(values: Sequence[float]) -> list[float]:
     """Values for a logarithmic axis: zeros and infinities leave gaps."""
     return [value if 0.0 < value < float("inf") else float("nan") for value in values]
@@ -253,7 +247,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     figure, grid = plt.subplots(
         rows, columns, figsize=(3.7 * columns, 2.9 * rows), layout="constrained", squeeze=False
     )
-    axes: list[Axes] = list(itertools.chain.from_iterable(grid))
+    axes: list[Axes] = [*grid.flat]
     for unused in axes[count:]:
         unused.remove()
     return figure, axes[:count]

@@ -1,22 +1,7 @@
 """Problems from files: Python files with a variable ``problem``, and TOML files.
 
-The layout of a TOML file, with the fields of :meth:`rankone.Problem.from_strings`::
-
-    name = "Lotka-Volterra"            # optional
-    time = [0, 6]
-
-    [rhs]                              # right-hand side of each derivative; t is time
-    x = "x*(1.5 - y)"
-    y = "-y*(3 - x)"
-
-    [initial]                          # numbers or formulas of the parameters
-    x = "x0"
-    y = "y0"
-
-    [parameters]                       # may be left out
-    x0 = [8, 12]
-    y0 = [4, 6]
-
+A TOML file has the fields of :meth:`rankone.Problem.from_strings` in the layout of
+:data:`TOML_LAYOUT`, and may have a ``name``.
 Instead of ``time = [0, 6]`` there may be a table ``[time]`` with ``start`` and ``end``.
 """
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
 
 from rankone.errors import OptionError
 from rankone.wording import count
 
-__all__ = ["ProgressBar", "ProgressEvent", "Report", "quiet", "resolve_progress"]
+__all__ = ["ProgressEvent", "Report", "progress_bar", "quiet", "resolve_progress"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,40 +45,26 @@ def quiet(event: ProgressEvent, /) -> None:
     """Take no notice."""
 
 
-class ProgressBar:
-    """A bar on standard error, as a context manager and a callback."""
+@contextmanager
+def progress_bar() -> Iterator[Report]:
+    """A bar on standard error, and the callback that moves it."""
+    from tqdm import tqdm
 
-    def __init__(self) -> None:
-        self._bar: Any = None
+    with tqdm(
+        total=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
+    ) as bar:
+        bar.set_description_str("solving")
 
-    def __enter__(self) -> Self:
-        from tqdm import tqdm
+        def show(event: ProgressEvent, /) -> None:
+            bar.n = event.fraction
+            attempt = "" if event.attempt == 0 else f" (attempt {event.attempt + 1})"
+            bar.set_description_str(f"solving{attempt}", refresh=False)
+            shown = f"t = {event.time:.4g}, {count(event.slabs, 'slab')}, rank {event.rank}"
+            bar.set_postfix_str(shown, refresh=False)
+            bar.update(0)
+            bar.refresh()
 
-        self._bar = tqdm(
-            total=1.0,
-            leave=False,
-            bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}",
-        )
-        self._bar.set_description_str("solving")
-        return self
-
-    def __call__(self, event: ProgressEvent, /) -> None:
-        """Show an event."""
-        self._bar.n = event.fraction
-        attempt = "" if event.attempt == 0 else f" (attempt {event.attempt + 1})"
-        self._bar.set_description_str(f"solving{attempt}", refresh=False)
-        shown = f"t = {event.time:.4g}, {count(event.slabs, 'slab')}, rank {event.rank}"
-        self._bar.set_postfix_str(shown, refresh=False)
-        self._bar.update(0)
-        self._bar.refresh()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.close()
+        yield show
 
 
 def resolve_progress(progress: bool | Report) -> AbstractContextManager[Report]:
@@ -103,7 +87,7 @@ def resolve_progress(progress: bool | Report) -> AbstractContextManager[Report]:
     ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7)
     """
     if progress is True:
-        return ProgressBar()
+        return progress_bar()
     if progress is False:
         return nullcontext(quiet)
     if not callable(progress):

@@ -237,12 +237,9 @@ def _slab(
 def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     """The names have to fit the cores and what was measured."""
     states, parameters = len(metadata.states), len(metadata.parameters)
-    fits = len(metadata.box) == parameters
-    for slab in outcome.slabs:
-        fits = fits and len(slab.cores[0]) == states and len(slab.bases) == parameters
-    if outcome.measured is not None:
-        fits = fits and len(outcome.measured.interior) == states
-    if not fits:
+    counts = {(len(slab.cores[0]), len(slab.bases)) for slab in outcome.slabs}
+    measured = states if outcome.measured is None else len(outcome.measured.interior)
+    if counts | {(measured, len(metadata.box))} != {(states, parameters)}:
         raise ValueError("the names do not fit the cores")
     for names in (metadata.states, (metadata.time, *metadata.parameters)):
         if len({*names}) < len(names):

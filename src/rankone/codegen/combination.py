@@ -38,16 +38,8 @@ class Entry:
 class Combination:
     """A linear map between rows of arrays, with coefficients that may depend on time.
 
-    Parameters
-    ----------
-    name : str
-        Name of the coefficient matrix, if there is one.
-    rows, columns : sequence of str
-        What the targets and sources are, for comments.
-    entries : sequence of Entry
-        The terms.
-    time_factors : sequence of str
-        The time factors as people write them, for comments.
+    ``name`` is that of the coefficient matrix, if there is one. For comments: what the targets
+    (rows) and sources (columns) are, and the time factors as people write them.
     """
 
     def __init__(

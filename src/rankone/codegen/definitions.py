@@ -1,26 +1,50 @@
-"""What a generated module needs beside its functions: imports, tables of data, known cuts."""
+"""What a generated module has beside its functions: imports, constants, data, known cuts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import sympy as sp
 
-from rankone.codegen.text import literal, table
+from rankone.codegen.text import docstring, literal, nested, quoted, table
 from rankone.functions import Table, known_applied
 from rankone.ir import Coordinate
 
-__all__ = ["cut_table", "definitions", "import_lines"]
+__all__ = ["constants", "cut_table", "definitions", "module_source"]
 
 
-def import_lines(body: str) -> list[str]:
-    """The imports that the text of a module needs."""
-    lines = ["import numpy as np"]
+def module_source(
+    header: Callable[[bool], list[str]], tables: Sequence[str], blocks: Iterable[Sequence[str]]
+) -> str:
+    """The text of a module; ``header`` gives its docstring, told whether SciPy is imported."""
+    body = "\n\n\n".join("\n".join(block) for block in blocks if block) + "\n"
+    imports = ["import numpy as np"]
     if "special." in body:
-        lines.append("from scipy import special")
+        imports.append("from scipy import special")
     if "CubicSpline(" in body:
-        lines.append("from scipy.interpolate import CubicSpline")
-    return lines
+        imports.append("from scipy.interpolate import CubicSpline")
+    lines = docstring(header(len(imports) > 1), indent="")
+    return "\n".join([*lines, "", *imports, "", *tables]) + "\n\n\n" + body
+
+
+def constants(
+    separated: bool,
+    names: Iterable[str],
+    n_differential: int,
+    products: Iterable[tuple[int, int]],
+    coordinates: Sequence[Coordinate],
+) -> list[str]:
+    """The tables that describe any system."""
+    clock, *parameters = coordinates
+    return [
+        f"SEPARATED = {separated}",
+        *table("STATES", [quoted(name) for name in names]),
+        f"N_DIFFERENTIAL = {n_differential}",
+        *table("PRODUCTS", nested(products)),
+        *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
+        f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
+        *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
+    ]
 
 
 def definitions(expressions: Iterable[sp.Expr]) -> list[list[str]]:

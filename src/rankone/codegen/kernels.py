@@ -10,10 +10,11 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from rankone.codegen.combination import Combination, Entry
+from rankone.codegen.header import signature_text
 from rankone.codegen.names import Names
 from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import assignment, commented, docstring
-from rankone.ir import Group
+from rankone.ir import Group, QuadraticSystem
 
 __all__ = ["KERNELS", "KernelWriter", "helpers"]
 
@@ -60,30 +61,13 @@ def helpers(writers: Iterable[KernelWriter]) -> list[str]:
 class KernelWriter:
     """Writes the kernels of one group.
 
-    Parameters
-    ----------
-    group : Group
-        The terms.
-    factor : str
-        The group's parameter factor as people write it, for comments.
-    states, rates : sequence of str
-        Names of all states, and what each equation gives, for comments.
-    time_factors : sequence of str
-        The time factors as people write them, for comments.
+    ``time_factors`` are written as people write them, for comments.
     """
 
-    def __init__(
-        self,
-        group: Group,
-        factor: str,
-        states: Sequence[str],
-        rates: Sequence[str],
-        time_factors: Sequence[str],
-    ) -> None:
-        self.group = group
-        self.factor = factor
-        self.rates = rates
-        self.n_time_factors = len(time_factors)
+    def __init__(self, system: QuadraticSystem, group: Group, time_factors: Sequence[str]) -> None:
+        self.group, self.factor = group, signature_text(system, group.signature)
+        self.rates, self.n_time_factors = system.rates, len(time_factors)
+        rates, states = system.rates, system.names
         self.monomials = [f"{states[min(pair)]}*{states[max(pair)]}" for pair in group.monomials]
         order = {tuple(sorted(pair)): k for k, pair in enumerate(group.monomials)}
         linear = [
@@ -113,16 +97,9 @@ class KernelWriter:
 
     def functions(self) -> dict[str, list[str]]:
         """Source lines of the kernels the group needs, by kernel."""
-        functions: dict[str, list[str]] = {}
-        if self.group.constant:
-            functions["constant"] = self.constant()
-        if self.group.linear:
-            functions["linear"] = self.linear()
-            functions["linear_adjoint"] = self.linear_adjoint()
-        if self.group.quadratic:
-            functions["quadratic"] = self.quadratic()
-            functions["quadratic_adjoint"] = self.quadratic_adjoint()
-        return functions
+        terms = self.group.by_degree
+        needed = [kernel for kernel in KERNELS if terms[kernel.removesuffix("_adjoint")]]
+        return {kernel: getattr(self, kernel)() for kernel in needed}
 
     def constant(self) -> list[str]:
         sums: list[list[Addend]] = [[] for _ in range(len(self.rates))]

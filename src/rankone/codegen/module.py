@@ -6,15 +6,16 @@ import hashlib
 import linecache
 import types
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, cast
 
-from rankone.codegen.definitions import cut_table, definitions, import_lines
+from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.factors import coordinate_functions
-from rankone.codegen.header import header, signature_text, sum_text
+from rankone.codegen.header import header, sum_text
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
-from rankone.codegen.text import described_table, docstring, literal, nested, quoted, table
+from rankone.codegen.text import described_table, nested, table
 from rankone.errors import check_kind
 from rankone.ir import QuadraticSystem, SeparatedForm, Term
 from rankone.lowering import quadratic_system
@@ -60,17 +61,8 @@ def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = N
         *kernel_functions(system),
         *functions,
     ]
-    body = "\n\n\n".join("\n".join(block) for block in blocks if block) + "\n"
-    imports = import_lines(body)
-    head = [
-        *docstring(header(system, pointwise.operations, title, len(imports) > 1), indent=""),
-        "",
-        *imports,
-        "",
-        *constants(system),
-        *cut_table(system.coordinates, known),
-    ]
-    return "\n".join(head) + "\n\n\n" + body
+    head = partial(header, system, pointwise.operations, title)
+    return module_source(head, [*tables(system), *cut_table(system.coordinates, known)], blocks)
 
 
 def load_module(
@@ -106,17 +98,11 @@ def load_module(
     return cast(System, module)
 
 
-def constants(system: QuadraticSystem) -> list[str]:
+def tables(system: QuadraticSystem) -> list[str]:
     """The tables that describe the system."""
-    clock, *parameters = system.coordinates
+    n = len(system.differential)
     return [
-        "SEPARATED = True",
-        *table("STATES", [quoted(name) for name in system.names]),
-        f"N_DIFFERENTIAL = {len(system.differential)}",
-        *table("PRODUCTS", nested(system.products)),
-        *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
-        f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
-        *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
+        *constants(True, system.names, n, system.products, system.coordinates),
         *rhs_table(system),
         *table("SIGNATURES", nested(group.signature for group in system.groups)),
         *initial_table(system),
@@ -144,16 +130,7 @@ def term_text(term: Term, left: str, system: QuadraticSystem) -> str:
 def kernel_functions(system: QuadraticSystem) -> list[list[str]]:
     """What the kernels share, the kernels of every group, then the tables that list them."""
     time_factors = [plain_text(factor.expression) for factor in system.factors[0]]
-    writers = [
-        KernelWriter(
-            group,
-            signature_text(system, group.signature),
-            system.names,
-            system.rates,
-            time_factors,
-        )
-        for group in system.groups
-    ]
+    writers = [KernelWriter(system, group, time_factors) for group in system.groups]
     blocks = [helpers(writers)]
     listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}
     for writer in writers:

@@ -19,60 +19,42 @@ from rankone.errors import SeparationError
 
 __all__ = ["common_subexpressions", "numpy_text", "plain_text", "readable_text"]
 
-UFUNCS = {
-    "Abs": "abs",
-    "acos": "arccos",
-    "acosh": "arccosh",
-    "asin": "arcsin",
-    "asinh": "arcsinh",
-    "atan": "arctan",
-    "atan2": "arctan2",
-    "atanh": "arctanh",
-    "ceiling": "ceil",
-    "cos": "cos",
-    "cosh": "cosh",
-    "exp": "exp",
-    "floor": "floor",
-    "log": "log",
-    "sign": "sign",
-    "sin": "sin",
-    "sinh": "sinh",
-    "tan": "tan",
-    "tanh": "tanh",
+_SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
+_INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
+_SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")
+FUNCTIONS = {
+    **{name: f"np.{name}({{}})" for name in _SAME_IN_NUMPY},
+    **{f"a{name}": f"np.arc{name}({{}})" for name in _INVERSE},
+    **{name: f"special.{name}({{}})" for name in _SAME_IN_SPECIAL},
+    "Abs": "np.abs({})",
+    "airyai": "special.airy({})[0]",
+    "airyaiprime": "special.airy({})[1]",
+    "airybi": "special.airy({})[2]",
+    "airybiprime": "special.airy({})[3]",
+    "besseli": "special.iv({})",
+    "besselj": "special.jv({})",
+    "besselk": "special.kv({})",
+    "bessely": "special.yv({})",
+    "ceiling": "np.ceil({})",
+    "Chi": "special.shichi({})[1]",
+    "Ci": "special.sici({})[1]",
+    "Ei": "special.expi({})",
+    "elliptic_e": "special.ellipe({})",
+    "elliptic_k": "special.ellipk({})",
+    "expint": "special.expn({})",
+    "factorial": "special.gamma({} + 1)",
+    "frac": "np.mod({}, 1.0)",
+    "fresnelc": "special.fresnel({})[1]",
+    "fresnels": "special.fresnel({})[0]",
+    "Heaviside": "np.heaviside({})",
+    "loggamma": "special.gammaln({})",
+    "Mod": "np.mod({})",
+    "Shi": "special.shichi({})[0]",
+    "Si": "special.sici({})[0]",
 }
-"""SymPy functions whose NumPy namesake takes the same arguments."""
-
-SPECIAL = {
-    "Chi": "shichi({})[1]",
-    "Ci": "sici({})[1]",
-    "Ei": "expi({})",
-    "Shi": "shichi({})[0]",
-    "Si": "sici({})[0]",
-    "airyai": "airy({})[0]",
-    "airyaiprime": "airy({})[1]",
-    "airybi": "airy({})[2]",
-    "airybiprime": "airy({})[3]",
-    "besseli": "iv({})",
-    "besselj": "jv({})",
-    "besselk": "kv({})",
-    "bessely": "yv({})",
-    "beta": "beta({})",
-    "elliptic_e": "ellipe({})",
-    "elliptic_k": "ellipk({})",
-    "erf": "erf({})",
-    "erfc": "erfc({})",
-    "erfcinv": "erfcinv({})",
-    "erfi": "erfi({})",
-    "erfinv": "erfinv({})",
-    "expint": "expn({})",
-    "factorial": "gamma({} + 1)",
-    "fresnelc": "fresnel({})[1]",
-    "fresnels": "fresnel({})[0]",
-    "gamma": "gamma({})",
-    "loggamma": "gammaln({})",
-    "zeta": "zeta({})",
-}
-"""SymPy functions that ``scipy.special`` evaluates for real arguments."""
+"""Calls of NumPy, and of ``scipy.special`` for real arguments, by the name of SymPy's function."""
+NESTED = {"And": "logical_and", "Or": "logical_or", "Min": "minimum", "Max": "maximum"}
+"""Binary functions of NumPy for SymPy's functions of two or more arguments."""
 
 RECIPROCALS = {
     sp.sec: sp.cos,
@@ -126,8 +108,7 @@ class NumPyText(Printer):  # type: ignore[misc]
     def _print_Float(self, expr: sp.Float) -> str:
         return literal(float(expr))
 
-    def _print_NumberSymbol(self, expr: sp.NumberSymbol) -> str:
-        return literal(float(expr))
+    _print_NumberSymbol = _print_Float
 
     def _print_Pi(self, expr: sp.Expr) -> str:
         return "np.pi"
@@ -135,11 +116,8 @@ class NumPyText(Printer):  # type: ignore[misc]
     def _print_Exp1(self, expr: sp.Expr) -> str:
         return "np.e"
 
-    def _print_BooleanTrue(self, expr: sp.Basic) -> str:
-        return "True"
-
-    def _print_BooleanFalse(self, expr: sp.Basic) -> str:
-        return "False"
+    def _print_BooleanAtom(self, expr: sp.Basic) -> str:
+        return str(expr)
 
     def _print_Add(self, expr: sp.Add) -> str:
         terms = sorted(expr.as_ordered_terms(), key=lambda term: term.could_extract_minus_sign())
@@ -191,20 +169,12 @@ class NumPyText(Printer):  # type: ignore[misc]
 
     def _print_Function(self, expr: sp.Function) -> str:
         name = type(expr).__name__
-        if name in UFUNCS:
-            return f"np.{UFUNCS[name]}({self.arguments(expr)})"
-        if name in SPECIAL:
-            return f"special.{SPECIAL[name].format(self.arguments(expr))}"
-        raise unprintable(name, expr)
-
-    def _print_Heaviside(self, expr: sp.Heaviside) -> str:
-        return f"np.heaviside({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+        if name not in FUNCTIONS:
+            raise unprintable(name, expr)
+        return FUNCTIONS[name].format(self.arguments(expr))
 
     def _print_sinc(self, expr: sp.Function) -> str:
         return f"np.sinc({self.operand(expr.args[0], PRECEDENCE['Mul'])} / np.pi)"
-
-    def _print_frac(self, expr: sp.Function) -> str:
-        return f"np.mod({self._print(expr.args[0])}, 1.0)"
 
     def _print_LambertW(self, expr: sp.Function) -> str:
         if len(expr.args) > 1:
@@ -218,28 +188,16 @@ class NumPyText(Printer):  # type: ignore[misc]
             return f"special.digamma({self._print(argument)})"
         return f"special.polygamma({self.arguments(expr)})"
 
-    def _print_Mod(self, expr: sp.Mod) -> str:
-        return f"np.mod({self.arguments(expr)})"
-
-    def _print_Min(self, expr: sp.Min) -> str:
-        return self.nested("np.minimum", expr)
-
-    def _print_Max(self, expr: sp.Max) -> str:
-        return self.nested("np.maximum", expr)
-
-    def nested(self, function: str, expr: sp.Basic) -> str:
+    def nested(self, expr: sp.Basic) -> str:
         """A binary function of two or more arguments, in a deterministic order."""
+        function = f"np.{NESTED[type(expr).__name__]}"
         first, *others = sorted(expr.args, key=sp.default_sort_key)
         text = str(self._print(first))
         for other in others:
             text = f"{function}({text}, {self._print(other)})"
         return text
 
-    def _print_And(self, expr: sp.And) -> str:
-        return self.nested("np.logical_and", expr)
-
-    def _print_Or(self, expr: sp.Or) -> str:
-        return self.nested("np.logical_or", expr)
+    _print_And = _print_Or = _print_Min = _print_Max = nested
 
     def _print_Not(self, expr: sp.Not) -> str:
         return f"np.logical_not({self._print(expr.args[0])})"

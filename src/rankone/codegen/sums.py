@@ -24,6 +24,10 @@ _FRACTION = re.compile(r"^\d+ / \d+")
 """A number that is only one when it stands first or in parentheses."""
 
 
+_LONGEST = 80
+"""Characters of a factored term."""
+
+
 @dataclass(frozen=True, slots=True)
 class SharedSums:
     """Several sums of products over common intermediate terms.
@@ -44,26 +48,15 @@ class SharedSums:
 
 
 def share(
-    sums: Sequence[Sequence[Addend]],
-    symbols: Sequence[str],
-    temporaries: Iterator[str],
-    *,
-    width: int = 80,
+    sums: Sequence[Sequence[Addend]], symbols: Sequence[str], temporaries: Iterator[str]
 ) -> SharedSums:
     """Write sums of products with few operations.
 
     Pairs of symbols that occur more than once become intermediate terms; then each sum is
     factored by its most frequent symbol, ``k*x - k*y`` to ``k * (x - y)``, unless a factored
-    term would be longer than ``width``.
+    term would be long.
 
-    Parameters
-    ----------
-    sums : sequence of sequence of Addend
-        The sums, in the order they are to be written.
-    symbols : sequence of str
-        Text of each symbol.
-    temporaries : iterator of str
-        Fresh names for intermediate terms.
+    ``symbols`` has the text of each symbol, ``temporaries`` fresh names for intermediate terms.
     """
     flat = [symbols_ for terms in sums for _, symbols_ in terms]
     pairs, rewritten = extract_pairs(flat, len(symbols), degree=1, repeats=2)
@@ -79,7 +72,7 @@ def share(
     for terms in sums:
         shared = [(coefficient, next(remaining)) for coefficient, _ in terms]
         chunks, count = _factored(shared, names)
-        if any(len(chunk) > width for chunk in chunks):
+        if any(len(chunk) > _LONGEST for chunk in chunks):
             chunks, count = _plain(shared, names)
         written.append(tuple(chunks))
         operations += count
@@ -102,7 +95,8 @@ def _factored(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str],
             outside.append((coefficient, symbols))
     sum_inside, count_inside = _factored(inside, names)
     if len(sum_inside) == 1:  # a product again: k * (x * (a + b)) needs no outer parentheses
-        sign, factor = _split_sign(sum_inside[0])
+        sign = "-" if sum_inside[0].startswith("-") else ""
+        factor = sum_inside[0].removeprefix("-")
         factor = _FRACTION.sub(r"(\g<0>)", factor)
         first = f"{sign}{names[common]} * {factor}"
     else:
@@ -121,11 +115,8 @@ def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], in
     chunks: list[str] = []
     operations = max(len(terms) - 1, 0)
     positive = next((i for i, term in enumerate(terms) if term[0] > 0), 0)  # y - x, not -x + y
-    for coefficient, symbols in [
-        *terms[positive : positive + 1],
-        *terms[:positive],
-        *terms[positive + 1 :],
-    ]:
+    rest = [*terms[:positive], *terms[positive + 1 :]]
+    for coefficient, symbols in [*terms[positive : positive + 1], *rest]:
         size = abs(coefficient)
         factors = [names[symbol] for symbol in symbols]
         if size != 1.0 or not factors:
@@ -135,12 +126,3 @@ def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], in
         sign = ("-" if minus else "") if not chunks else ("- " if minus else "+ ")
         chunks.append(sign + " * ".join(factors))
     return chunks, operations
-
-
-def _split_sign(chunk: str) -> tuple[str, str]:
-    """Separate the sign of a first term.
-
-    >>> _split_sign("-x"), _split_sign("x")
-    (('-', 'x'), ('', 'x'))
-    """
-    return ("-", chunk[1:]) if chunk.startswith("-") else ("", chunk)

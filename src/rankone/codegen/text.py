@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import TypeAlias
@@ -10,6 +11,7 @@ from typing import TypeAlias
 from rankone.wording import number
 
 __all__ = [
+    "INDENT",
     "WIDTH",
     "Nested",
     "assignment",
@@ -18,9 +20,11 @@ __all__ = [
     "docstring",
     "literal",
     "nested",
+    "paragraph",
     "quoted",
     "statement",
     "table",
+    "tuple_lines",
     "unpacking",
 ]
 
@@ -38,9 +42,8 @@ def literal(value: object) -> str:
     ('(1e200, 0.5)', '1.5', '1 / 3')
     """
     if isinstance(value, Fraction):
-        decimal = float(value)
         text = number(value)
-        return text.replace("/", " / ") if "/" in text else literal(decimal)
+        return text.replace("/", " / ") if "/" in text else literal(float(value))
     return repr(value).replace("e+", "e")
 
 
@@ -88,7 +91,7 @@ def table(name: str, items: Sequence[Nested]) -> list[str]:
     >>> table("PAIRED", [["0", "2"], ["1"]])
     ['PAIRED = ((0, 2), (1,))']
     """
-    return _wrapped(f"{name} = ", items, "", indent="")
+    return tuple_lines(f"{name} = ", items, "", indent="")
 
 
 def described_table(name: str, rows: Sequence[object], comments: Sequence[str]) -> list[str]:
@@ -99,17 +102,17 @@ def described_table(name: str, rows: Sequence[object], comments: Sequence[str]) 
     """
     lines = []
     for row, comment in zip(nested(rows), comments, strict=True):
-        written = _wrapped("", row, ",", INDENT)
+        written = tuple_lines("", row, ",", INDENT)
         lines += [commented(written[0], comment)] if len(written) == 1 else written
     return [f"{name} = (", *lines, ")"] if lines else [f"{name} = ()"]
 
 
-def _wrapped(start: str, item: Nested, end: str, indent: str) -> list[str]:
-    """A tuple between two texts, one line for each of its items if it is too long for one."""
+def tuple_lines(start: str, item: Nested, end: str, indent: str) -> list[str]:
+    """A text, or a tuple between two texts: one line for each item if it is too long for one."""
     line = f"{indent}{start}{_one_line(item)}{end}"
     if len(line) <= WIDTH or isinstance(item, str):
         return [line]
-    inner = [row for part in item for row in _wrapped("", part, ",", indent + INDENT)]
+    inner = [row for part in item for row in tuple_lines("", part, ",", indent + INDENT)]
     return [f"{indent}{start}(", *inner, f"{indent}){end}"]
 
 
@@ -128,6 +131,18 @@ def docstring(lines: Sequence[str], indent: str = INDENT) -> list[str]:
         return [f'{indent}"""{safe[0]}"""']
     body = [(indent + line).rstrip() for line in safe[1:]]
     return [f'{indent}"""{safe[0]}', *body, f'{indent}"""']
+
+
+def paragraph(text: str, width: int = WIDTH) -> list[str]:
+    """Text wrapped to a width, continuation lines indented further; an empty line for none."""
+    lines = textwrap.wrap(
+        text,
+        width,
+        subsequent_indent=" " * (len(text) - len(text.lstrip()) + 4),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return lines or [""]
 
 
 def nested(items: Iterable[object]) -> list[Nested]:

@@ -140,8 +140,7 @@ class Basis1D(ABC):
             return np.asarray(self.edges[:-1, None] + 0.5 * widths * (xi + 1.0)).ravel()
         width = (self.upper - self.lower) / self.elements
         starts = self.lower + width * np.arange(self.elements)
-        points: Array = (starts[:, None] + 0.5 * width * (xi + 1.0)).ravel()
-        return points
+        return np.asarray(starts[:, None] + 0.5 * width * (xi + 1.0)).ravel()
 
     @cached_property
     def weights(self) -> Array:

@@ -119,17 +119,7 @@ class LagrangeElements:
         result[1:] += np.cumsum(whole[:-1], axis=0)[:, None]
         return np.asarray(result.reshape(values.shape))
 
-    # --- evaluation and modes ------------------------------------------------------------------
-
-    def evaluate(self, points: Array) -> Array:
-        """Shape functions at points (N,) of the interval, shape (N, size)."""
-        position = (points - self.lower) / self.width
-        element = np.clip(position.astype(int), 0, self.elements - 1)
-        local = self._local(2.0 * (position - element) - 1.0)
-        values = np.zeros((points.size, self.size))
-        columns = element[:, None] * self.order + np.arange(self.order + 1)
-        np.put_along_axis(values, columns, local, axis=1)
-        return values
+    # --- modes ---------------------------------------------------------------------------------
 
     @property
     def modes(self) -> LegendreBasis:

@@ -79,7 +79,7 @@ def export_solver(
 
 def _check_exportable(compiled: Any, method: str) -> None:
     """Raise an ExportError unless a solver by that method can be written."""
-    reason = compiled.methods.get(method) if isinstance(method, str) else None
+    reason = compiled.methods[method]
     if reason is not None:
         raise ExportError(
             f"a solver by method={method!r} cannot be exported: {reason}",

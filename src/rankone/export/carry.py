@@ -11,11 +11,11 @@ from __future__ import annotations
 import ast
 import builtins
 import re
-import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from rankone.codegen.text import WIDTH, tuple_lines
 from rankone.errors import ExportError
 from rankone.export.modules import Import, SourceModule, Statement, read_module, resolve
 
@@ -26,21 +26,13 @@ Key = tuple[str, str]
 
 _ROLE = re.compile(r":(?:class|func|meth|mod|attr|data):`~?(?:[\w.]*\.)?(\w+)`")
 _MARK = re.compile(r"  # (?:noqa|type: ignore)\b.*")
-_WIDTH = 100
 
 
 @dataclass(frozen=True)
 class Section:
     """The definitions of one module, ready to be written.
 
-    Attributes
-    ----------
-    title : str
-        First line of its docstring, or the title asked for.
-    prose : tuple of str
-        The rest of its docstring, unless a title was asked for.
-    text : str
-        Its definitions, without imports.
+    Title and prose are those of its docstring unless a title was asked for.
     """
 
     module: str
@@ -56,7 +48,7 @@ class Section:
 def banner(title: str) -> str:
     """A comment that opens a section."""
     start = f"# == {title} "
-    return start + "=" * max(_WIDTH - 1 - len(start), 3)
+    return start + "=" * max(WIDTH - 1 - len(start), 3)
 
 
 def carry(
@@ -69,24 +61,10 @@ def carry(
 ) -> tuple[list[Section], set[Import]]:
     """Select what the roots need and write it as sections, each after those it needs.
 
-    Parameters
-    ----------
-    roots : iterable of str
-        ``"module:name"``.
-    reserved : collection of str
-        Names that are taken by the text the sections will stand beside.
-    renamed : mapping of str to str
-        New names, which are not used otherwise, of some definitions, ``"module:name"``.
-    order : callable
-        From the name of a module to a number: modules of a smaller one come first.
-    titles : mapping of str to str
-        For modules of which only a part is carried over, the titles of their sections.
-
-    Returns
-    -------
-    sections : list of Section
-    imports : set of Import
-        What the sections import from elsewhere.
+    Roots are given as ``"module:name"``. ``reserved`` names are taken by the text beside the
+    sections, and ``renamed`` gives definitions new names, which are not used otherwise. Modules of
+    a smaller ``order`` come first; those of which only a part is carried over have ``titles``.
+    Returned as well is what the sections import from elsewhere.
 
     Raises
     ------
@@ -97,10 +75,9 @@ def carry(
     selection.take(roots)
     modules = sorted(selection.order(), key=lambda module: order(module.name))
     names = _new_names(selection, modules, reserved)
-    asked = {_key(old)[1]: new for old, new in (renamed or {}).items()}
     sections = []
     for module in modules:
-        text = _words(_ModuleText(module, selection, names).write(), asked)
+        text = _words(_ModuleText(module, selection, names).write(), renamed or {})
         sections.append(_section(module, text, (titles or {}).get(module.name)))
     return sections, selection.imports
 
@@ -117,7 +94,7 @@ def _section(module: SourceModule, text: str, title: str | None) -> Section:
     if title is not None:
         return Section(module.name, title, (), text)
     first, *rest = _plain(module.docstring).splitlines()
-    first, _, after = first.partition(": ") if len(first) > _WIDTH - 12 else (first, "", "")
+    first, _, after = first.partition(": ") if len(first) > WIDTH - 12 else (first, "", "")
     paragraphs = "\n".join(rest).strip("\n").split("\n\n")
     if after:
         paragraphs.insert(0, f"{after[:1].upper()}{after[1:]}")
@@ -129,38 +106,26 @@ def _narrow(paragraph: str) -> str:
     """A paragraph that leaves room for the comment sign; only running text is filled anew."""
     lines = paragraph.splitlines()
     laid_out = any(line.startswith(" ") or "===" in line for line in lines)
-    if laid_out or all(len(line) <= _WIDTH - 2 for line in lines):
+    if laid_out or all(len(line) <= WIDTH - 2 for line in lines):
         return paragraph
-    return textwrap.fill(paragraph, _WIDTH - 2, break_on_hyphens=False)
+    return textwrap.fill(paragraph, WIDTH - 2, break_on_hyphens=False)
 
 
-def import_lines(imports: Iterable[Import]) -> list[str]:
+def import_lines(imports: Collection[Import]) -> list[str]:
     """Import statements in the order of isort, standard library first."""
-    plain: dict[bool, set[str]] = {True: set(), False: set()}
-    members: dict[bool, dict[str, set[str]]] = {True: {}, False: {}}
-    for found in imports:
-        standard = found.module.split(".")[0] in sys.stdlib_module_names
-        if found.name is None:
-            same = found.alias == found.module
-            plain[standard].add(f"import {found.module}" + ("" if same else f" as {found.alias}"))
-        else:
-            same = found.alias == found.name
-            member = found.name if same else f"{found.name} as {found.alias}"
-            members[standard].setdefault(found.module, set()).add(member)
-    lines: list[str] = []
+    result: list[str] = []
     for standard in (True, False):
-        block = sorted(plain[standard])
-        for module in sorted(members[standard]):
-            names = sorted(members[standard][module], key=_member_order)
+        own = [found for found in imports if found.standard == standard]
+        block = sorted(f"import {found.text}" for found in own if found.name is None)
+        for module in sorted({found.module for found in own if found.name is not None}):
+            texts = (found.text for found in own if found.name and found.module == module)
+            names = sorted(texts, key=_member_order)
             line = f"from {module} import {', '.join(names)}"
-            if len(line) > 100:
-                line = "\n".join(
-                    [f"from {module} import (", *(f"    {name}," for name in names), ")"]
-                )
-            block.append(line)
+            long = len(line) > WIDTH
+            block += tuple_lines(f"from {module} import ", names, "", "") if long else [line]
         if block:
-            lines += [*block, ""]
-    return lines[:-1]
+            result += [*block, ""]
+    return result[:-1]
 
 
 def _member_order(name: str) -> tuple[int, str]:
@@ -341,7 +306,7 @@ def _beside(lines: list[str], count: int) -> list[str]:
     """A constant with the text below it, its last ``-count`` lines, as a comment if that fits."""
     text = " ".join(line.strip() for line in lines[count:]).strip('"')
     line = f"{lines[count - 1]}  # {text if text.endswith('...') else text.rstrip('.')}"
-    return [*lines[: count - 1], line] if len(line) <= _WIDTH else lines
+    return [*lines[: count - 1], line] if len(line) <= WIDTH else lines
 
 
 def _plain(text: str) -> str:

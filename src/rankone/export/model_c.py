@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 import re
-import textwrap
 import unicodedata
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.codegen.text import paragraph
 from rankone.errors import ExportError
 from rankone.export.packing import PackedModel
 from rankone.files import Content
@@ -60,10 +60,10 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "room": str(max(len(model.coordinates) - 1, 1)),
         "unknown_list": _outside_of_comments(", ".join(model.unknowns)),
         "indices": _indices(model, prefix.upper()),
-        "unknown_names": _strings(model.unknowns),
-        "parameter_names": _strings(model.coordinates[1:] or ("",)),
-        "lower": _numbers([lower for lower, _ in model.intervals[1:]] or [0.0]),
-        "upper": _numbers([upper for _, upper in model.intervals[1:]] or [0.0]),
+        "unknown_names": ", ".join(map(_string, model.unknowns)),
+        "parameter_names": ", ".join(map(_string, model.coordinates[1:] or ("",))),
+        "lower": ", ".join(_number(lower) for lower, _ in model.intervals[1:]) or "0.0",
+        "upper": ", ".join(_number(upper) for _, upper in model.intervals[1:]) or "0.0",
         "time_lower": _number(model.intervals[0][0]),
         "time_upper": _number(model.intervals[0][1]),
         **_tables(model),
@@ -100,10 +100,7 @@ def _filled(template: str, values: dict[str, str]) -> str:
 
 
 def _comment(model: PackedModel) -> str:
-    lines = []
-    for line in model.summary:
-        indent = " " * (len(line) - len(line.lstrip()) + 4)
-        lines += textwrap.wrap(line, _WIDTH, subsequent_indent=indent) or [""]
+    lines = (part for line in model.summary for part in paragraph(line, _WIDTH))
     return "\n".join(f" * {_outside_of_comments(line)}".rstrip() for line in lines)
 
 
@@ -126,12 +123,8 @@ def _indices(model: PackedModel, prefix: str) -> str:
     return "\n".join(lines)
 
 
-def _strings(names: Iterable[str]) -> str:
-    """String literals; other characters than ASCII are written as bytes of UTF-8."""
-    return ", ".join(_string(name) for name in names)
-
-
 def _string(text: str) -> str:
+    """A string literal; other characters than ASCII are written as bytes of UTF-8."""
     if text.isascii():
         return json.dumps(text).replace("??", '?" "?')
     return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
@@ -139,10 +132,6 @@ def _string(text: str) -> str:
 
 def _number(value: float) -> str:
     return repr(float(value))
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return ", ".join(map(_number, values))
 
 
 def _tables(model: PackedModel) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rankone.codegen.names import Names, is_identifier
-from rankone.codegen.text import WIDTH, docstring, nested, quoted, table
+from rankone.codegen.text import WIDTH, docstring, nested, paragraph, quoted, table
 from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.packing import PackedCore, PackedModel
@@ -98,20 +98,11 @@ def _head(model: PackedModel, path: Path) -> list[str]:
     if is_identifier(stem):
         lines += [f"    import {stem}", ""]
     else:
-        lines += [
-            "    import importlib",
-            "",
-            f"    model = importlib.import_module({quoted(stem)})",
-        ]
-        stem = "model"
+        found = f"    model = importlib.import_module({quoted(stem)})"
+        stem, lines = "model", [*lines, "    import importlib", "", found]
     lines += [f"    {stem}.value({call})", "", f"    {stem}.gradient({call})", ""]
     lines += [f"The gradient is with respect to {', '.join(model.coordinates)}, in this order."]
-    return [part for line in lines for part in _wrapped(line)]
-
-
-def _wrapped(line: str) -> list[str]:
-    indent = " " * (len(line) - len(line.lstrip()) + 4)
-    return textwrap.wrap(line, WIDTH, subsequent_indent=indent) or [""]
+    return [part for line in lines for part in paragraph(line)]
 
 
 def _tables(model: PackedModel) -> list[str]:

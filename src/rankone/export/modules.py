@@ -7,6 +7,7 @@ importing it and follows ``from rankone... import name`` to where the name is de
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -32,6 +33,17 @@ class Import:
     def internal(self) -> bool:
         """Whether it comes from the library itself."""
         return self.module.split(".")[0] == PACKAGE
+
+    @property
+    def standard(self) -> bool:
+        """Whether it comes from the standard library."""
+        return self.module.split(".")[0] in sys.stdlib_module_names
+
+    @property
+    def text(self) -> str:
+        """The name as an import statement has it: ``numpy as np``."""
+        own = self.name or self.module
+        return own if own == self.alias else f"{own} as {self.alias}"
 
 
 @dataclass(frozen=True)
@@ -92,15 +104,10 @@ class SourceModule:
     def _read(self) -> None:
         previous = 0
         for node in self.tree.body:
-            if isinstance(node, ast.Import | ast.ImportFrom):
-                for found in imported(node):
-                    self.imports[found.alias] = found
-            elif isinstance(node, ast.If):
-                for inner in node.body:
-                    if isinstance(inner, ast.Import | ast.ImportFrom):
-                        for found in imported(inner):
-                            self.imports[found.alias] = found
-                            self.typing_imports.add(found.alias)
+            if isinstance(node, ast.Import | ast.ImportFrom | ast.If):
+                found = {name.alias: name for inner in ast.walk(node) for name in imported(inner)}
+                self.imports |= found
+                self.typing_imports |= found.keys() if isinstance(node, ast.If) else set()
             elif isinstance(node, ast.Expr):
                 if self.statements and _documents(node, self.statements[-1]):
                     last = self.statements.pop()
@@ -131,13 +138,15 @@ def bound_names(node: ast.stmt) -> Iterator[str]:
             yield from (leaf.id for leaf in ast.walk(target) if isinstance(leaf, ast.Name))
 
 
-def imported(node: ast.Import | ast.ImportFrom) -> Iterator[Import]:
-    """Names that an import statement binds."""
-    for alias in node.names:
-        if isinstance(node, ast.Import):
-            yield Import(alias.name, None, alias.asname or alias.name)
-        else:
-            yield Import(node.module or "", alias.name, alias.asname or alias.name)
+def imported(node: ast.AST) -> Iterator[Import]:
+    """Names that a node binds, if it is an import statement."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        for alias in node.names:
+            own = alias.asname or alias.name
+            if isinstance(node, ast.Import):
+                yield Import(alias.name, None, own)
+            else:
+                yield Import(node.module or "", alias.name, own)
 
 
 def _documents(node: ast.Expr, last: Statement) -> bool:

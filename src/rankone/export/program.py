@@ -61,19 +61,9 @@ def load_solution(
 
 
 def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore], about: str) -> int:
-    """Run the command line.
+    """Run the command line of a solver with these functions; ``--help`` says ``about`` first.
 
-    Parameters
-    ----------
-    solve, load : callable
-        Those of the solver.
-    about : str
-        What ``--help`` says first.
-
-    Returns
-    -------
-    int
-        The exit status: 0, 1 (tolerance not reached) or 2 (bad input).
+    Returns the exit status: 0, 1 (tolerance not reached) or 2 (bad input).
     """
     parser = _parser(about)
     given = parser.parse_args()

@@ -10,13 +10,13 @@ from __future__ import annotations
 import ast
 import itertools
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from rankone.codegen.names import is_identifier
-from rankone.codegen.text import WIDTH, docstring, literal, quoted
+from rankone.codegen.text import INDENT, WIDTH, docstring, literal, quoted, tuple_lines
 from rankone.export.carry import Section, banner, carry, import_lines
-from rankone.export.modules import Import, bound_names
+from rankone.export.modules import Import, bound_names, imported
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
@@ -27,7 +27,6 @@ __all__ = ["standalone_source"]
 
 
 _PROGRAM = "rankone.export.program"
-_CORE = "rankone.solution_core:SolutionCore"
 _PARTS: dict[str, tuple[str, ...]] = {
     "Foundations": (
         *("arrays", "errors", "wording", "options", "progress", "domain", "system"),
@@ -54,30 +53,11 @@ _OWN_NAMES = ("SYSTEM", "METADATA", "Solution", "solve", "load", "np", "os", "sy
 def standalone_source(
     title: str | None, separated: object, source: str, metadata: SolutionMetadata
 ) -> str:
-    """Text of the standalone solver of a problem.
+    """Text of the standalone solver of a problem: the same text, byte for byte, each time.
 
-    Parameters
-    ----------
-    title : str or None
-        Name of the problem.
-    separated : SeparatedForm
-        Shown in the header.
-    source : str
-        Text of the generated module.
-    metadata : SolutionMetadata
-        What a solution of the problem says was asked, the engine among it.
-
-    Returns
-    -------
-    str
-        A module, formatted; the same problem gives the same text, byte for byte.
-
-    Raises
-    ------
-    OptionError
-        If there is no such engine.
-    ExportError
-        If a part of the library cannot be carried over.
+    The header shows the separated form; ``source`` is the text of the generated module, and the
+    engine is that of the metadata. If there is no such engine that is an OptionError, if a part of
+    the library cannot be carried over an ExportError.
     """
     engine, *_ = engines_for(metadata.method)
     module = _GeneratedModule(source)
@@ -87,14 +67,13 @@ def standalone_source(
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
         reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
-        renamed={_CORE: "Solution"},
+        renamed={"SolutionCore": "Solution"},
         order=_part,
         titles=_TITLES,
     )
     imports |= module.imports | {
         Import("types", "SimpleNamespace", "SimpleNamespace"),
         Import("sys", None, "sys"),
-        Import("numpy", None, "np"),
     }
     blocks = [
         _head(title, separated, metadata, module, imports)
@@ -117,12 +96,7 @@ class _GeneratedModule:
             for node in tree.body
             if not isinstance(node, ast.Expr | ast.Import | ast.ImportFrom)
         ]
-        self.imports = {
-            Import(node.module, alias.name, alias.asname or alias.name)
-            for node in tree.body
-            if isinstance(node, ast.ImportFrom) and node.module
-            for alias in node.names
-        }
+        self.imports = {found for node in tree.body for found in imported(node)}
         self.docstring = (ast.get_docstring(tree) or "").splitlines()
         self.kernels: dict[str, list[str]] = {}
         self.names: set[str] = set()
@@ -231,7 +205,7 @@ def _system_object(module: _GeneratedModule) -> str:
         line
         for name in (*System.__annotations__, *methods)
         if name in present
-        for line in _argument(name, module.kernels.get(name, name))
+        for line in tuple_lines(f"{name}=", module.kernels.get(name, name), ",", INDENT)
     ]
     return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
 
@@ -239,7 +213,11 @@ def _system_object(module: _GeneratedModule) -> str:
 def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
     """What ties the parts together: the metadata, ``solve`` and ``load``."""
     fields = (name for name in type(metadata).__slots__ if name != "source")
-    entries = [line for name in fields for line in _argument(name, _text(getattr(metadata, name)))]
+    entries = [
+        line
+        for name in fields
+        for line in tuple_lines(f"{name}=", _text(getattr(metadata, name)), ",", INDENT)
+    ]
     text = _END.format(metadata="\n".join(entries), options=engine.options.__name__)
     return f"{banner('This solver: what was asked, solve and load')}\n\n{text.strip()}"
 
@@ -297,16 +275,6 @@ def load(path: str) -> Solution:
 if __name__ == "__main__":
     sys.exit(run(solve, load, __doc__))
 '''
-
-
-def _argument(name: str, text: str | Sequence[str]) -> list[str]:
-    """A keyword argument, one line for each item of a tuple that is too long for one line."""
-    if isinstance(text, str):
-        return [f"    {name}={text},"]
-    line = f"    {name}=({', '.join(text)}{',' if len(text) == 1 else ''}),"
-    if len(line) <= WIDTH and "\n" not in line:
-        return [line]
-    return [f"    {name}=(", *(f"        {item}," for item in text), "    ),"]
 
 
 def _text(value: object) -> str | list[str]:

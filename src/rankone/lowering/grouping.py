@@ -21,24 +21,16 @@ def group_terms(terms: Iterable[Term]) -> tuple[Group, ...]:
         by_degree = collected.setdefault(term.factors[1:], ([], [], []))
         by_degree[len(term.monomial)].append(term)
     groups = []
-    for index, (signature, (constant, linear, quadratic)) in enumerate(sorted(collected.items())):
+    for index, (signature, by_degree) in enumerate(sorted(collected.items())):
+        constant, linear, quadratic = map(tuple, by_degree)
         edges = sorted({(a, b) for a, b in (term.monomial for term in quadratic)})
         paired = vertex_cover(edges)
         blocks: dict[int, list[int]] = {b: [] for b in paired}
         for a, b in edges:
             first, second = (a, b) if b in blocks else (b, a)
             blocks[second].append(first)
-        groups.append(
-            Group(
-                index,
-                signature,
-                tuple(constant),
-                tuple(linear),
-                tuple(quadratic),
-                paired,
-                tuple(tuple(sorted(blocks[b])) for b in paired),
-            )
-        )
+        ascending = tuple(tuple(sorted(blocks[b])) for b in paired)
+        groups.append(Group(index, signature, constant, linear, quadratic, paired, ascending))
     return tuple(groups)
 
 

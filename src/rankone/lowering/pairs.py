@@ -20,16 +20,8 @@ def extract_pairs(
 ) -> tuple[list[Pair], list[_Symbols]]:
     """Replace pairs of symbols by new symbols, the most frequent pair first.
 
-    Parameters
-    ----------
-    monomials : sequence of tuple of int
-        Symbols multiplied, repeated for powers.
-    n_symbols : int
-        The new symbol of pair k is ``n_symbols + k``.
-    degree : int
-        Monomials of this degree or less are left alone.
-    repeats : int
-        Pairs that occur less often than this are left alone.
+    Monomials are symbols, repeated for powers; those of ``degree`` or less are left alone, and so
+    are pairs that occur less often than ``repeats``. The new symbol of pair k is ``n_symbols + k``.
 
     Returns
     -------

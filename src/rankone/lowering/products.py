@@ -18,13 +18,6 @@ __all__ = ["auxiliary_states", "lower"]
 def lower(f: Sequence[Term], n_states: int) -> tuple[tuple[Pair, ...], tuple[Term, ...]]:
     """Rewrite the right-hand side of ``u' = f`` with products of at most two states.
 
-    Parameters
-    ----------
-    f : sequence of Term
-        Terms of any degree.
-    n_states : int
-        Number of differential states.
-
     Returns
     -------
     products : tuple of (int, int)

@@ -24,19 +24,9 @@ _VANISHES = 1e-13
 
 
 def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
-    """Say what is wrong with a function on the interval of its coordinate.
+    """Say what is wrong with a function of one coordinate alone on the interval of it.
 
-    Parameters
-    ----------
-    expression : Expr
-        A function of ``coordinate.symbol`` alone.
-    coordinate : Coordinate
-        The coordinate with its interval.
-
-    Returns
-    -------
-    str or None
-        For example ``"is not finite at k = 0"``; None if nothing is wrong.
+    For example ``"is not finite at k = 0"``; None if nothing is wrong.
     """
     if expression.is_polynomial(coordinate.symbol):
         return None

@@ -19,7 +19,6 @@ __all__ = [
     "explain_symbol",
     "highest_orders",
     "state_expressions",
-    "state_name",
 ]
 
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
@@ -211,14 +210,6 @@ def state_expressions(
         for unknown in unknowns
         if order < highest[unknown]
     ]
-
-
-def state_name(expression: sp.Expr) -> str:
-    """``x`` for ``x(t)``, with ``_t`` appended once per time derivative, as ``x_tt``."""
-    if isinstance(expression, sp.Derivative):
-        return f"{expression.expr.func.__name__}_{'t' * int(expression.derivative_count)}"
-    name: str = expression.func.__name__
-    return name
 
 
 def check_names(

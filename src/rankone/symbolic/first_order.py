@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import sympy as sp
 
+from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import check_kind
 from rankone.ir import Coordinate, Role, State
-from rankone.symbolic.equations import state_name
 from rankone.symbolic.mass import MassForm
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.numbers import exact
@@ -100,7 +100,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     solved, origins = _solved(problem.mass)
     expressions = list(problem.initial)
     states = tuple(
-        State(state_name(e), e, Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN)
+        State(name_of(e), e, Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN)
         for e in expressions
     )
     functions = {s.expression: sp.Function(s.name)(time) for s in states}

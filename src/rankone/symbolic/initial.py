@@ -25,15 +25,9 @@ def check_initial(
 ) -> dict[sp.Expr, sp.Expr]:
     """Return the initial value of every state, in the order of the states.
 
-    Parameters
-    ----------
-    initial : mapping
-        Keys are unknowns ``x(t)`` and, for higher order, their derivatives ``x(t).diff(t)``; also
-        understood are both at the initial time: ``x(0)``, ``x(t).diff(t).subs(t, 0)``.
-    states : iterable of Expr
-        The unknowns and derivatives that need an initial value.
-    unknowns, parameters, time
-        What the keys and values may be made of.
+    Keys of ``initial`` are unknowns ``x(t)`` and, for higher order, their derivatives
+    ``x(t).diff(t)``; also understood are both at the initial time: ``x(0)``,
+    ``x(t).diff(t).subs(t, 0)``. ``states`` need an initial value.
 
     Raises
     ------

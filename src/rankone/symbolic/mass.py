@@ -62,21 +62,13 @@ class MassForm:
 def check_mass(
     residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], coordinates: Sequence[Coordinate]
 ) -> MassForm:
-    """Split the residuals into mass matrix and rest.
-
-    Parameters
-    ----------
-    residuals : sequence of Expr
-        One for each unknown.
-    unknowns : sequence of Expr
-        Applied functions of time.
-    coordinates : sequence of Coordinate
-        Time and the parameters; a mass that vanishes on its interval is an error.
+    """Split the residuals, one for each unknown, into mass matrix and rest.
 
     Raises
     ------
     ProblemError
-        If an equation is not linear in the highest derivatives, or their matrix is singular.
+        If an equation is not linear in the highest derivatives, their matrix is singular, or a
+        mass vanishes on the interval of its coordinate.
     """
     highest = highest_orders(residuals)
     time = coordinates[0].symbol

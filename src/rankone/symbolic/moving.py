@@ -37,19 +37,13 @@ def check_moved(
     """
     t, *_ = problem.time
     box = dict(zip(problem.parameters, domain.box, strict=True))
+    intervals = (domain.horizon, *domain.box)
+    pairs = zip(form.coordinates, intervals, strict=True)
+    moved_all = [replace(c, lower=lower, upper=upper) for c, (lower, upper) in pairs]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RankoneWarning)
             Problem(problem.equations, (t, *domain.horizon), box, problem.initial)
-    except ProblemError as error:
-        raise OptionError(str(error), term=error.term) from error
-    moved_all = [
-        replace(coordinate, lower=lower, upper=upper)
-        for coordinate, (lower, upper) in zip(
-            form.coordinates, (domain.horizon, *domain.box), strict=True
-        )
-    ]
-    try:
         check_tables(first_order, moved_all)
         if form.general:
             check_known(first_order, moved_all)

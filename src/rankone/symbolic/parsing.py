@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import keyword
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,36 +22,17 @@ from rankone.wording import did_you_mean, quote
 
 __all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
 
+_AS_IN_SYMPY = (
+    *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh"),
+    *("atanh", "exp", "log", "ln", "sqrt", "erf", "erfc", "gamma", "floor", "Abs", "sign"),
+    *("Heaviside", "Min", "Max"),
+)
 FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
-    "sin": sp.sin,
-    "cos": sp.cos,
-    "tan": sp.tan,
-    "asin": sp.asin,
-    "acos": sp.acos,
-    "atan": sp.atan,
-    "sinh": sp.sinh,
-    "cosh": sp.cosh,
-    "tanh": sp.tanh,
-    "asinh": sp.asinh,
-    "acosh": sp.acosh,
-    "atanh": sp.atanh,
-    "exp": sp.exp,
-    "log": sp.log,
-    "ln": sp.log,
-    "sqrt": sp.sqrt,
-    "erf": sp.erf,
-    "erfc": sp.erfc,
-    "gamma": sp.gamma,
-    "floor": sp.floor,
+    **{name: getattr(sp, name) for name in _AS_IN_SYMPY},
     "ceil": sp.ceiling,
     "abs": sp.Abs,
-    "Abs": sp.Abs,
-    "sign": sp.sign,
-    "Heaviside": sp.Heaviside,
     "min": sp.Min,
-    "Min": sp.Min,
     "max": sp.Max,
-    "Max": sp.Max,
 }
 """Functions known by name; all take one argument but ``min`` and ``max``."""
 
@@ -59,10 +41,10 @@ CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
 
 _VARIADIC = {"min", "Min", "max", "Max"}
 _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
 }
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
@@ -78,18 +60,10 @@ def parse_expression(
 ) -> sp.Expr:
     """Translate a formula into a SymPy expression.
 
-    Parameters
-    ----------
-    text : str
-        A formula in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls
-        of :data:`FUNCTIONS`.
-    names : mapping of str to Expr
-        What the user's names stand for; they come before :data:`CONSTANTS`. A name that stands
-        for an applied function ``x(t)`` may be written ``x`` or ``x(t)``.
-    where : str
-        What the formula is, for messages: ``"right-hand side of `x`"``.
-    equation : int, optional
-        Number of the equation, for messages.
+    It is one in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls of
+    :data:`FUNCTIONS`. What the user's ``names`` stand for comes before :data:`CONSTANTS`; one that
+    stands for an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say
+    ``where`` the formula is, ``"right-hand side of `x`"``, and the number of the equation.
 
     Raises
     ------
@@ -182,13 +156,11 @@ class _Translator(ast.NodeVisitor):
             return self._power(left, right)
         if isinstance(node.op, ast.BitXor):
             raise self.error("`^` is not a power", "write `**`")
-        operator = _OPERATORS.get(type(node.op))
-        if operator is None:
+        if type(node.op) not in _OPERATORS:
             return self.generic_visit(node)
         if isinstance(node.op, ast.Div) and right.is_zero:
             raise self.error("division by zero")
-        value: sp.Expr = operator(left, right)
-        return value
+        return _OPERATORS[type(node.op)](left, right)
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
         if base.is_Rational and exponent.is_Integer:

@@ -10,6 +10,7 @@ from typing import Any
 
 import sympy as sp
 
+from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import ProblemError, warn
 from rankone.ir import Coordinate
@@ -20,7 +21,6 @@ from rankone.symbolic.equations import (
     check_symbols,
     check_unknowns,
     state_expressions,
-    state_name,
 )
 from rankone.symbolic.initial import check_initial
 from rankone.symbolic.mass import MassForm, check_mass
@@ -104,10 +104,11 @@ class Problem:
         equations, residuals = check_equations(self.equations, time[0])
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
-        check_names([(state_name(state), state) for state in states], box, time[0])
+        check_names([(name_of(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
-        for symbol in _unused(box, [*residuals, *initial.values()]):
+        used = sp.Tuple(*residuals, *initial.values()).free_symbols
+        for symbol in (symbol for symbol in box if symbol not in used):
             warn(
                 f"parameter {quote(symbol)} appears nowhere in the problem; "
                 "remedy: remove it from `parameters`"
@@ -211,7 +212,7 @@ class Problem:
         unknowns = count(len(self.unknowns), "unknown")
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
-        at_start = initial_texts(map(state_name, self.initial), self.time[1], self.initial.values())
+        at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
         intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
         return "\n".join([*lines, "  " + ", ".join(at_start), "  " + ", ".join(intervals)])
 
@@ -236,11 +237,6 @@ def _coordinates(
 ) -> tuple[Coordinate, ...]:
     intervals = [time, *((symbol, *bounds) for symbol, bounds in box.items())]
     return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
-
-
-def _unused(box: Mapping[sp.Symbol, Any], expressions: Sequence[sp.Expr]) -> list[sp.Symbol]:
-    used: set[sp.Symbol] = set().union(*(expression.free_symbols for expression in expressions))
-    return [symbol for symbol in box if symbol not in used]
 
 
 def _formula(

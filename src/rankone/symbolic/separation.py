@@ -7,13 +7,13 @@ that depends on nothing but the mathematics.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 import sympy as sp
 
 from rankone.errors import ProblemError, check_kind
-from rankone.ir import Coordinate, Factor, GeneralTerm, SeparatedForm, Term
+from rankone.ir import Factor, GeneralTerm, SeparatedForm, Term
 from rankone.symbolic.admissible import located_defect
 from rankone.symbolic.monomials import Monomial, MonomialSum
 from rankone.symbolic.problem import Problem
@@ -117,50 +117,33 @@ class _Separation:
         within = "" if part == written else f" in the term {quote(written)}"
         where = f"initial value of {quote(self.weak.states[state].expression)}: "
         message = f"{where if initial else ''}{'' if within else 'term '}{quote(part)}{within} "
-        equation = None if initial else self._equation(state)
-        names = [c.symbol for c in self.coordinates if c.symbol in reason.part.free_symbols]
-        if reason.reason == "not polynomial":
-            states = [e for s, e in self.written.items() if s in reason.part.free_symbols]
-            return GeneralTerm(
-                state,
-                written,
-                initial,
-                f"{message}is not polynomial in {listing(states)}",
-                f"{_AS_IT_IS} take the function as a further unknown with an equation of its own, "
-                "such as s = sin(x) with s' = cos(x) x'",
-                equation,
-            )
+        equation = None if initial else self.weak.origins[state]
+        among = [c for c in self.coordinates if c.symbol in reason.part.free_symbols]
         if reason.reason == "not real":
-            boxes = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self._among(names)]
+            boxes = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in among]
             raise ProblemError(
                 f"{message}is not real for all {', '.join(boxes)}",
                 equation=equation,
                 term=written,
                 remedy="change the box",
             ) from None
-        way_out = (
-            "take it as a further unknown with an equation of its own, such as z' = -k*z, "
-            "z(0) = 1 for exp(-k*t)"
-            if self.coordinates[0].symbol in names
-            else "take the combination as a parameter of its own"
-        )
-        return GeneralTerm(
-            state,
-            written,
-            initial,
-            f"{message}couples {listing(names)} and does not factor",
-            f"{_AS_IT_IS} write it as a sum of products of functions of one coordinate each, or "
-            + way_out,
-            equation,
-        )
-
-    def _among(self, symbols: Iterable[sp.Symbol]) -> list[Coordinate]:
-        wanted = set(symbols)
-        return [c for c in self.coordinates if c.symbol in wanted]
-
-    def _equation(self, state: int) -> int | None:
-        """Return the number of the equation, as the user wrote them, that a state comes from."""
-        return self.weak.origins[state]
+        if reason.reason == "not polynomial":
+            states = [e for s, e in self.written.items() if s in reason.part.free_symbols]
+            message += f"is not polynomial in {listing(states)}"
+            way_out = (
+                "take the function as a further unknown with an equation of its own, "
+                "such as s = sin(x) with s' = cos(x) x'"
+            )
+        else:
+            message += f"couples {listing(c.symbol for c in among)} and does not factor"
+            way_out = "write it as a sum of products of functions of one coordinate each, or " + (
+                "take it as a further unknown with an equation of its own, such as z' = -k*z, "
+                "z(0) = 1 for exp(-k*t)"
+                if self.coordinates[0] in among
+                else "take the combination as a parameter of its own"
+            )
+        remedy = f"{_AS_IT_IS} {way_out}"
+        return GeneralTerm(state, written, initial, message, remedy, equation)
 
     # -- factors ----------------------------------------------------------------------------
 
@@ -187,12 +170,13 @@ class _Separation:
                 users = [
                     i for i, r in enumerate(residuals) if any(m.factors[j] == factor for m in r)
                 ]
+                origin = self.weak.origins[users[0]] if users else None
                 where = "" if users else "in an initial value, "
-                if users and self._equation(users[0]) is None:
+                if users and origin is None:
                     where = "after solving for the derivatives, "
                 raise ProblemError(
                     where + wrong,
-                    equation=self._equation(users[0]) if users else None,
+                    equation=origin,
                     term=factor,
                     remedy="change the interval so that the factor is finite and real on it",
                 )
@@ -239,7 +223,7 @@ class _Separation:
         if not abs(value) < float("inf"):
             raise ProblemError(
                 f"coefficient {quote(number)} is not a finite real number",
-                equation=self._equation(state),
+                equation=self.weak.origins[state],
                 term=number,
                 remedy="rescale the equations or change the coefficients",
             )

@@ -10,6 +10,7 @@ polynomial in the number of terms.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 import sympy as sp
 
@@ -113,20 +114,17 @@ class Splitter:
                 alone.setdefault(dimension, []).append(part)
             else:
                 mixed.append(part)
-        product = self._number(exact(sp.Mul(*number)))
+        pieces = [self._number(exact(sp.Mul(*number)))]
         for dimension, parts in alone.items():
             symbol = self._coordinates[dimension].symbol
             if all(_is_sum_of_monomials(part, symbol) for part in parts):
-                for part in parts:
-                    product = self._multiply(product, self.split(part))
+                pieces += map(self.split, parts)
             else:
-                product = self._multiply(product, self._function(sp.Mul(*parts), dimension))
-        for part in mixed:
-            product = self._multiply(product, self.split(part))
-        return product
+                pieces.append(self._function(sp.Mul(*parts), dimension))
+        return self._product(*pieces, *map(self.split, mixed))
 
-    def _multiply(self, left: MonomialSum, right: MonomialSum) -> MonomialSum:
-        return left.times(right, self._product_of)
+    def _product(self, *sums: MonomialSum) -> MonomialSum:
+        return reduce(lambda left, right: left.times(right, self._product_of), sums)
 
     def _number(self, number: sp.Expr) -> MonomialSum:
         return MonomialSum.of([(self._one, number)])
@@ -185,7 +183,7 @@ class Splitter:
                 raise self._indivisible(expression)
             return self._split_exponential(base, exponent, expression)
         if exponent.is_Integer and exponent > 0:
-            return self._integer_power(self.split(base), int(exponent))
+            return self._product(*[self.split(base)] * int(exponent))
         number, product = self._single(base, expression)
         if not exponent.is_Integer:
             number, product = self._positive(number, product, expression)
@@ -201,19 +199,11 @@ class Splitter:
         integer = tuple((state, int(power)) for state, power in powers)
         return MonomialSum.of([(Monomial(tuple(factors), integer), coefficient)])
 
-    def _integer_power(self, base: MonomialSum, exponent: int) -> MonomialSum:
-        result = base
-        for _ in range(exponent - 1):
-            result = self._multiply(result, base)
-        return result
-
     def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> MonomialSum:
         """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k)."""
         constant, parts = self._by_coordinate(exponent, whole)
-        result = self._number(base**constant)
-        for dimension, part in parts.items():
-            result = self._multiply(result, self._function(base**part, dimension))
-        return result
+        functions = [self._function(base**part, dimension) for dimension, part in parts.items()]
+        return self._product(self._number(base**constant), *functions)
 
     def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Monomial]:
         """Return an expression as one (number, product), factoring it if need be."""
@@ -222,17 +212,17 @@ class Splitter:
             factored = sp.factor(exact(expression))
             if factored.is_Add:
                 raise self._indivisible(whole)
-            terms = self._number(sp.S.One)
+            pieces = []
             for part in sp.Mul.make_args(factored):
                 base, _ = part.as_base_exp()
                 dimension = self._only_dimension(base.free_symbols)
                 if dimension is not None:
-                    piece = self._function(part, dimension)
+                    pieces.append(self._function(part, dimension))
                 elif base.is_Add:
                     raise self._indivisible(whole)
                 else:
-                    piece = self.split(part)
-                terms = self._multiply(terms, piece)
+                    pieces.append(self.split(part))
+            terms = self._product(*pieces)
         if len(terms) != 1:
             raise self._indivisible(whole)
         ((product, number),) = terms.items()
@@ -266,20 +256,16 @@ class Splitter:
         if isinstance(expression, sp.log):
             number, product = self._single(expression.args[0], expression)
             number, product = self._positive(number, product, expression)
-            logarithms = [
-                self._function(sp.log(factor), dimension)
-                for dimension, factor in enumerate(product.factors)
-                if factor is not sp.S.One
-            ]
-            return MonomialSum.total([self._number(sp.log(number)), *logarithms])
+            return MonomialSum.total([self._number(sp.log(number)), *self._each(sp.log, product)])
         if isinstance(expression, sp.Abs):
             number, product = self._single(expression.args[0], expression)
-            result = self._number(abs(number))
-            for dimension, factor in enumerate(product.factors):
-                if factor is not sp.S.One:
-                    result = self._multiply(result, self._function(sp.Abs(factor), dimension))
-            return result
+            return self._product(self._number(abs(number)), *self._each(sp.Abs, product))
         raise self._indivisible(expression)
+
+    def _each(self, function: Callable[[sp.Expr], sp.Expr], product: Monomial) -> list[MonomialSum]:
+        """A function of each factor of a product that is not one."""
+        factors = enumerate(product.factors)
+        return [self._function(function(f), j) for j, f in factors if f is not sp.S.One]
 
     def _expand_addition(
         self,
@@ -294,7 +280,7 @@ class Splitter:
         terms = []
         for g, h, direction in _ADDITION[function]:
             first = self._function(direction * g(part), dimension)
-            terms.append(self._multiply(first, self._expand_addition(h, constant, others)))
+            terms.append(self._product(first, self._expand_addition(h, constant, others)))
         return MonomialSum.total(terms)
 
     def _split_piecewise(self, expression: sp.Piecewise) -> MonomialSum:
@@ -309,7 +295,7 @@ class Splitter:
         before: list[tuple[int, sp.Basic]] = []
         for branch, condition in expression.args:
             indicator = sp.Piecewise(*before, (1, condition), (0, True))
-            terms.append(self._multiply(self._function(indicator, dimension), self.split(branch)))
+            terms.append(self._product(self._function(indicator, dimension), self.split(branch)))
             before.append((0, condition))
         return MonomialSum.total(terms)
 

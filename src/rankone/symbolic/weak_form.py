@@ -7,7 +7,7 @@ all of their values at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import sympy as sp
 
@@ -84,11 +84,6 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
     remedy = "give a problem or first_order(problem); what is compiled has `.weak_form`"
     check_kind("weak_form", system, FirstOrderSystem, Problem, remedy=remedy)
     rates = [sp.Derivative(u, system.coordinates[0].symbol) for u in system.functions]
-    return WeakForm(
-        coordinates=system.coordinates,
-        states=system.states,
-        functions=system.functions,
-        residuals=tuple(rate - f for rate, f in zip(rates, system.rhs, strict=True)),
-        initial=system.initial,
-        origins=system.origins,
-    )
+    shared = {field.name: getattr(system, field.name) for field in fields(Stage)}
+    residuals = tuple(rate - f for rate, f in zip(rates, system.rhs, strict=True))
+    return WeakForm(**shared, residuals=residuals)

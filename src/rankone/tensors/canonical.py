@@ -33,6 +33,7 @@ from rankone.discretization import Basis1D, legendre_values
 from rankone.errors import EvaluationError, warn
 from rankone.options import checked_number
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import block_diagonal, right_orthonormal, truncated
 from rankone.wording import did_you_mean, listing
 
 __all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
@@ -70,10 +71,7 @@ class Axis:
     def nodes(self) -> Array:
         """Gauss points of all elements, ascending, shape (N,)."""
         return np.concatenate(
-            [
-                0.5 * (a + b) + 0.5 * (b - a) * leggauss(count)[0]
-                for (a, b), count in zip(itertools.pairwise(self.breaks), self.degrees, strict=True)
-            ]
+            [0.5 * (a + b) + 0.5 * (b - a) * leggauss(count)[0] for a, b, count in self._elements]
         )
 
     @cached_property
@@ -81,11 +79,13 @@ class Axis:
         """Weights of the mean over the interval, of sum one, shape (N,)."""
         width = self.breaks[-1] - self.breaks[0]
         return np.concatenate(
-            [
-                0.5 * (b - a) / width * leggauss(count)[1]
-                for (a, b), count in zip(itertools.pairwise(self.breaks), self.degrees, strict=True)
-            ]
+            [0.5 * (b - a) / width * leggauss(count)[1] for a, b, count in self._elements]
         )
+
+    @property
+    def _elements(self) -> Iterator[tuple[float, float, int]]:
+        """Ends and number of Gauss points of each element."""
+        return zip(self.breaks[:-1], self.breaks[1:], self.degrees, strict=True)
 
     def interpolate(self, values: Array, points: Array) -> Array:
         """Interpolate values at the nodes, (N, R), to points (M,): shape (M, R)."""
@@ -153,10 +153,8 @@ class CanonicalForm:
 
     def __call__(self, *at: Any, **named: Any) -> Array:
         """Evaluate as a solution does: the result has the broadcast shape of the values."""
-        coordinates = Coordinates(
-            [axis.name for axis in self.axes],
-            [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes],
-        )
+        intervals = [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes]
+        coordinates = Coordinates([axis.name for axis in self.axes], intervals)
         given = coordinates.gather(at, named)
         points, shape = coordinates.broadcast(coordinates.arrays(given))
         products = np.ones((points.shape[1], self.rank))
@@ -197,9 +195,8 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
         states: Sequence[str],
         unknowns: Sequence[str],
     ) -> None:
-        self._form, self._states = form, tuple(states)
+        self._form, self._states, self._unknowns = form, tuple(states), tuple(unknowns)
         self._forms = {name: form(self._states.index(name), name) for name in unknowns}
-        self._others: dict[str, CanonicalForm] = {}
 
     def __getitem__(self, state: Any) -> CanonicalForm:
         name = name_of(state)
@@ -208,33 +205,31 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
                 f"no unknown {name}{did_you_mean(name, self._states)}; "
                 f"known are {listing(self._states)}"
             )
-        if name in self._forms:
-            return self._forms[name]
-        if name not in self._others:
-            self._others[name] = self._form(self._states.index(name), name)
-        return self._others[name]
+        if name not in self._forms:
+            self._forms[name] = self._form(self._states.index(name), name)
+        return self._forms[name]
 
     def __contains__(self, state: object) -> bool:
         try:
-            return name_of(state) in self._forms
+            return name_of(state) in self._unknowns
         except EvaluationError:
             return False
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._forms)
+        return iter(self._unknowns)
 
     def __len__(self) -> int:
-        return len(self._forms)
+        return len(self._unknowns)
 
     @property
     def error(self) -> float:
         """The largest error of the forms."""
-        return max(form.error for form in self._forms.values())
+        return max(form.error for form in self.values())
 
     @property
     def rank(self) -> int:
         """The largest number of terms of the forms."""
-        return max(form.rank for form in self._forms.values())
+        return max(form.rank for form in self.values())
 
     @property
     def amplitudes(self) -> Array:
@@ -252,15 +247,15 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
         return self._only("nodes").nodes
 
     def _only(self, attribute: str) -> CanonicalForm:
-        if len(self._forms) != 1:
+        if len(self) != 1:
             raise EvaluationError(
-                f"there are {len(self._forms)} canonical forms: {listing(self._forms)}",
-                remedy=f"choose one: forms[{next(iter(self._forms))!r}].{attribute}",
+                f"there are {len(self)} canonical forms: {listing(self)}",
+                remedy=f"choose one: forms[{self._unknowns[0]!r}].{attribute}",
             )
-        return next(iter(self._forms.values()))
+        return self[self._unknowns[0]]
 
     def __repr__(self) -> str:
-        return "\n".join(repr(form) for form in self._forms.values())
+        return "\n".join(repr(form) for form in self.values())
 
 
 def canonical_form(
@@ -290,10 +285,8 @@ def canonical_form(
     axes = _common_axes(slabs, names)
     train, norm, rounding = _horizon_train(slabs, row, axes, _ROUNDING_SHARE * rtol)
     if norm == 0.0:
-        factors = [np.ones((axis.nodes.size, 0)) for axis in axes]
-        return CanonicalForm(
-            label, np.empty(0), dict(zip(names, factors, strict=True)), axes, 0.0, rtol
-        )
+        nothing = {axis.name: np.ones((axis.nodes.size, 0)) for axis in axes}
+        return CanonicalForm(label, np.empty(0), nothing, axes, 0.0, rtol)
     tolerance = (1.0 - 1.1 * _ROUNDING_SHARE) * rtol * norm
     amplitudes, modes = _branches(train, tolerance, max_rank)
     error = _distance(train, amplitudes, modes)
@@ -306,12 +299,9 @@ def canonical_form(
             f"{relative:.2g}, more than rtol = {rtol:g}; remedy: a larger max_rank or rtol"
         )
     amplitudes, modes = _standard(amplitudes, modes)
-    factors = [
-        mode / np.sqrt(axis.weights)[:, None] for mode, axis in zip(modes, axes, strict=True)
-    ]
-    return CanonicalForm(
-        label, amplitudes, dict(zip(names, factors, strict=True)), axes, relative, rtol
-    )
+    pairs = zip(modes, axes, strict=True)
+    factors = {axis.name: mode / np.sqrt(axis.weights)[:, None] for mode, axis in pairs}
+    return CanonicalForm(label, amplitudes, factors, axes, relative, rtol)
 
 
 # --- one train over the horizon ----------------------------------------------------------------
@@ -319,12 +309,8 @@ def canonical_form(
 
 def _common_axes(slabs: Sequence[SlabTrain], names: Sequence[str]) -> tuple[Axis, ...]:
     """Axes on which every slab is represented exactly."""
-    time = Axis(
-        names[0],
-        (*(slab.start for slab in slabs), slabs[-1].end),
-        tuple(slab.cores[0].shape[1] for slab in slabs),
-    )
-    axes = [time]
+    ends = (*(slab.start for slab in slabs), slabs[-1].end)
+    axes = [Axis(names[0], ends, tuple(slab.cores[0].shape[1] for slab in slabs))]
     for j, name in enumerate(names[1:]):
         bases = [slab.bases[j] for slab in slabs]
         breaks = _common_edges(bases)
@@ -363,20 +349,20 @@ def _horizon_train(
     slabs: Sequence[SlabTrain], state: int, axes: Sequence[Axis], rtol: float
 ) -> tuple[Train, float, float]:
     """Add the slabs up pairwise, rounding every sum: train, norm and relative error bound."""
-    trains = [_right_orthonormal(_slab_train(slab, state, axes)) for slab in slabs]
+    trains = [right_orthonormal(_slab_train(slab, state, axes), 0.0) for slab in slabs]
     norm = math.hypot(*(float(np.linalg.norm(train[0])) for train in trains))
     levels = 1 + math.ceil(math.log2(len(trains)))
     # errors on different slabs are orthogonal, those of successive sums are not
     error = 0.0
     while True:
         share = rtol * norm / levels / math.sqrt(len(trains))
-        rounded = [_rounded(train, share) for train in trains]
-        trains = [train for train, _ in rounded]
+        rounded = [truncated(train, share) for train in trains]
+        trains = [right_orthonormal(train, 0.0) for train, _ in rounded]
         error += math.hypot(*(lost for _, lost in rounded))
         if len(trains) == 1:
             return trains[0], norm, error / norm if norm else 0.0
         trains = [
-            _right_orthonormal(_joined(*pair)) if len(pair) == 2 else pair[0]
+            right_orthonormal(_joined(*pair), 0.0) if len(pair) == 2 else pair[0]
             for pair in (trains[i : i + 2] for i in range(0, len(trains), 2))
         ]
 
@@ -385,47 +371,9 @@ def _joined(a: Train, b: Train) -> Train:
     """Two trains on successive pieces of the time axis as one."""
     if len(a) == 1:
         return [np.concatenate([a[0], b[0]], axis=1)]
-    joined = []
-    for j, (x, y) in enumerate(zip(a, b, strict=True)):
-        if j == 0:
-            core = np.zeros((1, x.shape[1] + y.shape[1], x.shape[2] + y.shape[2]))
-            core[:, : x.shape[1], : x.shape[2]] = x
-            core[:, x.shape[1] :, x.shape[2] :] = y
-        elif j == len(a) - 1:
-            core = np.concatenate([x, y])
-        else:
-            core = np.zeros((x.shape[0] + y.shape[0], x.shape[1], x.shape[2] + y.shape[2]))
-            core[: x.shape[0], :, : x.shape[2]] = x
-            core[x.shape[0] :, :, x.shape[2] :] = y
-        joined.append(core)
-    return joined
-
-
-def _right_orthonormal(train: Train) -> Train:
-    """The same train with orthonormal rows in every core but the first."""
-    train = list(train)
-    for j in range(len(train) - 1, 0, -1):
-        rank, size, right = train[j].shape
-        q, r = np.linalg.qr(train[j].reshape(rank, size * right).T)
-        train[j] = q.T.reshape(-1, size, right)
-        train[j - 1] = train[j - 1] @ r.T
-    return train
-
-
-def _rounded(train: Train, tolerance: float) -> tuple[Train, float]:
-    """Truncate a right-orthonormal train; it stays so. Also returns a bound of the error."""
-    train = list(train)
-    last = len(train) - 1
-    lost = 0.0
-    for j in range(last):
-        left, size, rank = train[j].shape
-        u, s, vt = np.linalg.svd(train[j].reshape(left * size, rank), full_matrices=False)
-        tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
-        keep = max(int(np.count_nonzero(tails > tolerance / math.sqrt(last))), 1)
-        lost = math.hypot(lost, tails[keep] if keep < s.size else 0.0)
-        train[j] = u[:, :keep].reshape(left, size, keep)
-        train[j + 1] = np.tensordot(s[:keep, None] * vt[:keep], train[j + 1], 1)
-    return _right_orthonormal(train), lost
+    first = block_diagonal(a[0].transpose(1, 0, 2), b[0].transpose(1, 0, 2)).transpose(1, 0, 2)
+    pairs = zip(a[1:-1], b[1:-1], strict=True)
+    return [first, *(block_diagonal(*pair) for pair in pairs), np.concatenate([a[-1], b[-1]])]
 
 
 # --- from the train to products ----------------------------------------------------------------

@@ -10,7 +10,7 @@ from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.tensors.rank_one_sums import RankOneSum
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import right_orthonormal
+from rankone.tensors.train import right_orthonormal, truncated
 
 __all__ = ["element_trains"]
 
@@ -56,8 +56,6 @@ def element_trains(
     first = np.zeros((n, time.elements, time.order + 1, rank))
     begin = 0
     for state, total in enumerate(sums):
-        if not total.rank:
-            continue
         first[state, :, :, begin : begin + total.rank] = time.to_modes(total.factors[0])
         begin += total.rank
     first /= tolerance[:, None, None, None]
@@ -71,7 +69,7 @@ def element_trains(
         cores.append(core)
     if parameters:
         cores[-1] = cores[-1].sum(axis=2, keepdims=True)
-        cores = _rounded(right_orthonormal(cores))
+        cores = right_orthonormal(truncated(right_orthonormal(cores), 1.0)[0])
     else:
         cores = [cores[0].sum(axis=1, keepdims=True)]
     first = cores[0].reshape(n, time.elements, time.order + 1, -1)
@@ -92,21 +90,6 @@ def element_trains(
             SlabTrain(lower, upper, (block, *rest), tuple(basis.modes for basis in parameters))
         )
     return trains, tails
-
-
-def _rounded(cores: list[Array]) -> list[Array]:
-    """Truncate a right-orthonormal train to the norm one, spread over its bonds."""
-    cores = list(cores)
-    share = 1.0 / np.sqrt(len(cores) - 1)
-    for j in range(len(cores) - 1):
-        shape = cores[j].shape
-        u, s, vt = np.linalg.svd(cores[j].reshape(-1, shape[-1]), full_matrices=False)
-        tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
-        keep = max(int(np.count_nonzero(tails > share)), 1)
-        cores[j] = u[:, :keep].reshape(*shape[:-1], keep)
-        carry = s[:keep, None] * vt[:keep]
-        cores[j + 1] = np.tensordot(carry, cores[j + 1], 1)
-    return right_orthonormal(cores)
 
 
 def _tails(first: Array, rest: Sequence[Array], bases: Sequence[LagrangeElements]) -> Array:

@@ -66,11 +66,6 @@ def _to_chebyshev(basis: Basis1D) -> Array:
 class _Dimension:
     """One core of one slab: for each element a matrix (left, degree * right)."""
 
-    __slots__ = (
-        *("degree", "elements", "left", "lower", "matrices", "right", "scale", "tensor"),
-        "edges",
-    )
-
     def __init__(self, core: Array, basis: Basis1D) -> None:
         self.left, _, self.right = core.shape
         self.degree, self.elements = basis.degree, basis.elements
@@ -128,8 +123,6 @@ class _Dimension:
 class _UnequalDimension(_Dimension):
     """One core whose elements are unequal: between two of them the later one counts."""
 
-    __slots__ = ("breaks", "lowers", "scales")
-
     def __init__(self, core: Array, basis: Basis1D) -> None:
         super().__init__(core, basis)
         self.breaks = basis.breaks
@@ -155,8 +148,6 @@ def _columnwise_kronecker(values: Array, carry: Array | None) -> Array:
 
 class _SlabEvaluator:
     """The cores of one slab, ready for evaluation."""
-
-    __slots__ = ("chunk", "degree", "dimensions")
 
     def __init__(self, slab: SlabTrain) -> None:
         time = LegendreBasis(slab.start, slab.end, slab.cores[0].shape[1])
@@ -220,16 +211,7 @@ class TrainEvaluator:
     def many(self, points: Array, rows: Rows) -> Array:
         """Evaluate at paired points, in chunks of bounded memory.
 
-        Parameters
-        ----------
-        points : ndarray (1 + d, N)
-            Times, then the values of each parameter.
-        rows : slice or ndarray of int
-            States to evaluate.
-
-        Returns
-        -------
-        ndarray (rows, N)
+        ``points`` (1 + d, N) are times, then the values of each parameter; the shape is (rows, N).
         """
         count = points.shape[1]
         result = np.empty((len(self.slabs[0].dimensions[0].matrices[0][rows]), count))
@@ -266,16 +248,8 @@ class TrainEvaluator:
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid.
 
-        Parameters
-        ----------
-        axes : sequence of ndarray
-            1 + d axes of any order of values: times, then each parameter.
-        rows : slice or ndarray of int
-            States to evaluate.
-
-        Returns
-        -------
-        ndarray (rows, *sizes of the axes)
+        The 1 + d axes, times and then each parameter, may have any order of values; the shape is
+        (rows, *sizes of the axes).
         """
         owner = np.searchsorted(self._breaks, axes[0], side="right")
         count = len(self.slabs[0].dimensions[0].matrices[0][rows])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +10,14 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.tensors.truncation import independent
 
-__all__ = ["apply_to_modes", "right_orthonormal", "thinned", "widened"]
+__all__ = [
+    "apply_to_modes",
+    "block_diagonal",
+    "right_orthonormal",
+    "thinned",
+    "truncated",
+    "widened",
+]
 
 
 def right_orthonormal(cores: Sequence[Array], negligible: float = 1e-13) -> list[Array]:
@@ -55,15 +63,37 @@ def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:
     first, count = cores[0], extra[0].shape[0]
     result = [np.concatenate([first, np.zeros((*first.shape[:-1], count))], axis=-1)]
     for j, (core, other) in enumerate(zip(cores[1:], extra, strict=True)):
-        left, size, right = core.shape
-        if j == len(extra) - 1:
-            result.append(np.concatenate([core, other], axis=0))
-            continue
-        block = np.zeros((left + count, size, right + count))
-        block[:left, :, :right] = core
-        block[left:, :, right:] = other
-        result.append(block)
+        last = j == len(extra) - 1
+        result.append(np.concatenate([core, other]) if last else block_diagonal(core, other))
     return right_orthonormal(result, 1e-6)
+
+
+def block_diagonal(a: Array, b: Array) -> Array:
+    """The core (r, n, s) whose matrices have those of two cores on their diagonals."""
+    block = np.zeros((len(a) + len(b), a.shape[1], a.shape[2] + b.shape[2]))
+    block[: len(a), :, : a.shape[2]] = a
+    block[len(a) :, :, a.shape[2] :] = b
+    return block
+
+
+def truncated(cores: Sequence[Array], tolerance: float) -> tuple[list[Array], float]:
+    """Truncate a right-orthonormal train within a tolerance; also returns the norm of the change.
+
+    Core 0 may have any shape (..., r_1). Afterwards all cores but the last are orthonormal the
+    other way.
+    """
+    result = list(cores)
+    share = tolerance / math.sqrt(max(len(result) - 1, 1))
+    lost = 0.0
+    for j in range(len(result) - 1):
+        shape = result[j].shape
+        u, s, vt = np.linalg.svd(result[j].reshape(-1, shape[-1]), full_matrices=False)
+        tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
+        keep = max(int(np.count_nonzero(tails > share)), 1)
+        lost = math.hypot(lost, *tails[keep : keep + 1])
+        result[j] = u[:, :keep].reshape(*shape[:-1], keep)
+        result[j + 1] = np.tensordot(s[:keep, None] * vt[:keep], result[j + 1], 1)
+    return result, lost
 
 
 def thinned(cores: Sequence[Array], tolerance: float) -> list[Array]:

@@ -19,8 +19,11 @@ def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
     """Orthonormal basis q of columns (m, n), and r: they are q r but for what is left out.
 
     A column in which nothing is new beyond ``negligible``, relative to the largest, gives no
-    direction: it would be one of rounding, and no two machines round alike.
+    direction: it would be one of rounding, and no two machines round alike. With ``negligible``
+    zero all are kept.
     """
+    if not negligible:
+        return np.linalg.qr(columns)
     q, r, order = scipy.linalg.qr(columns, mode="economic", pivoting=True, check_finite=False)
     sizes = np.abs(np.diag(r))
     rank = max(int(np.count_nonzero(sizes > negligible * sizes[0])), 1)

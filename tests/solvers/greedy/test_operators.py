@@ -99,6 +99,6 @@ def test_states_are_solved_in_the_order_of_their_dependence() -> None:
         return SourceTerm(1.0, equation, (0,), monomial)
 
     chain = [term(0, 1), term(1, 2), term(2, 2), term(3)]
-    assert evaluation_order(chain, 4) == ((2,), (1,), (0,), (3,))
+    assert evaluation_order(chain, 4) == ((2,), (3,), (1,), (0,))
     coupled = [term(0, 1, 2), term(1, 0), term(2, 2)]
     assert evaluation_order(coupled, 3) == ((2,), (0, 1))

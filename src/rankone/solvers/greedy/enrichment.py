@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, reduce
 
 import numpy as np
 import scipy.linalg
@@ -91,15 +92,13 @@ class Enrichment:
 
     def __post_init__(self) -> None:
         self._whitened = self.loads.applied(self.equation.whitening)
-        self._load_square: float | None = None
         self._random = np.random.default_rng(20140)
         self._dimensions = range(len(self.equation.sizes))
         start = self.start or RankOneSum.zero(self.equation.sizes)
         self.factors = list(start.factors)
         self.amplitudes = np.ones(start.rank)
-        self._images: list[Array] = [np.zeros(0)] * len(self.factors)
-        self._grams: list[Array] = [np.zeros(0)] * len(self.factors)
-        self._load_products: list[Array] = [np.zeros(0)] * len(self.factors)
+        nothing = [np.zeros(0)] * len(self.factors)
+        self._images, self._grams, self._load_products = [*nothing], [*nothing], [*nothing]
         for j in self._dimensions:
             self._normalise(j)
 
@@ -290,9 +289,11 @@ class Enrichment:
     def residual(self) -> float:
         """Norm of ``D(U) - G`` tested with the shape functions, in the dual of the metric."""
         image = self.equation.image(self.modes).applied(self.equation.whitening)
-        if self._load_square is None:
-            self._load_square = self._whitened.inner(self._whitened)
         return self._whitened.distance(image, self._load_square)
+
+    @cached_property
+    def _load_square(self) -> float:
+        return self._whitened.inner(self._whitened)
 
     def minimal_residual(self) -> float:
         """``||D(U) - G||`` over the box, for the minimal residual projection."""
@@ -306,12 +307,7 @@ class Enrichment:
 def _product(arrays: list[Array], j: int) -> Array:
     """Product of all arrays but the j-th."""
     others = arrays[:j] + arrays[j + 1 :]
-    if not others:
-        return np.ones_like(arrays[j])
-    result = others[0]
-    for other in others[1:]:
-        result = result * other
-    return result
+    return reduce(np.multiply, others) if others else np.ones_like(arrays[j])
 
 
 def _collected(values: Array, index: tuple[int, ...]) -> Array:

@@ -183,14 +183,9 @@ class LaggedSlab:
         change = self._distance(before, new) / norm
         self.modes[state] = new
         self._points[state] = (self._start[state] + self.space.at_points(new)).merged()
-        return EquationRecord(
-            iteration,
-            self.coupling.system.STATES[state],
-            result.records,
-            tuple((result.amplitudes / norm).tolist()),
-            result.residual / unit,
-            change,
-        )
+        name, amplitudes = self.coupling.system.STATES[state], (result.amplitudes / norm).tolist()
+        found = result.records, tuple(amplitudes), result.residual / unit
+        return EquationRecord(iteration, name, *found, change)
 
     def _source(self, state: int) -> RankOneSum:
         """G at the quadrature points: lagged terms, and own terms of the initial value."""
@@ -221,25 +216,12 @@ def compressed(
 ) -> RankOneSum:
     """Fewer products for a function given at nodes: the classic method with the identity.
 
-    Parameters
-    ----------
-    tensor : RankOneSum
-        Values at the nodes.
-    metrics : sequence of ndarray (N_j, N_j)
-        Inner product of each dimension.
-    tolerance : float
-        Norm of what may be lost.
-    options : GreedyOptions
-        Limits; all functions are updated.
+    ``metrics`` (N_j, N_j) are the inner products of each dimension, ``tolerance`` is the norm of
+    what may be lost.
     """
     stacks = tuple(metric[None] for metric in metrics)
-    equation = Equation(
-        stacks,
-        ((0,),) * len(stacks),
-        ((),) * len(stacks),
-        tuple(metrics),
-        tuple(len(metric) for metric in metrics),
-    )
+    one, none = ((0,),) * len(stacks), ((),) * len(stacks)
+    equation = Equation(stacks, one, none, tuple(metrics), tuple(map(len, metrics)))
     fast = replace(
         options, update="all", max_fixed_point=6, fixed_point_tolerance=1e-2, update_sweeps=2
     )

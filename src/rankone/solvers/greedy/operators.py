@@ -29,17 +29,7 @@ __all__ = ["Equation", "ShapeSpace", "assemble", "named_matrices"]
 
 
 class ShapeSpace:
-    """Shape functions in time and in every parameter, and the known factors at their points.
-
-    Parameters
-    ----------
-    system : System
-        The generated module.
-    time : LagrangeElements
-        Shape functions on the slab.
-    parameters : sequence of LagrangeElements
-        One for each parameter.
-    """
+    """Shape functions on a slab and in every parameter, and the known factors at their points."""
 
     def __init__(
         self, system: System, time: LagrangeElements, parameters: Sequence[LagrangeElements]
@@ -139,9 +129,8 @@ class Equation:
 
     def loads(self, source: RankOneSum) -> RankOneSum:
         """The source G tested: from values at the quadrature points."""
-        tested = []
-        for k in range(len(self.tests[0])):
-            tested.append(source.applied([tests[k].T for tests in self.tests]))
+        terms = zip(*self.tests, strict=True)
+        tested = [source.applied([test.T for test in term]) for term in terms]
         return RankOneSum.joined(tested, self.sizes)
 
     def image(self, nodal: RankOneSum) -> RankOneSum:
@@ -158,14 +147,7 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
 
     ``D(u) = u' - f_own(u)``, or in the Volterra form ``D(u) = u - int f_own(u) dt``, where f_own
     holds the terms of f that are linear in the unknown; those that share their parameter factors
-    share one term of D.
-
-    Parameters
-    ----------
-    own : sequence of SourceTerm
-        The terms f_own.
-    options : GreedyOptions
-        Formulation and projection.
+    share one term of D. The options say formulation and projection.
     """
     table = space.tables[0]
     derivative = options.formulation == "derivative"
@@ -199,36 +181,23 @@ def assemble(space: ShapeSpace, own: Sequence[SourceTerm], options: GreedyOption
     metrics = list(space.masses)
     if options.projection == "minimal-residual":
         metrics[0] = matrices[0][0]
-    return Equation(
-        tuple(matrices),
-        tuple(index),
-        tuple(tests),
-        tuple(metrics),
-        tuple(map(_bandwidth, matrices)),
-    )
+    bandwidth = tuple(map(_bandwidth, matrices))
+    return Equation(tuple(matrices), tuple(index), tuple(tests), tuple(metrics), bandwidth)
 
 
-def named_matrices(
-    system: System, space: ShapeSpace, names: Sequence[str] | None = None
-) -> dict[str, Array]:
+def named_matrices(system: System, space: ShapeSpace) -> dict[str, Array]:
     """The slides' matrices on all shape functions, boundary included.
 
     ``P`` for d/dt, ``M_t`` and ``M_k`` for mass, ``N_k`` (``N_k1``, ``N_k2``, ...) for the known
     factors of the parameter k; with one parameter and one factor it is plain ``N``.
-
-    Parameters
-    ----------
-    names : sequence of str, optional
-        Names of time and the parameters; ``t`` and the system's by default.
     """
-    time, *parameters = names or ("t", *system.PARAMETERS)
     v, w = space.time.values, space.time.weights[:, None]
-    matrices = {"P": v.T @ (w * space.time.derivatives), f"M_{time}": v.T @ (w * v)}
+    matrices = {"P": v.T @ (w * space.time.derivatives), "M_t": v.T @ (w * v)}
     for i, row in enumerate(space.rows[0][1:], start=1):
-        matrices[f"N_{time}{i}"] = v.T @ (w * row[:, None] * v)
-    plain = len(parameters) == 1 and len(space.rows[1]) == 2
+        matrices[f"N_t{i}"] = v.T @ (w * row[:, None] * v)
+    plain = len(system.PARAMETERS) == 1 and len(space.rows[1]) == 2
     for name, table, weights, rows in zip(
-        parameters, space.tables[1:], space.weights[1:], space.rows[1:], strict=True
+        system.PARAMETERS, space.tables[1:], space.weights[1:], space.rows[1:], strict=True
     ):
         matrices[f"M_{name}"] = table.T @ (weights[:, None] * table)
         for i, row in enumerate(rows[1:], start=1):

@@ -86,17 +86,10 @@ class LaggedSlabs:
             limits.add(Status.NO_CONVERGENCE)
         if accepted and solved.residual > tolerance and solved.rank >= self.options.max_modes:
             limits.add(Status.RANK_LIMIT)
-        record = GreedySlabRecord(
-            self.attempt,
-            span.start,
-            span.end,
-            accepted,
-            tolerance,
-            solved.changes,
-            tuple(modes.rank for modes in solved.modes),
-            tuple(basis.size for basis in space.bases),
-            solved.records,
-        )
+        place = self.attempt, span.start, span.end, accepted, tolerance
+        ranks = tuple(modes.rank for modes in solved.modes)
+        sizes = tuple(basis.size for basis in space.bases)
+        record = GreedySlabRecord(*place, solved.changes, ranks, sizes, solved.records)
         return GreedyTrial(record, limits, space, solved)
 
     def accept(self, span: Span, trial: GreedyTrial) -> list[SlabTrain]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from rankone.system import System
 
 __all__ = ["SourceTerm", "evaluation_order", "source_terms"]
@@ -46,33 +48,14 @@ def source_terms(system: System) -> tuple[SourceTerm, ...]:
 def evaluation_order(terms: Sequence[SourceTerm], states: int) -> tuple[tuple[int, ...], ...]:
     """Blocks of states to be solved one after the other; only within a block terms are lagged.
 
-    The strongly connected components of the graph of dependence, those that others need first
-    (Tarjan, SIAM J. Comput. 1 (1972) 146). A block of one state whose terms do not lag it takes
-    a single solve.
+    The strongly connected components of the graph of dependence. A state that needs another reaches
+    all that the other reaches, and more: the blocks come in the order of how many states they
+    reach. A block of one state whose terms do not lag it takes a single solve.
     """
-    needs: list[list[int]] = [[] for _ in range(states)]
+    reached = np.eye(states, dtype=bool)
     for term in terms:
-        needs[term.equation] += [s for s in term.monomial if s not in needs[term.equation]]
-    number: dict[int, int] = {}
-    low: dict[int, int] = {}
-    stack: list[int] = []
-    blocks: list[tuple[int, ...]] = []
-
-    def visit(state: int) -> None:
-        number[state] = low[state] = len(number)
-        stack.append(state)
-        for other in needs[state]:
-            if other not in number:
-                visit(other)
-                low[state] = min(low[state], low[other])
-            elif other in stack:
-                low[state] = min(low[state], number[other])
-        if low[state] == number[state]:
-            begin = stack.index(state)
-            blocks.append(tuple(sorted(stack[begin:])))
-            del stack[begin:]
-
-    for state in range(states):
-        if state not in number:
-            visit(state)
-    return tuple(blocks)
+        reached[term.equation, list(term.monomial)] = True
+    for middle in range(states):  # Warshall, J. ACM 9 (1962) 11
+        reached |= np.outer(reached[:, middle], reached[middle])
+    blocks = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in reached & reached.T)
+    return tuple(sorted(blocks, key=lambda block: np.count_nonzero(reached[block[0]])))
