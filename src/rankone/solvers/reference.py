@@ -210,9 +210,11 @@ def measure(
     largest = scale.copy()
     all_times = [slab.start + (slab.end - slab.start) * _CHECK_TIMES for slab in slabs]
     all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
+    carry, last = np.zeros((0, m)), None
     for slab, times, exact in zip(slabs, all_times, all_exact, strict=True):
-        pairs = np.tile(times, m), np.repeat(reference.points, times.size, axis=0).T
-        values = slab(*pairs).reshape(exact.shape)
+        if last is None or not slab.shares_parameters(last):
+            carry, last = slab.over_parameters(reference.points.T), slab
+        values = slab.on_grid(times, carry)
         errors = np.maximum(errors, np.abs(values - exact).max(axis=2))
         at_corners = np.abs(exact[:, 1 : 1 + corners]).max(axis=(1, 2), initial=0.0)
         largest = np.maximum(largest, at_corners)

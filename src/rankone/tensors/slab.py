@@ -44,11 +44,30 @@ class SlabTrain:
         The plain way, without any preparation; :class:`~rankone.tensors.evaluator.TrainEvaluator`
         serves many calls.
         """
-        xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
-        modes = [legendre_values(xi, self.cores[0].shape[1])]
-        modes += [basis.modal_values(row) for basis, row in zip(self.bases, points, strict=True)]
-        carry = np.ones((1, times.size))
-        for core, values in zip(reversed(self.cores), reversed(modes), strict=True):
-            products = np.multiply(values.T[:, None], carry).reshape(-1, times.size)
+        values = self._time_values(times)
+        products = np.multiply(values.T[:, None], self.over_parameters(points))
+        core = self.cores[0]
+        return np.asarray(core.reshape(len(core), -1) @ products.reshape(-1, times.size))
+
+    def over_parameters(self, points: Array) -> Array:
+        """Product of the cores of the parameters at points (d, M): shape (r_1, M)."""
+        modes = [basis.modal_values(row) for basis, row in zip(self.bases, points, strict=True)]
+        carry = np.ones((1, points.shape[1]))
+        for core, values in zip(reversed(self.cores[1:]), reversed(modes), strict=True):
+            products = np.multiply(values.T[:, None], carry).reshape(-1, points.shape[1])
             carry = core.reshape(len(core), -1) @ products
         return carry
+
+    def on_grid(self, times: Array, carry: Array) -> Array:
+        """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
+        in_time = np.tensordot(self.cores[0], self._time_values(times), (1, 1))
+        return np.asarray(np.einsum("nrt,rm->nmt", in_time, carry, optimize=True))
+
+    def shares_parameters(self, other: SlabTrain) -> bool:
+        """Whether all but the first core are those of another slab."""
+        pairs = zip(self.cores[1:], other.cores[1:], strict=True)
+        return self.bases == other.bases and all(one is two for one, two in pairs)
+
+    def _time_values(self, times: Array) -> Array:
+        xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
+        return legendre_values(xi, self.cores[0].shape[1])

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError
+from rankone.deadline import OutOfTimeError, time_limit
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
@@ -38,6 +38,10 @@ _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 _LEFT_POINTS = 9
 _SMOOTH = 3.0
 """Nodes in one parameter, over those of the first lines, from which a solution is steep there."""
+_CORNERS = 3
+"""Number of parameters up to which the corners are checked as strictly as the interior."""
+_EXPLAINING = 5.0
+"""Seconds for finding a reason."""
 _PATIENCE, _CHEAP = 5, 20_000
 """Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
 _FAR, _FAST = 10.0, 0.2
@@ -115,8 +119,10 @@ class CrossMarcher:
         self.spectra = _spectra(modal)
         result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
         smooth = _SMOOTH * line_count(self.rtol, self.options)
-        if any(basis.elements > 1 or basis.size > smooth for basis in bases):
-            result.points = suspects(result.slabs, bases, trajectories.sizes, number)
+        steep = any(basis.elements > 1 or basis.size > smooth for basis in bases)
+        if steep or len(bases) > _CORNERS:
+            looked_at = result.slabs if steep else result.slabs[-1:]
+            result.points = suspects(looked_at, bases, trajectories.sizes, number)
         ranks = tuple(core.shape[0] for core in modal[1:])
         tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
         sizes = tuple(basis.size for basis in bases)
@@ -192,7 +198,8 @@ class CrossMarcher:
         if attempt.result.slabs and self.bases is not None:
             lines.append(steepest_point(attempt.result.slabs[-1], self.bases, trajectories.sizes))
         try:
-            front = steepest_front(trajectories.values, domain, lines)
+            with time_limit(_EXPLAINING):
+                front = steepest_front(trajectories.values, domain, lines)
         except (OutOfTimeError, TrajectoryEnds):
             front = None
         if front is None:
