@@ -8,8 +8,9 @@ Jacobian and LSODA): after so many parameter values rankone has paid for itself 
 *Stacked* is the same against one of 500 trajectories integrated by SciPy as one stacked system at
 rtol 1e-8, which is what an expert would do instead of a loop.
 
-Each problem runs in a process of its own with one BLAS thread. Times are medians of repetitions,
-except that of the compile stage, which is the first one in its process: SymPy caches.
+Each problem runs in a process of its own with one BLAS thread. Times are the least of
+repetitions made in turns, except that of the compile stage, which is the first one in its process:
+SymPy caches.
 """
 
 from __future__ import annotations
@@ -113,9 +114,11 @@ def _measure(name: str, rtol: float, repetitions: int, method: str) -> dict[str,
 
     system = INDEPENDENT[name]
     error = float(measured_errors(solution, system).max())
-    solve = _median(lambda: compiled.solve(rtol, method=method), repetitions)
-    trajectory, integrator = _trajectory(compiled.system, system.stiff, repetitions)
-    stacked = _stacked(compiled.system, system.stiff, repetitions)
+    loop = _trajectory(compiled.system, system.stiff)
+    runs = [lambda: compiled.solve(rtol, method=method), _stack(compiled.system, system.stiff)]
+    solve, stacked, *single = _fastest(*runs, *loop.values(), repetitions=repetitions)
+    trajectory, integrator = min(zip(single, loop, strict=True))
+    stacked /= STACKED
     batch, one = _evaluation(solution, repetitions)
     return {
         "problem": name,
@@ -144,8 +147,8 @@ def _measure(name: str, rtol: float, repetitions: int, method: str) -> dict[str,
     }
 
 
-def _trajectory(system: Any, stiff: bool, repetitions: int) -> tuple[float, str]:
-    """Seconds of one trajectory at the centre of the box, by the generated right-hand side."""
+def _trajectory(system: Any, stiff: bool) -> dict[str, Callable[[], object]]:
+    """One trajectory at the centre of the box, by the generated right-hand side, and the method."""
     import numpy as np
     from scipy.integrate import solve_ivp
 
@@ -163,19 +166,14 @@ def _trajectory(system: Any, stiff: bool, repetitions: int) -> tuple[float, str]
     choices: dict[str, dict[str, Any]] = {"DOP853": {}}
     if stiff:
         choices = {"Radau": {"jac": jacobian, "atol": 1e-10}, "LSODA": {"atol": 1e-10}}
-    times = {
-        method: _median(
-            partial(solve_ivp, rhs, system.TIME, start, method=method, rtol=1e-8, **options),
-            5 * repetitions,
-        )
+    return {
+        method: partial(solve_ivp, rhs, system.TIME, start, method=method, rtol=1e-8, **options)
         for method, options in choices.items()
     }
-    fastest = min(times, key=times.__getitem__)
-    return times[fastest], fastest
 
 
-def _stacked(system: Any, stiff: bool, repetitions: int) -> float:
-    """Seconds of one trajectory in a stack of random points of the box, by SciPy as it is."""
+def _stack(system: Any, stiff: bool) -> Callable[[], object]:
+    """Trajectories at random points of the box in one stack, by SciPy as it is."""
     import numpy as np
     from scipy.integrate import solve_ivp
     from scipy.sparse import eye_array, kron
@@ -194,8 +192,7 @@ def _stacked(system: Any, stiff: bool, repetitions: int) -> float:
     def rhs(t: float, u: Any) -> Any:
         return system.rhs(t, u.reshape(n, -1), points).ravel()
 
-    run = partial(solve_ivp, rhs, system.TIME, start.ravel(), rtol=1e-8, **options)
-    return _median(run, repetitions) / STACKED
+    return partial(solve_ivp, rhs, system.TIME, start.ravel(), rtol=1e-8, **options)
 
 
 def _evaluation(solution: Any, repetitions: int) -> tuple[float, float]:
@@ -208,19 +205,22 @@ def _evaluation(solution: Any, repetitions: int) -> tuple[float, float]:
     batch = {key: rng.uniform(*interval, count) for key, interval in intervals.items()}
     point = {key: float(values[0]) for key, values in batch.items()}
     solution(batch)
-    seconds = _median(lambda: solution(batch), repetitions)
-    single = _median(lambda: [solution(point) for _ in range(100)], repetitions)
+    runs = (lambda: solution(batch), lambda: [solution(point) for _ in range(100)])
+    seconds, single = _fastest(*runs, repetitions=repetitions)
     return count / seconds, 10.0 * single
 
 
-def _median(run: Callable[[], object], repetitions: int) -> float:
-    """Median seconds of a call; slow calls are repeated less often."""
-    seconds: list[float] = []
-    while len(seconds) < 3 or (len(seconds) < repetitions and sum(seconds) < RUN_ENOUGH):
-        began = time.perf_counter()
-        run()
-        seconds.append(time.perf_counter() - began)
-    return statistics.median(seconds)
+def _fastest(*runs: Callable[[], object], repetitions: int) -> list[float]:
+    """Least seconds of calls made in turns; slow ones are repeated less often."""
+    seconds: list[list[float]] = [[] for _ in runs]
+    for number in range(repetitions):
+        if number >= 3 and sum(map(sum, seconds)) > RUN_ENOUGH * len(runs):
+            break
+        for run, spent in zip(runs, seconds, strict=True):
+            began = time.perf_counter()
+            run()
+            spent.append(time.perf_counter() - began)
+    return [min(spent) for spent in seconds]
 
 
 def _peak_memory() -> float:
