@@ -140,7 +140,7 @@ def integrate_reference(
     initial = initial_values(system, np.ascontiguousarray(points.T))
     size = np.abs(initial).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
-    longest = math.inf if _polynomial(system, start) else _LONGEST * (end - start)
+    longest = math.inf if stack.polynomial else _LONGEST * (end - start)
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
         atol = rtol * _NEGLIGIBLE * size
@@ -167,11 +167,6 @@ def integrate_reference(
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
     return Reference(points, start, reached, stiff, blown, batches, system.N_DIFFERENTIAL, large)
-
-
-def _polynomial(system: System, time: float) -> bool:
-    """Whether the rates are polynomials in the unknowns, with no functions of time."""
-    return system.SEPARATED and len(system.time_factors(np.array([time]))) == 1
 
 
 class _Steps:
