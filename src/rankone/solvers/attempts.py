@@ -22,7 +22,7 @@ __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
 _PATIENCE = 20.0
 """Seconds after which no further attempt is begun if no time limit was asked for."""
-_FIRST, _LONGEST = 60.0, 40.0
+_FIRST, _LONGEST = 30.0, 40.0
 """Seconds after which, in the same case, the first attempt is given up, and any other."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
@@ -127,8 +127,8 @@ def solve_in_attempts(
         message = f"{Status.TIME_LIMIT.value} by the reference trajectories; raise max_seconds"
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
-        spent = clock.perf_counter() - began
-        with _timed(timings, "march"), _unless_asked((_LONGEST if index else _FIRST) - spent):
+        left = (_LONGEST if index else _FIRST) - (clock.perf_counter() - began)
+        with _timed(timings, "march"), _unless_asked(left):
             result = marcher.march(index, report)
         with _timed(timings, "check"):
             attempt = Attempt(result, yardstick.measured(result.slabs))

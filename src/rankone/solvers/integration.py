@@ -36,7 +36,7 @@ _BETWEEN = (0.4, 0.85)
 _INTERPOLATED = 2.5
 """Largest error of the interpolant, in units of the tolerance."""
 _IMPLICIT = 20.0
-"""Tolerance of Radau over that of DOP853: its estimate is cautious, errors are few times larger."""
+"""Tolerance of Radau over that of DOP853: its estimate is cautious, the error 4 times larger."""
 
 
 class Recorder(Protocol):

@@ -62,8 +62,7 @@ def engines_for(
         owners = [f"method={e.name!r}" for e in ENGINES.values() if option in e.options.names()]
         if owners:
             raise OptionError(
-                f"option {option!r} belongs to {' and '.join(owners)}, not to "
-                f"method={engine.name!r}",
+                f"option {option!r} belongs to {' and '.join(owners)}, not to method={method!r}",
                 remedy=f"choose {' or '.join(owners)}, or leave the option out",
             )
     return (engine,)
