@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 
 import rankone as ro
+from rankone.solvers.cross.trajectories import _span
 
 
 def problem(rates, initial, box, end):
@@ -141,3 +142,28 @@ def test_failures_name_the_parameter_and_the_place(rates, initial, box, end, sai
     assert solution.status.name == "STEEP"
     assert solution.method == "cross"
     assert said in solution.message
+
+
+def test_a_feature_in_a_corner_of_many_parameters():
+    corner = problem(
+        {"x": "-x*(1 + 200*(a*b*c*d)**6) + 1"}, {"x": 0}, dict.fromkeys("abcd", (0, 1)), 2
+    )
+    solution = ro.solve(corner, rtol=1e-3)
+    points = np.random.default_rng(9).random((4, 20_000))
+    decay = 1 + 200 * points.prod(axis=0) ** 6
+    found = solution["x"](t=2.0, **dict(zip("abcd", points, strict=True)))
+    errors = np.abs(found - (1 - np.exp(-2 * decay)) / decay)
+    assert solution.success
+    assert np.quantile(errors, 0.999) < 1e-3
+
+
+def test_the_span_of_columns_below_rounding_errors_of_their_products():
+    generator = np.random.default_rng(0)
+    left, _ = np.linalg.qr(generator.standard_normal((200, 12)))
+    sizes = 10.0 ** -np.arange(12)
+    for count in (60, 400):
+        columns = left * sizes @ generator.standard_normal((12, count))
+        span = _span(columns, 1e-9)
+        np.testing.assert_allclose(span.T @ span, np.eye(span.shape[1]), atol=1e-12)
+        assert np.linalg.norm(columns - span @ (span.T @ columns), 2) < 2e-9
+        assert span.shape[1] <= 12
