@@ -44,7 +44,7 @@ _EXPLAINING = 5.0
 """Seconds for finding a reason."""
 _PATIENCE, _CHEAP = 5, 20_000
 """Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
-_FAR, _FAST = 10.0, 0.2
+_FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
 

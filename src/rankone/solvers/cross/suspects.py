@@ -46,7 +46,7 @@ def suspects(
             points.append(inside)
     for i in {round(i) for i in np.linspace(0, len(slabs) - 1, _SLABS)}:
         candidates = lower + (upper - lower) * generator.random((_CANDIDATES, len(bases)))
-        steep = _steepness(slabs[i], candidates, lower, upper, sizes) ** 2
+        steep = _steepness(slabs[i], candidates, lower, upper, sizes)
         if np.count_nonzero(steep) >= _CHOSEN and np.isfinite(steep).all():
             chosen = generator.choice(len(steep), _CHOSEN, replace=False, p=steep / steep.sum())
             points.append(candidates[chosen])
