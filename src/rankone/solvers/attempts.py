@@ -86,6 +86,8 @@ class Attempt:
 class Marcher(Protocol):
     """What an engine supplies: marches over the horizon, each finer than the one before."""
 
+    yardstick: Yardstick
+    """Its end and its sizes; it may become stricter between two marches."""
     remedies: ClassVar[Mapping[Status, str]]
     """What to do, by how it ended."""
 
@@ -117,12 +119,13 @@ def solve_in_attempts(
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
     records: list[SlabRecord] = []
     best: Attempt | None = None
-    stalls = 0
+    stalls, out_of_time = 0, False
     began = clock.perf_counter()
     try:
         with _timed(timings, "reference"):
             yardstick = Yardstick.of(system, domain, request.rtol, request.points)
             marcher = prepared(request, yardstick)
+            marcher.yardstick = yardstick
     except OutOfTimeError:
         message = f"{Status.TIME_LIMIT.value} by the reference trajectories; raise max_seconds"
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
@@ -130,27 +133,33 @@ def solve_in_attempts(
         left = (_LONGEST if index else _FIRST) - (clock.perf_counter() - began)
         with _timed(timings, "march"), _unless_asked(left):
             result = marcher.march(index, report)
+        before = marcher.yardstick
         with _timed(timings, "check"):
-            attempt = Attempt(result, yardstick.measured(result.slabs))
-            if result.points is not None and attempt.error <= request.rtol:
+            attempt = Attempt(result, before.measured(result.slabs))
+            if result.points is not None and (result.stopped or attempt.error <= request.rtol):
                 try:
-                    yardstick = yardstick.with_points(result.points)
+                    marcher.yardstick = before.with_points(result.points)
                 except OutOfTimeError:  # not measured where it must be
                     result.stopped = Status.TIME_LIMIT
-                attempt = Attempt(result, yardstick.measured(result.slabs))
+                attempt = Attempt(result, marcher.yardstick.measured(result.slabs))
                 if best is not None:
-                    best = Attempt(best.result, yardstick.measured(best.result.slabs))
+                    best = Attempt(best.result, marcher.yardstick.measured(best.result.slabs))
         records += result.records
+        if marcher.yardstick.end < before.end:  # a trajectory ends earlier than was known
+            best = None
+            continue
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         best = attempt if attempt.better_than(best) else best
         out_of_time = result.stopped is Status.TIME_LIMIT
-        done = result.stopped or not yardstick.checked or attempt.error <= request.rtol
+        done = result.stopped or not before.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
         if clock.perf_counter() - began > _PATIENCE and math.isinf(seconds_left()):
             out_of_time = True
             break
-    assert best is not None
+    yardstick = marcher.yardstick
+    if best is None:
+        best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
     status = best.status(yardstick, request.rtol)
     if out_of_time and status is not Status.CONVERGED:
         status = Status.TIME_LIMIT

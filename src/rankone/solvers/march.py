@@ -67,7 +67,7 @@ class MarchResult:
 
     ``stopped`` says why the march ended early; None if it reached the end. ``points`` (m, d) are
     parameter points at which the error must be within the tolerance too if it is at those that are
-    always taken.
+    always taken, or at which the march met its end.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)

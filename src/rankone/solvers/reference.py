@@ -12,7 +12,7 @@ import scipy.integrate
 
 from rankone.arrays import Array
 from rankone.errors import ConvergenceError
-from rankone.solvers.integration import Stack, initial_values
+from rankone.solvers.integration import Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
@@ -151,18 +151,19 @@ def integrate_reference(
             break
         size = np.where(small, largest, size)
     if not steps.pieces:
+        values = points[quickest(system, start, state, points, rtol * _NEGLIGIBLE * size)]
+        where = [f"{n} = {v:.6g}" for n, v in zip(system.PARAMETERS, values, strict=True)]
         raise ConvergenceError(
-            f"no trajectory can be integrated from t = {start:g}: the right-hand side is not "
-            "finite there or varies without bound",
+            f"no trajectory can be integrated from t = {start:g}"
+            + (f" at {', '.join(where)}" if where else "")
+            + ": the right-hand side is not finite there or varies without bound",
             remedy="check the initial values and the coefficients",
         )
     blown, large = None, False
     floor = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
     if reached < end:
-        with np.errstate(all="ignore"):
-            rates = np.abs(system.rhs(reached, state, points.T)) / np.maximum(np.abs(state), floor)
-        blown = int(np.argmax(np.nan_to_num(rates, nan=np.inf).max(axis=0)))
+        blown = quickest(system, reached, state, points, floor)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)

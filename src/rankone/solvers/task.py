@@ -23,7 +23,7 @@ _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP, Status.LEAVES, Sta
 _BRIEF, _SHARE = 2.0, 0.4
 """Seconds for train where cross follows, and their largest share of the time limit."""
 _NEXT = 10.0
-"""Seconds for an engine that is not the first, if no time limit was asked for."""
+"""Seconds for train where cross has failed, if no time limit was asked for."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +97,12 @@ class Task:
         box, horizon, rtol = self.domain.box, self.domain.horizon, self.requests[0].rtol
         return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
 
-    def _seconds(self, tried: int) -> float | None:
-        """What the next engine is given beside the limit that was asked for."""
+    def _seconds(self, engine: Engine[Any], tried: int) -> float | None:
+        """What an engine is given beside the limit that was asked for: train no more than a try."""
+        if engine.name != "train" or len(self.engines) == 1:
+            return None
         if tried:
             return _NEXT if self.max_seconds is None else None
-        if len(self.engines) == 1 or self.engines[0].name != "train":
-            return None
         return min(_BRIEF, _SHARE * (self.max_seconds or math.inf))
 
     def _outcome(self, report: Report) -> tuple[Outcome, str]:
@@ -111,7 +111,7 @@ class Task:
         for engine, request in zip(self.engines, self.requests, strict=True):
             if found and seconds_left() <= 0.0:
                 break
-            with time_limit(self._seconds(len(found))):
+            with time_limit(self._seconds(engine, len(found))):
                 outcome = engine.solve(self.system, self.domain, request, report)
             found.append((outcome, engine.name))
             if outcome.status in _FINAL:

@@ -167,3 +167,31 @@ def test_the_span_of_columns_below_rounding_errors_of_their_products():
         np.testing.assert_allclose(span.T @ span, np.eye(span.shape[1]), atol=1e-12)
         assert np.linalg.norm(columns - span @ (span.T @ columns), 2) < 2e-9
         assert span.shape[1] <= 12
+
+
+def test_a_blow_up_that_only_a_sample_meets():
+    peak = problem(
+        {"x": "-x + 40*exp(-((a - 0.5)**2 + (b - 0.8535534)**2)/4e-5)*x**2"},
+        {"x": 1},
+        {"a": (0, 1), "b": (0, 1)},
+        2,
+    )
+    with pytest.raises(ro.BlowUpError, match="blows up") as caught:
+        ro.solve(peak, rtol=1e-4)
+    assert caught.value.parameters["b"] == pytest.approx(0.8535534, abs=0.01)
+    assert caught.value.solution.time[1] < caught.value.time < 0.1
+
+
+def test_a_fast_state_that_follows_a_high_power():
+    pulses = problem(
+        {"u": "-1000*lam*(u - 200*c**41)", "c": "-w*s", "s": "w*c"},
+        {"u": 200, "c": 1, "s": 0},
+        {"lam": (1, 2), "w": (1, 2)},
+        6,
+    )
+    solution = ro.solve(pulses, rtol=1e-3)
+    times = np.linspace(0.5, 6, 301)
+    exact = 200 * np.cos(1.7 * times) ** 41  # but for the lag of a few thousandths
+    lag = np.abs(np.gradient(exact, times)).max() / 1500
+    assert solution.success
+    assert np.abs(solution["u"](t=times, lam=1.5, w=1.7) - exact).max() < 2 * lag

@@ -90,6 +90,13 @@ def processes_have_ended():
     return not multiprocessing.active_children()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _many_chunks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rankone.solvers.cross.trajectories._STACKED_STATES", 2000)
+        yield
+
+
 @pytest.fixture(scope="module")
 def compiled():
     return ro.compile(EXAMPLES["kirchhoff"].problem)

@@ -80,7 +80,7 @@ class CrossMarcher:
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
         self.trajectories: Trajectories | None = None
-        self.integrated, self.error = 0, np.inf
+        self.integrated, self.error, self.ends = 0, np.inf, yardstick.end
         self.tightness = 0.3
 
     def march(self, number: int, report: Report) -> MarchResult:
@@ -103,8 +103,8 @@ class CrossMarcher:
             result.stopped = Status.TIME_LIMIT
             return result
         except TrajectoryEnds as ends:
-            result.stopped = Status.NO_CONVERGENCE
-            self.ends = ends
+            result.stopped, result.points = Status.NO_CONVERGENCE, ends.point[None, :]
+            self.ends = ends.time
             return result
         finally:
             self.integrated += trajectories.count
@@ -192,6 +192,8 @@ class CrossMarcher:
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
         """Whether a steep dependence on a parameter is the reason, and on which."""
         trajectories, domain = self.trajectories, self.yardstick.domain
+        if status is Status.NO_CONVERGENCE:
+            return status, f"a trajectory cannot be integrated beyond t = {self.ends:.6g}"
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, status.value
         lines = [domain.bounds.mean(axis=1)]

@@ -10,7 +10,7 @@ from rankone.arrays import Array
 from rankone.deadline import check_time
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.solvers.cross.workers import Workers
-from rankone.solvers.integration import Stack
+from rankone.solvers.integration import Stack, quickest
 from rankone.solvers.verification import Yardstick
 from rankone.system import Recipe, System
 
@@ -19,11 +19,11 @@ __all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
 _FEWEST, _STACKED, _STACKED_STIFF, _STACKED_USER = 32, 1500, 300, 64
 """Trajectories integrated together: at least, at most by explicit and by implicit steps, and at
 most with functions of the user, which may be slow."""
-_STACKED_STATES = 6000
+_STACKED_STATES = 15_000
 """States of a stack that fits the cache."""
 _CALIBRATED, _CALIBRATIONS = 8, 3
 """Reference points at which the error of the integration is measured, and how often at most."""
-_STIFF = 0.125
+_STIFF = 0.5
 """Tolerance of stiff integrations over the error wanted."""
 _TIGHTEST = 1e-13
 _ABSOLUTE = 1e-5
@@ -39,11 +39,11 @@ class TooManyTrajectories(Exception):
 
 
 class TrajectoryEnds(Exception):
-    """Some trajectory cannot be integrated to the end; ``time`` is how far it came."""
+    """The trajectory at a point (d,) cannot be integrated to the end; ``time`` is how far."""
 
-    def __init__(self, time: float, points: Array) -> None:
-        super().__init__(time, points)
-        self.time, self.points = time, points
+    def __init__(self, time: float, point: Array) -> None:
+        super().__init__(time, point)
+        self.time, self.point = time, point
 
 
 class Trajectories:
@@ -118,9 +118,9 @@ class Trajectories:
         reference = self.yardstick.reference
         known = reference.points[:_CALIBRATED]
         exact = reference(self.grid.times)[:, : len(known)] / self.sizes[:, None, None]
-        for _ in range(_CALIBRATIONS):
+        for number in range(_CALIBRATIONS):
             found = self._integrated(np.concatenate([known, points]))
-            self.count += len(known)
+            self.count += len(known) + (len(points) if number else 0)
             ours, found = np.split(found, [len(known)], axis=1)
             share = float(np.abs(exact.swapaxes(1, 2) - self._in_sizes(ours)).max()) / self.wanted
             if not 0.1 <= share <= 1.0:
@@ -189,9 +189,10 @@ def _integrated(
     """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
     record = _AtNodes(times, sizes.size, len(points))
     atol = _ABSOLUTE * tolerance * sizes[:, None]
-    Stack(system, points, edges).run(record, tolerance, atol, stiff)
+    state, _ = Stack(system, points, edges).run(record, tolerance, atol, stiff)
     if record.reached < times.size or not np.isfinite(record.values).all():
-        raise TrajectoryEnds(float(times[max(record.reached - 1, 0)]), points)
+        ends = quickest(system, record.time, state, points, atol)
+        raise TrajectoryEnds(record.time, points[ends])
     units = sizes * np.sqrt(times.size)
     scaled = record.values.transpose(1, 0, 2) / units[:, None, None]
     return np.asarray(scaled.reshape(-1, len(points)))
@@ -228,14 +229,15 @@ class _AtNodes:
 
     def __init__(self, times: Array, states: int, points: int) -> None:
         self.times, self.values = times, np.empty((times.size, states, points))
-        self.reached = 0
+        self.reached, self.time = 0, 0.0
 
     def begin(self, start: float) -> None:
         """Start at the first node."""
-        self.reached = 0
+        self.reached, self.time = 0, start
 
     def add(self, solver: Any) -> None:
         """Keep the states at the nodes that the step passes."""
+        self.time = solver.t
         end = int(np.searchsorted(self.times, solver.t, side="right"))
         if end > self.reached:
             at = self.times[self.reached : end]
