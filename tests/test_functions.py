@@ -165,3 +165,20 @@ def test_functions_may_change_their_arguments():
     np.testing.assert_array_equal(system.rhs(0.0, state, [1.0])[0], [6.0, 12.0])
     system.jacobian(0.0, state, [1.0])
     np.testing.assert_array_equal(state, [[3.0, 4.0]])
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        (ro.table([0, 1], [0, 0], name="rain"), ro.table([0, 1], [1, 1], name="rain")),
+        (ro.function("q", np.sin, np.cos), ro.function("q", np.cos, np.sinh)),
+        (ro.function("q", np.sin, np.cos), ro.function("q_1", np.cos, np.sinh)),
+    ],
+)
+def test_two_of_one_name_are_refused(pair):
+    t, k = sp.symbols("t k")
+    x = sp.Function("x")(t)
+    one, two = pair
+    equation = sp.Eq(x.diff(t), -k * one(x) - two(t))
+    with pytest.raises(ro.ProblemError, match="names two tables or functions"):
+        ro.Problem([equation], (t, 0, 1), {k: (0.5, 1.5)}, {x: 1})

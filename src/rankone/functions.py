@@ -335,6 +335,20 @@ def known_applied(expressions: Iterable[sp.Basic]) -> list[DataFunction]:
     return sorted(found, key=sp.default_sort_key)
 
 
+def check_distinct(expressions: Iterable[sp.Basic]) -> None:
+    """Raise a ProblemError if two tables or users' functions go by one name in source."""
+    found: dict[str, type[DataFunction]] = {}
+    for part in known_applied(expressions):
+        slopes = [part.fdiff(k + 1) for k in range(len(part.args))]
+        for each in (part, *(slope for slope in slopes if isinstance(slope, DataFunction))):
+            if found.setdefault(each.written(), type(each)) is not type(each):
+                raise ProblemError(
+                    f"{quote(each.func)} names two tables or functions, or a derivative",
+                    term=each,
+                    remedy="give them names that differ",
+                )
+
+
 def namespace_of(expressions: Iterable[sp.Basic]) -> Mapping[str, Callable[..., Any]]:
     """The users' functions and their derivatives, by their names in generated source."""
     found: dict[str, Callable[..., Any]] = {}

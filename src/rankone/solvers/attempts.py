@@ -122,12 +122,15 @@ def solve_in_attempts(
     stalls, out_of_time = 0, False
     began = clock.perf_counter()
     try:
-        with _timed(timings, "reference"):
+        with _timed(timings, "reference"), _unless_asked(_FIRST):
             yardstick = Yardstick.of(system, domain, request.rtol, request.points)
             marcher = prepared(request, yardstick)
             marcher.yardstick = yardstick
-    except OutOfTimeError:
-        message = f"{Status.TIME_LIMIT.value} by the reference trajectories; raise max_seconds"
+    except OutOfTimeError as out:
+        message = f"{Status.TIME_LIMIT.value} by the reference trajectories"
+        if out.args:
+            message += ", at t = {:.6g} after {} steps".format(*out.args)
+        message += "; raise max_seconds, or smooth what switches back and forth"
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
         left = (_LONGEST if index else _FIRST) - (clock.perf_counter() - began)

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.integrate
 
 from rankone.arrays import Array
+from rankone.deadline import OutOfTimeError
 from rankone.errors import ConvergenceError
 from rankone.solvers.integration import Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
@@ -135,6 +136,8 @@ def integrate_reference(
     ------
     ConvergenceError
         If not a single step can be made.
+    OutOfTimeError
+        With the time reached and the number of steps.
     """
     stack = Stack(system, points, [start, *cuts, end])
     initial = initial_values(system, np.ascontiguousarray(points.T))
@@ -144,7 +147,10 @@ def integrate_reference(
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
         atol = rtol * _NEGLIGIBLE * size
-        state, stiff = stack.run(steps, rtol, atol, max_step=longest)
+        try:
+            state, stiff = stack.run(steps, rtol, atol, max_step=longest)
+        except OutOfTimeError as out:
+            raise OutOfTimeError(steps.times[-1], len(steps.pieces)) from out
         largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
         small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
         if not small.any():

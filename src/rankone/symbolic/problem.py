@@ -13,6 +13,7 @@ import sympy as sp
 from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import ProblemError, warn
+from rankone.functions import check_distinct
 from rankone.ir import Coordinate
 from rankone.symbolic.box import check_parameters, check_time
 from rankone.symbolic.equations import (
@@ -107,6 +108,7 @@ class Problem:
         check_names([(name_of(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
+        check_distinct([*residuals, *initial.values()])
         used = sp.Tuple(*residuals, *initial.values()).free_symbols
         for symbol in (symbol for symbol in box if symbol not in used):
             warn(
