@@ -15,6 +15,8 @@ __all__ = ["Front", "steepest_front"]
 
 _PLACES, _ZOOM = 65, 9
 """Places on a line through the box, and between two of them when looked at closer."""
+_LARGEST = 4
+"""Pairs of neighbours on a line that are looked at closer."""
 _LARGE = 0.1
 """Change of a state, in units of its size, that makes a front."""
 _KEPT = 0.5
@@ -92,28 +94,36 @@ def steepest_front(
         for j in range(len(domain.box))
         for front in _on_line(values, domain.box[j], point, j)
     ]
-    return min(found, key=lambda front: (front.share, -front.change), default=None)
+    return min(
+        found, key=lambda front: (front.share, not front.at_end, -front.change), default=None
+    )
 
 
 def _on_line(
     values: Callable[[Array], Array], interval: tuple[float, float], point: Array, j: int
 ) -> Iterator[Front]:
-    """The front on the line through a point along parameter j, if there is one."""
-    (a, b), width, least = interval, interval[1] - interval[0], _LARGE
-    count = _PLACES
-    front = None
-    while (b - a) > _JUMP * width:
+    """Fronts on the line through a point along parameter j, at the end and at any time."""
+    width = interval[1] - interval[0]
+
+    def changes(a: float, b: float, count: int) -> tuple[Array, Array]:
+        """Places, and changes (n, T, count - 1) between them."""
         places = np.linspace(a, b, count)
         line = np.tile(point, (count, 1))
         line[:, j] = places
-        changes = np.abs(np.diff(values(line), axis=2))  # (n, T, count - 1)
-        i = int(changes.max(axis=(0, 1)).argmax())
-        change = float(changes[:, :, i].max())
-        if not change >= least:
-            break
-        a, b, least, count = places[i], places[i + 1], _KEPT * change, _ZOOM
-        state = int(changes[:, :, i].max(axis=1).argmax())
-        at_end = bool(changes[:, -1, i].max() >= _KEPT * change)
-        front = Front(j, state, a, b, (b - a) / width, change, at_end, point)
-    if front is not None and front.share < _STEEP:
-        yield front
+        return places, np.abs(np.diff(values(line), axis=2))
+
+    places, coarse = changes(*interval, _PLACES)
+    for times in (slice(-1, None), slice(None)):
+        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[:_LARGEST]:
+            a, b, found = places[i], places[i + 1], coarse[:, times, i]
+            if not found.max() >= _LARGE:
+                break
+            while b - a > _JUMP * width:
+                closer, fine = changes(a, b, _ZOOM)
+                k = int(fine[:, times].max(axis=(0, 1)).argmax())
+                if not fine[:, times, k].max() >= _KEPT * found.max():
+                    break
+                a, b, found = closer[k], closer[k + 1], fine[:, times, k]
+            if b - a < _STEEP * width:
+                state, at_end = int(found.max(axis=1).argmax()), found.shape[1] == 1
+                yield Front(j, state, a, b, (b - a) / width, float(found.max()), at_end, point)
