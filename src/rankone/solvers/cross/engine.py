@@ -14,12 +14,11 @@ from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
 from rankone.solvers.attempts import Attempt, solve_in_attempts
-from rankone.solvers.cross.nodes import divided, first_bases, line_count, more_nodes
+from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.samples import Samples
 from rankone.solvers.cross.steep import steepest_front
-from rankone.solvers.cross.suspects import steepest_point, suspects
 from rankone.solvers.cross.sweep import Interpolation, interpolate, left_points, rounded
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
@@ -27,6 +26,7 @@ from rankone.solvers.cross.workers import Workers, open_workers
 from rankone.solvers.engine import Engine, Report, Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Outcome, Status
+from rankone.solvers.suspects import steepest_point, suspects
 from rankone.solvers.verification import Yardstick
 from rankone.system import System
 from rankone.tensors.train import apply_to_modes
@@ -36,14 +36,14 @@ __all__ = ["ENGINE", "solve_cross"]
 _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
 _LEFT_POINTS = 9
-_SMOOTH = 3.0
-"""Nodes in one parameter, over those of the first lines, from which a solution is steep there."""
-_CORNERS = 3
-"""Number of parameters up to which the corners are checked as strictly as the interior."""
 _EXPLAINING = 5.0
 """Seconds for finding a reason."""
 _PATIENCE, _CHEAP = 5, 20_000
 """Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
+_FEW = 3
+"""So many times that number, the tolerances of an attempt are lowered once whatever the errors."""
+_SETTLED = 1.2
+"""Growth of the nodes up to which more of them alone are not expected to suffice."""
 _FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
@@ -118,11 +118,7 @@ class CrossMarcher:
         modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
         self.spectra = _spectra(modal)
         result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
-        smooth = _SMOOTH * line_count(self.rtol, self.options)
-        steep = any(basis.elements > 1 or basis.size > smooth for basis in bases)
-        if steep or len(bases) > _CORNERS:
-            looked_at = result.slabs if steep else result.slabs[-1:]
-            result.points = suspects(looked_at, bases, trajectories.sizes, number)
+        result.points = suspects(result.slabs, trajectories.sizes, number, self.rtol)
         ranks = tuple(core.shape[0] for core in modal[1:])
         tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
         sizes = tuple(basis.size for basis in bases)
@@ -173,11 +169,16 @@ class CrossMarcher:
         before, self.error = self.error, attempt.error
         if self.integrated < _CHEAP:
             patient = grown or stalls < _PATIENCE
+        elif self.share == 1.0 and self.integrated < _FEW * _CHEAP:  # not all was tried
+            patient = True
         else:
             patient = stalls < 2 and attempt.error < max(_FAR * self.rtol, _FAST * before)
         if not patient:
             return False
-        if finer == self.bases or (stalls and not grown):
+        settled = all(
+            new.size <= _SETTLED * b.size for new, b in zip(finer, self.bases, strict=True)
+        )
+        if settled or (stalls and not grown):
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
             finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
@@ -197,8 +198,8 @@ class CrossMarcher:
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, status.value
         lines = [domain.bounds.mean(axis=1)]
-        if attempt.result.slabs and self.bases is not None:
-            lines.append(steepest_point(attempt.result.slabs[-1], self.bases, trajectories.sizes))
+        if attempt.result.slabs:
+            lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
         try:
             with time_limit(_EXPLAINING):
                 front = steepest_front(trajectories.values, domain, lines)

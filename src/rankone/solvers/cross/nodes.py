@@ -19,7 +19,7 @@ from rankone.domain import Domain
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 
-__all__ = ["divided", "first_bases", "line_count", "more_nodes"]
+__all__ = ["divided", "first_bases", "more_nodes"]
 
 _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
@@ -53,7 +53,7 @@ def first_bases(
     geometrically, which tells how many are needed beyond those of the line.
     """
     kind = BASES[options.basis]
-    count = line_count(rtol, options)
+    count = _count(rtol, options)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
     lines = Lines(trajectories, domain)
     values = lines([(j, basis.nodes) for j, basis in enumerate(bases)])
@@ -80,7 +80,7 @@ def divided(
     options: CrossOptions,
 ) -> tuple[Basis1D, ...]:
     """The same bases, but elements where one of many nodes does no better."""
-    count = line_count(rtol, options)
+    count = _count(rtol, options)
     lines = Lines(trajectories, domain)
     found = list(bases)
     for j, basis in enumerate(bases):
@@ -92,7 +92,7 @@ def divided(
     return tuple(found)
 
 
-def line_count(rtol: float, options: CrossOptions) -> int:
+def _count(rtol: float, options: CrossOptions) -> int:
     """Nodes of the lines that come first, and of each element."""
     return min(max(round(4.0 + 1.4 * -math.log10(rtol)), 6), options.max_nodes)
 

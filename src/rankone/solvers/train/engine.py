@@ -13,6 +13,7 @@ from rankone.solvers.engine import Engine, Request
 from rankone.solvers.march import March, MarchResult
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.sensitivity import amplification
+from rankone.solvers.suspects import suspects
 from rankone.solvers.train.iteration import SlabIteration
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
@@ -55,6 +56,8 @@ class TrainMarcher(Marcher):
         iteration = SlabIteration(yardstick, collocation, accuracy, nodes, index)
         march = March(lengths, iteration, self.options.max_slabs)
         result = march.run(yardstick.reference.start, yardstick.end, index, report)
+        if result.stopped is None:
+            result.points = suspects(result.slabs, yardstick.states, index, self.rtol)
         self.guesses = iteration.guesses
         return result
 

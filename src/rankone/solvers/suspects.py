@@ -1,0 +1,98 @@
+"""Where a solution is most likely to be wrong: what random points of the box would miss."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.discretization import Basis1D
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["steepest_point", "suspects"]
+
+_SMOOTH = 3.0
+"""Nodes in one parameter, over those of a smooth dependence, from which a solution is steep."""
+_CORNERS = 3
+"""Number of parameters up to which the corners are checked as strictly as the interior."""
+_ELEMENTS = 16
+"""Elements of a parameter in which the error is measured."""
+_SLABS, _CANDIDATES, _CHOSEN = 4, 512, 12
+"""Slabs looked at, candidates on each, and how many are taken of them."""
+_SHIFT = 2e-3
+"""Change of every parameter, in widths of its interval, over which the solution is compared."""
+
+
+def suspects(slabs: Sequence[SlabTrain], sizes: Array, number: int, rtol: float) -> Array | None:
+    """Parameter points (m, d) at which a solution is to be measured beside random ones.
+
+    Where a parameter has elements or many nodes: inside narrow elements, and where the solution is
+    steep, on several slabs; with so many parameters that their corners do not decide, where it
+    changes on the last slab; None otherwise.
+
+    Parameters
+    ----------
+    slabs : sequence of SlabTrain
+    sizes : ndarray (n,)
+        Sizes of the states.
+    number : int
+        That of the attempt: each has points of its own.
+    rtol : float
+        Its tolerance tells how many nodes are many.
+    """
+    many = _SMOOTH * (4.0 - 1.4 * math.log10(rtol))
+    steep = [s for s in slabs if any(b.elements > 1 or b.size > many for b in s.bases)]
+    looked_at = steep or slabs[-1:]
+    if not looked_at or not (steep or len(slabs[-1].bases) > _CORNERS):
+        return None
+    generator = np.random.default_rng((20140, number))
+    points = [_inside_elements(looked_at[-1].bases, generator)]
+    for i in {round(i) for i in np.linspace(0, len(looked_at) - 1, _SLABS)}:
+        lower, upper = _bounds(looked_at[i].bases)
+        candidates = lower + (upper - lower) * generator.random((_CANDIDATES, lower.size))
+        change = _steepness(looked_at[i], candidates, sizes) ** (2.0 if steep else 1.0)
+        if np.count_nonzero(change) >= _CHOSEN and np.isfinite(change).all():
+            weights = change / change.sum()
+            points.append(
+                candidates[generator.choice(_CANDIDATES, _CHOSEN, replace=False, p=weights)]
+            )
+    found = np.concatenate(points)
+    return found if len(found) else None
+
+
+def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -> Array:
+    """A random point in each of the narrowest elements of each parameter, (m, d)."""
+    lower, upper = _bounds(bases)
+    points = np.zeros((0, lower.size))
+    for j, basis in enumerate(bases):
+        if basis.elements > 1:
+            narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_ELEMENTS]
+            inside = lower + (upper - lower) * generator.random((narrow.size, lower.size))
+            share = generator.random(narrow.size)
+            inside[:, j] = (1.0 - share) * basis.edges[narrow] + share * basis.edges[narrow + 1]
+            points = np.concatenate([points, inside])
+    return points
+
+
+def steepest_point(slab: SlabTrain, sizes: Array) -> Array:
+    """A point (d,) of the box at which the end of a slab depends steeply on some parameter."""
+    lower, upper = _bounds(slab.bases)
+    unit = np.random.default_rng(20140).random((_CANDIDATES, lower.size))
+    points = lower + (upper - lower) * unit
+    return np.asarray(points[np.argmax(_steepness(slab, points, sizes))])
+
+
+def _bounds(bases: Sequence[Basis1D]) -> tuple[Array, Array]:
+    return np.array([b.lower for b in bases]), np.array([b.upper for b in bases])
+
+
+def _steepness(slab: SlabTrain, points: Array, sizes: Array) -> Array:
+    """Largest change of a state at the end of a slab over a small step across the box, (m,)."""
+    lower, upper = _bounds(slab.bases)
+    generator = np.random.default_rng(20140)
+    step = _SHIFT * (upper - lower) * generator.choice([-1.0, 1.0], points.shape)
+    times = np.full(len(points), slab.end)
+    one, two = (slab(times, np.clip(points + s, lower, upper).T) for s in (step, -step))
+    return np.asarray((np.abs(one - two) / sizes[:, None]).max(axis=0))
