@@ -79,3 +79,13 @@ def test_records_are_plain_data_with_annotated_fields(record: type[SlabRecord]) 
         kind = hints[field.name]
         items = typing.get_args(kind)
         assert items[1:] == (...,) if items else kind in (int, float, bool, str), field.name
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [("max_trajectory", "max_trajectories"), ("executer", "executor"), ("max_degre", "max_degree")],
+)
+def test_auto_knows_the_options_of_all_that_it_tries(given, meant):
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
+    with pytest.raises(ro.OptionError, match=f"did you mean `{meant}`"):
+        ro.solve(problem, **{given: 5})

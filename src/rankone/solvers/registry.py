@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from difflib import SequenceMatcher
 from typing import Any
 
 from rankone.errors import OptionError
@@ -49,7 +50,7 @@ def engines_for(
         knowing = [e for e in possible if set(options) <= set(e.options.names())]
         if knowing:
             return tuple(knowing)
-        engine = max(possible, key=lambda e: len(set(options) & set(e.options.names())))
+        engine = max(possible, key=lambda e: _knows(e, options))
     elif isinstance(method, str) and method in ENGINES:
         engine = ENGINES[method]
     else:
@@ -66,3 +67,10 @@ def engines_for(
                 remedy=f"choose {' or '.join(owners)}, or leave the option out",
             )
     return (engine,)
+
+
+def _knows(engine: Engine[Any], options: Collection[str]) -> tuple[int, float]:
+    """How many of the options an engine has, and how much alike to them its own are spelt."""
+    names = engine.options.names()
+    alike = sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)
+    return len(set(options) & set(names)), alike
