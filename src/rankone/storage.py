@@ -36,6 +36,17 @@ FORMAT_VERSION = 2
 """The newest version: 2 if there are elements of unequal size, else 1 is written."""
 _PLAIN = ("status", "message", "measured", "timings", "blow_up")
 """Fields of an outcome that the header holds as they are."""
+_DAMAGE = (
+    BadZipFile,
+    EOFError,
+    LookupError,
+    NotImplementedError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    ZlibError,
+)
+"""What reading a damaged file may raise."""
 _NEAR = 1e-9
 """Part of the horizon by which the ends of slabs may miss each other."""
 
@@ -113,7 +124,7 @@ def read(
         raise StorageError(f"there is no file `{given}`", term=given) from None
     except OSError as error:
         raise StorageError(f"`{given}` cannot be read: {error}", term=given) from error
-    except (BadZipFile, EOFError, LookupError, TypeError, ValueError, ZlibError) as error:
+    except _DAMAGE as error:
         raise StorageError(
             f"`{given}` is damaged ({type(error).__name__}: {error})",
             term=given,

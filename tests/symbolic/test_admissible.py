@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import sympy as sp
 
+import rankone as ro
 from rankone.ir import Coordinate
 from rankone.symbolic.admissible import defect, sign, zero
 
@@ -71,3 +72,10 @@ def test_zeros():
     assert zero(k**2, on(-1, 1)) == 0
     assert zero(sp.Integer(2), on(-1, 1)) is None
     assert zero(sp.sign(k - sp.Rational(1, 3)), on(-1, 1)) is None
+
+
+def test_a_steep_logistic_has_no_pole():
+    problem = ro.Problem.from_strings(
+        {"x": "1/(1 + exp(-80*(c - 0.738))) - x"}, {"x": 0}, {"c": (0, 1)}, (0, 2)
+    )
+    assert ro.solve(problem, rtol=1e-3).success

@@ -25,6 +25,10 @@ __all__ = ["Recorder", "Stack", "initial_values", "quickest"]
 
 _FIRST_PROBE, _PROBE_STEPS = 30, 100
 """DOP853 steps after which it is asked whether stability limits the step, first and then."""
+_AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
+"""Relative changes of the states after which rates are asked for, to find those not finite."""
+_STUCK, _LEAST = 1000, 1e-9
+"""So many steps one after the other below this part of the horizon are the end of a trajectory."""
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
 
@@ -231,7 +235,8 @@ class Stack:
         """Step over all segments; None if the method is given up."""
         state = initial_values(self.system, np.ascontiguousarray(self.points.T))
         recorder.begin(self.edges[0])
-        count = 0
+        count = stuck = 0
+        least = _LEAST * (self.edges[-1] - self.edges[0])
         for a, b in itertools.pairwise(self.edges):
             solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
             while solver.status == "running":
@@ -240,6 +245,9 @@ class Stack:
                 if solver.status == "failed":
                     return state
                 recorder.add(solver)
+                stuck = stuck + 1 if solver.step_size < least else 0
+                if stuck == _STUCK:
+                    return np.asarray(solver.y.reshape(self.shape))
                 state, count = solver.y.reshape(self.shape), count + 1
                 if give_up(solver, count):
                     return None
@@ -272,13 +280,20 @@ class Stack:
 
 
 def quickest(system: System, time: float, state: Array, points: Array, floor: Any) -> int:
-    """The trajectory of a stack, state (n, m) at points (m, d), that changes fastest in its size.
+    """The trajectory of a stack, state (n, m) at points (m, d), that is the first to have no end.
 
-    ``floor`` is a size below which states do not count.
+    The one whose rates are the first not to be finite a little later, or the one that changes
+    fastest in its size; ``floor`` is a size below which states do not count.
     """
     with np.errstate(all="ignore"):
-        rates = np.abs(system.rhs(time, state, points.T)) / np.maximum(np.abs(state), floor)
-    return int(np.argmax(np.nan_to_num(rates, nan=np.inf).max(axis=0)))
+        rates = system.rhs(time, state, points.T)
+        for step in _AHEAD:
+            later = system.rhs(time, state + step * np.abs(state) * np.sign(rates), points.T)
+            lost = ~np.isfinite(later).all(axis=0)
+            if lost.any():
+                return int(np.argmax(lost))
+        speeds = np.abs(rates) / np.maximum(np.abs(state), floor)
+    return int(np.argmax(np.nan_to_num(speeds, nan=np.inf).max(axis=0)))
 
 
 def initial_values(system: System, parameters: Array) -> Array:

@@ -9,9 +9,11 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D
+from rankone.domain import Domain
+from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["steepest_point", "suspects"]
+__all__ = ["active_points", "steepest_point", "suspects"]
 
 _SMOOTH = 3.0
 """Nodes in one parameter, over those of a smooth dependence, from which a solution is steep."""
@@ -21,8 +23,42 @@ _ELEMENTS = 16
 """Elements of a parameter in which the error is measured."""
 _SLABS, _CANDIDATES, _CHOSEN = 4, 512, 12
 """Slabs looked at, candidates on each, and how many are taken of them."""
+_GRID = 1025
+"""Samples of a factor over its interval."""
+_RARE, _TERMS = 0.2, 4
+"""Share of the box below which a term is rarely active, and the number of such terms at most."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
+
+
+def active_points(system: System, domain: Domain) -> Array:
+    """Points (m, d) at which separated terms are large that are small in most of the box.
+
+    A product of narrow or steep factors is nearly zero at random points. For the terms that are
+    active in the smallest part of the box, (∫|f|)²/∫f² of each factor f, points are drawn in
+    proportion to the sizes of their factors.
+    """
+    d = len(domain.box)
+    none = np.zeros((0, d))
+    if not system.SEPARATED or d == 0:
+        return none
+    grids = [np.linspace(*interval, _GRID) for interval in domain.box]
+    sizes = [np.abs(system.parameter_factors(j, grid)) for j, grid in enumerate(grids)]
+    parts = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
+    products = {rows[1:] for _, _, rows, _ in system.TERMS}
+    products |= {rows for _, _, rows in system.INITIAL}
+    shares = {rows: math.prod(p[r] for p, r in zip(parts, rows, strict=True)) for rows in products}
+    rare = sorted((rows for rows in products if 0.0 < shares[rows] < _RARE), key=shares.__getitem__)
+    generator = np.random.default_rng(20140)
+    found = [none]
+    rare = rare[:_TERMS]
+    for rows in rare:
+        drawn = np.empty((_TERMS * _CHOSEN // len(rare), d))
+        for j, row in enumerate(rows):
+            sums = np.cumsum(sizes[j][row])
+            drawn[:, j] = np.interp(generator.random(len(drawn)), sums / sums[-1], grids[j])
+        found.append(drawn)
+    return np.concatenate(found)
 
 
 def suspects(slabs: Sequence[SlabTrain], sizes: Array, number: int, rtol: float) -> Array | None:

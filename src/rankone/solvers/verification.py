@@ -13,6 +13,7 @@ from rankone.domain import Domain
 from rankone.solvers.breakpoints import system_breakpoints
 from rankone.solvers.outcome import Measured
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
+from rankone.solvers.suspects import active_points
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
@@ -60,9 +61,11 @@ class Yardstick:
         cuts, special = system_breakpoints(system, domain)
         check *= 1 if system.SEPARATED else _GENERAL
         points = check_points(domain.bounds, check, special=special if check else ())
+        active = active_points(system, domain) if check else points[:0]
+        points = np.concatenate([points, active])
         accuracy = max(1e-3 * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
-        interior = 1 + check + 2 * sum(map(len, special))
+        interior = 1 + check + 2 * sum(map(len, special)) + len(active)
         corners = len(points) - interior if check and domain.box else 0
         where = tuple(map(tuple, special))
         return cls(system, domain, accuracy, reference, corners, bool(check), cuts, where)

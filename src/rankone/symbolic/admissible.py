@@ -79,10 +79,10 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
         return float(exact[0])
     (changes,) = np.nonzero(np.diff(np.sign(values)))
     least = int(np.nanargmin(np.abs(values)))
-    scale = float(np.nanmax(np.abs(values)))
     for i in [least, *changes]:
         point, smallest = _zoom_in(function, points, int(i))
-        if smallest <= _VANISHES * scale:
+        nearby = np.abs(values[max(int(i) - 1, 0) : int(i) + 2])
+        if smallest <= _VANISHES * float(np.nanmax(nearby)):  # beside, it is far larger
             return point
     return None
 

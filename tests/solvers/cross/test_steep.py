@@ -61,7 +61,11 @@ def test_growth_at_a_pole_of_the_sensitivity_is_solved_or_refused():
 
 @pytest.mark.parametrize(
     ("rate", "initial", "box", "where"),
-    [("-1/x", "k", (1.3, 3), 1.3), ("-k*sqrt(x)", "1", (0.1, 0.69), 0.69)],
+    [
+        ("-1/x", "k", (1.3, 3), 1.3),
+        ("-k*sqrt(x)", "1", (0.1, 0.69), 0.69),
+        ("k*sqrt(1 - x) + 0.01", "0", (0.5, 3), 3),
+    ],
 )
 def test_an_end_names_the_trajectory_that_ends(rate, initial, box, where):
     with pytest.raises(ro.BlowUpError, match="right-hand side is not finite") as caught:
@@ -195,3 +199,18 @@ def test_a_fast_state_that_follows_a_high_power():
     lag = np.abs(np.gradient(exact, times)).max() / 1500
     assert solution.success
     assert np.abs(solution["u"](t=times, lam=1.5, w=1.7) - exact).max() < 2 * lag
+
+
+@pytest.mark.parametrize("width", [0.07, 0.05])
+def test_a_product_of_narrow_factors(width):
+    peak = problem(
+        {"x": f"-x + exp(-((a - 0.27)**2 + (b - 0.68)**2 + (c - 0.4)**2)/{width}**2)"},
+        {"x": 0.1},
+        dict.fromkeys("abc", (0, 1)),
+        5,
+    )
+    solution = ro.solve(peak, rtol=1e-3)
+    a, b, c = np.random.default_rng(9).normal([[0.27], [0.68], [0.4]], 0.1, (3, 2000)).clip(0, 1)
+    height = np.exp(-((a - 0.27) ** 2 + (b - 0.68) ** 2 + (c - 0.4) ** 2) / width**2)
+    exact = height + (0.1 - height) * np.exp(-5)
+    assert solution.success == (np.abs(solution["x"](t=5.0, a=a, b=b, c=c) - exact).max() < 5e-3)
