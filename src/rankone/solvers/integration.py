@@ -23,7 +23,7 @@ from rankone.system import System
 
 __all__ = ["Recorder", "Stack", "initial_values", "quickest"]
 
-_FIRST_PROBE, _PROBE_STEPS = 30, 100
+_FIRST_PROBES, _PROBE_STEPS = (10, 15, 20, 30), 100
 """DOP853 steps after which it is asked whether stability limits the step, first and then."""
 _AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
 """Relative changes of the states after which rates are asked for, to find those not finite."""
@@ -120,10 +120,12 @@ class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
         With h far above a stiff time scale the estimate of the error sees the nodes only. The
         defect of the interpolant, divided by the matrix of the Newton iteration, is its error.
         """
+        if not self._between:
+            return super()._step_impl()  # type: ignore[no-any-return]
         before = {name: getattr(self, name) for name in _STATE}
         while True:
             done, message = super()._step_impl()
-            if not (done and self._between):
+            if not done:
                 return done, message
             h = self.t - before["t"]
             error = max(self._interpolation_error(share) for share in self._between)
@@ -264,7 +266,7 @@ class Stack:
 
     def _met_stiffness(self, solver: Any, count: int) -> bool:
         """Whether stability limits the step: the fastest rate of decay at the present state."""
-        if count != _FIRST_PROBE and count % _PROBE_STEPS:
+        if count not in _FIRST_PROBES and count % _PROBE_STEPS:
             return False
         blocks = self._blocks(solver.t, solver.y)
         if not np.isfinite(blocks).all():

@@ -15,8 +15,9 @@ from rankone.tensors.slab import SlabTrain
 
 __all__ = ["active_points", "steepest_point", "suspects"]
 
-_SMOOTH = 3.0
-"""Nodes in one parameter, over those of a smooth dependence, from which a solution is steep."""
+_SMOOTH, _SMOOTH_ALONE = 3.0, 9.0
+"""Nodes in one parameter, over those of a smooth dependence, from which a solution is steep, with
+other parameters and with none: random points of one parameter alone lie close."""
 _CORNERS = 3
 """Number of parameters up to which the corners are checked as strictly as the interior."""
 _ELEMENTS = 16
@@ -78,7 +79,8 @@ def suspects(slabs: Sequence[SlabTrain], sizes: Array, number: int, rtol: float)
     rtol : float
         Its tolerance tells how many nodes are many.
     """
-    many = _SMOOTH * (4.0 - 1.4 * math.log10(rtol))
+    factor = _SMOOTH if slabs and len(slabs[-1].bases) > 1 else _SMOOTH_ALONE
+    many = factor * (4.0 - 1.4 * math.log10(rtol))
     steep = [s for s in slabs if any(b.elements > 1 or b.size > many for b in s.bases)]
     looked_at = steep or slabs[-1:]
     if not looked_at or not (steep or len(slabs[-1].bases) > _CORNERS):
