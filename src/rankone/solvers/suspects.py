@@ -49,7 +49,8 @@ def active_points(system: System, domain: Domain) -> Array:
     products = {rows[1:] for _, _, rows, _ in system.TERMS}
     products |= {rows for _, _, rows in system.INITIAL}
     shares = {rows: math.prod(p[r] for p, r in zip(parts, rows, strict=True)) for rows in products}
-    rare = sorted((rows for rows in products if 0.0 < shares[rows] < _RARE), key=shares.__getitem__)
+    rare = [rows for rows in products if 0.0 < shares[rows] < _RARE]
+    rare = sorted(rare, key=lambda rows: (shares[rows], rows))
     generator = np.random.default_rng(20140)
     found = [none]
     rare = rare[:_TERMS]

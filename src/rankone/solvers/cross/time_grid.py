@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -22,6 +22,13 @@ _SHORTEST_OF_ALL = 1e-18
 """The same, relative to the horizon."""
 _PROBES = np.array([-0.999999, -0.97, -0.31, 0.42, 0.98, 0.999999])
 """Where interpolation in time is tried, on [-1, 1]: beside the ends, where it may jump."""
+
+
+@lru_cache
+def _nodes(count: int) -> tuple[Array, Array]:
+    """Gauss-Legendre nodes on [-1, 1], and the matrix from values there to coefficients."""
+    xi, _ = leggauss(count)
+    return xi, np.asarray(np.linalg.inv(legendre_values(xi, count)))
 
 
 @dataclass(frozen=True)
@@ -47,14 +54,14 @@ class TimeGrid:
     @cached_property
     def times(self) -> Array:
         """Nodes of all slabs, ascending, shape (T,)."""
-        xi = 0.5 * (leggauss(self.count)[0] + 1.0)
+        xi = 0.5 * (_nodes(self.count)[0] + 1.0)
         return np.concatenate([a + (b - a) * xi for a, b in itertools.pairwise(self.breaks)])
 
     def trains(
         self, first: Array, cores: Sequence[Array], bases: Sequence[Basis1D]
     ) -> list[SlabTrain]:
         """One train for each slab, from the states at the nodes, (n, T, r), and the other cores."""
-        to_modal = np.linalg.inv(legendre_values(leggauss(self.count)[0], self.count))
+        _, to_modal = _nodes(self.count)
         trains = []
         for k, (a, b) in enumerate(itertools.pairwise(self.breaks)):
             local = to_modal @ first[:, k * self.count : (k + 1) * self.count]
@@ -84,8 +91,7 @@ def resolving_breaks(
     most : int
         Largest number of slabs.
     """
-    xi = leggauss(count)[0]
-    to_modal = np.linalg.inv(legendre_values(xi, count))
+    xi, to_modal = _nodes(count)
     at_probes = legendre_values(_PROBES, count) @ to_modal
     inside = 0.5 * (np.concatenate([xi, _PROBES]) + 1.0)
     waiting = list(itertools.pairwise(edges))
