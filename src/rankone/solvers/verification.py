@@ -19,6 +19,8 @@ from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Yardstick"]
 
+_ACCURACY = 3e-3
+"""Tolerance of the reference, for the worst of its trajectories, over that asked for."""
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
 _GENERAL = 4
@@ -63,7 +65,7 @@ class Yardstick:
         points = check_points(domain.bounds, check, special=special if check else ())
         active = active_points(system, domain) if check else points[:0]
         points = np.concatenate([points, active])
-        accuracy = max(1e-3 * rtol, 3e-13)
+        accuracy = max(_ACCURACY * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
         interior = 1 + check + 2 * sum(map(len, special)) + len(active)
         corners = len(points) - interior if check and domain.box else 0

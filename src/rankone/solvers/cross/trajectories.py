@@ -23,7 +23,7 @@ _STACKED_STATES = 15_000
 """States of a stack that fits the cache."""
 _CALIBRATED, _CALIBRATIONS = 8, 3
 """Reference points at which the error of the integration is measured, and how often at most."""
-_STIFF = 0.5
+_STIFF = 1.5
 """Tolerance of stiff integrations over the error wanted."""
 _TIGHTEST = 1e-13
 _ABSOLUTE = 1e-5
