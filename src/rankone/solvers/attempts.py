@@ -22,8 +22,8 @@ __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
 _PATIENCE = 20.0
 """Seconds after which no further attempt is begun if no time limit was asked for."""
-_FIRST, _LONGEST = 30.0, 40.0
-"""Seconds after which, in the same case, the first attempt is given up, and any other."""
+_LONGEST = 20.0
+"""Seconds after which, in the same case, the reference is given up, and the attempts together."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -122,7 +122,7 @@ def solve_in_attempts(
     stalls, out_of_time = 0, False
     began = clock.perf_counter()
     try:
-        with _timed(timings, "reference"), _unless_asked(_FIRST):
+        with _timed(timings, "reference"), _unless_asked(_LONGEST):
             yardstick = Yardstick.of(system, domain, request.rtol, request.points)
             marcher = prepared(request, yardstick)
             marcher.yardstick = yardstick
@@ -133,7 +133,7 @@ def solve_in_attempts(
         message += "; raise max_seconds, or smooth what switches back and forth"
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
-        left = (_LONGEST if index else _FIRST) - (clock.perf_counter() - began)
+        left = _LONGEST - (clock.perf_counter() - began)
         with _timed(timings, "march"), _unless_asked(left):
             result = marcher.march(index, report)
         before = marcher.yardstick
