@@ -16,7 +16,7 @@ from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.solvers.verification import Yardstick
-from rankone.system import System
+from rankone.system import Recipe, System
 
 __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
@@ -24,6 +24,8 @@ _PATIENCE = 20.0
 """Seconds after which no further attempt is begun if no time limit was asked for."""
 _LONGEST = 20.0
 """Seconds after which, in the same case, the reference is given up, and the attempts together."""
+_SLOW = 10.0
+"""Both are longer by this where functions of the user are called, which may be slow."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -120,9 +122,11 @@ def solve_in_attempts(
     records: list[SlabRecord] = []
     best: Attempt | None = None
     stalls, out_of_time = 0, False
+    recipe: Recipe | None = getattr(system, "RECIPE", None)
+    slow = _SLOW if recipe is not None and recipe.namespace else 1.0
     began = clock.perf_counter()
     try:
-        with _timed(timings, "reference"), _unless_asked(_LONGEST):
+        with _timed(timings, "reference"), _unless_asked(slow * _LONGEST):
             yardstick = Yardstick.of(system, domain, request.rtol, request.points)
             marcher = prepared(request, yardstick)
             marcher.yardstick = yardstick
@@ -133,7 +137,7 @@ def solve_in_attempts(
         message += "; raise max_seconds, or smooth what switches back and forth"
         return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
-        left = _LONGEST - (clock.perf_counter() - began)
+        left = slow * _LONGEST - (clock.perf_counter() - began)
         with _timed(timings, "march"), _unless_asked(left):
             result = marcher.march(index, report)
         before = marcher.yardstick
@@ -157,7 +161,7 @@ def solve_in_attempts(
         done = result.stopped or not before.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
-        if clock.perf_counter() - began > _PATIENCE and math.isinf(seconds_left()):
+        if clock.perf_counter() - began > slow * _PATIENCE and math.isinf(seconds_left()):
             out_of_time = True
             break
     yardstick = marcher.yardstick
