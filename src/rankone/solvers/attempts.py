@@ -20,12 +20,11 @@ from rankone.system import Recipe, System
 
 __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
-_PATIENCE = 20.0
-"""Seconds after which no further attempt is begun if no time limit was asked for."""
 _LONGEST = 20.0
-"""Seconds after which, in the same case, the reference is given up, and the attempts together."""
+"""Seconds after which the reference is given up, and the attempts together, if no time limit was
+asked for; as long may the reference at further points take."""
 _SLOW = 10.0
-"""Both are longer by this where functions of the user are called, which may be slow."""
+"""They are longer by this where functions of the user are called, which may be slow."""
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -145,7 +144,8 @@ def solve_in_attempts(
             attempt = Attempt(result, before.measured(result.slabs))
             if result.points is not None and (result.stopped or attempt.error <= request.rtol):
                 try:
-                    marcher.yardstick = before.with_points(result.points)
+                    with _unless_asked(slow * _LONGEST):
+                        marcher.yardstick = before.with_points(result.points)
                 except OutOfTimeError:  # not measured where it must be
                     result.stopped = Status.TIME_LIMIT
                 attempt = Attempt(result, marcher.yardstick.measured(result.slabs))
@@ -161,7 +161,7 @@ def solve_in_attempts(
         done = result.stopped or not before.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
-        if clock.perf_counter() - began > slow * _PATIENCE and math.isinf(seconds_left()):
+        if clock.perf_counter() - began > slow * _LONGEST and math.isinf(seconds_left()):
             out_of_time = True
             break
     yardstick = marcher.yardstick
