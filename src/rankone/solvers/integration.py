@@ -32,7 +32,6 @@ _STUCK, _LEAST = 1000, 1e-9
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
 
-
 _STATE = ("t", "y", "f", "h_abs", "h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
 """What a step of Radau changes beside its factorisations."""
 _BETWEEN = (0.4, 0.85)
@@ -193,6 +192,7 @@ class Stack:
         atol: Array,
         stiff: bool = False,
         max_step: float = math.inf,
+        bearable: int = 0,
     ) -> tuple[Array, bool]:
         """Integrate until the end or a failure.
 
@@ -205,6 +205,9 @@ class Stack:
             Whether to begin with Radau; otherwise it is taken where DOP853 meets stiffness.
         max_step : float
             Longest step.
+        bearable : int
+            So many steps of DOP853 are made although stability limits them; in between they are
+            less accurate then.
 
         Returns
         -------
@@ -219,7 +222,8 @@ class Stack:
         with np.errstate(all="ignore"):
             if not stiff:
                 explicit = partial(StackedDOP853, states=n, rtol=rtol, atol=absolute, **steps)
-                state = self._steps(explicit, recorder, self._met_stiffness)
+                met = partial(self._met_stiffness, bearable=bearable)
+                state = self._steps(explicit, recorder, met)
                 if state is not None:
                     return state, False
             loose = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
@@ -262,9 +266,11 @@ class Stack:
         least, most = a + INSET * (b - a), b - INSET * (b - a)
         return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
 
-    def _met_stiffness(self, solver: Any, count: int) -> bool:
-        """Whether stability limits the step: the fastest rate of decay at the present state."""
+    def _met_stiffness(self, solver: Any, count: int, bearable: int) -> bool:
+        """Whether stability limits many steps, by the fastest rate of decay at present."""
         if count not in _FIRST_PROBES and count % _PROBE_STEPS:
+            return False
+        if self.edges[-1] - solver.t < bearable * solver.step_size:
             return False
         blocks = self._blocks(solver.t, solver.y)
         if not np.isfinite(blocks).all():

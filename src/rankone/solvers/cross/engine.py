@@ -38,7 +38,7 @@ _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 _LEFT_POINTS = 9
 _EXPLAINING = 5.0
 """Seconds for finding a reason."""
-_PATIENCE, _CHEAP = 5, 20_000
+_PATIENCE, _CHEAP = 5, 80_000
 """Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
 _FEW = 3
 """So many times that number, the tolerances of an attempt are lowered once whatever the errors."""
@@ -79,6 +79,10 @@ class CrossMarcher:
         self.share, self.left = 1.0, _LEFT_POINTS
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
+        self.breaks: set[float] = set()
+        self.steep: Array | None = None
+        self.undivided: tuple[Basis1D, ...] | None = None
+        self.divides = True
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, yardstick.end
         self.tightness = 0.3
@@ -133,7 +137,8 @@ class CrossMarcher:
         """Slabs that resolve the reference, or None if there are too many."""
         yardstick = self.yardstick
         start, end = yardstick.reference.start, yardstick.end
-        edges = [start, *(cut for cut in yardstick.cuts if cut < end), end]
+        between = {*yardstick.cuts, *self.breaks}
+        edges = [start, *sorted(cut for cut in between if cut < end), end]
         units = yardstick.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
         tolerance = max(_HIGHEST * level, 1e-13)
@@ -154,7 +159,11 @@ class CrossMarcher:
         if self.bases is None:
             bases = first_bases(trajectories, domain, level, self.options)
         else:
-            bases = divided(self.bases, trajectories, domain, level, self.options)
+            bases, self.undivided = self.bases, None
+            if self.divides:
+                given = trajectories, domain, level, self.options, self.steep
+                bases = divided(self.bases, *given)
+                self.undivided = self.bases if bases != self.bases else None
         left = left_points([basis.size for basis in bases], self.left, 20140)
         samples = Samples(trajectories, bases)
         tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
@@ -164,15 +173,16 @@ class CrossMarcher:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
         if attempt.result.stopped or self.bases is None:
             return False
+        worse = attempt.error > self.error
+        if worse and self.undivided is not None:  # what is steep moves: elements do not follow
+            self.bases, self.undivided, self.divides = self.undivided, None, False
+            return True
+        self._halve_slabs()
+        self.steep = attempt.result.points
         finer = self._finer(self.bases)
         grown = sum(basis.elements for basis in finer) > sum(b.elements for b in self.bases)
-        before, self.error = self.error, attempt.error
-        if self.integrated < _CHEAP:
-            patient = grown or stalls < _PATIENCE
-        elif self.share == 1.0 and self.integrated < _FEW * _CHEAP:  # not all was tried
-            patient = True
-        else:
-            patient = stalls < 2 and attempt.error < max(_FAR * self.rtol, _FAST * before)
+        patient = self._patient(attempt, stalls, grown)
+        self.error = attempt.error
         if not patient:
             return False
         settled = all(
@@ -184,6 +194,21 @@ class CrossMarcher:
         self.left = -(-3 * self.left // 2)
         self.bases = finer
         return True
+
+    def _patient(self, attempt: Attempt, stalls: int, grown: bool) -> bool:
+        """Whether another attempt may be worth its cost; ``grown``: there are more elements."""
+        if self.integrated < _CHEAP:
+            return grown or stalls < _PATIENCE
+        if self.share == 1.0 and self.integrated < _FEW * _CHEAP:  # not all was tried
+            return True
+        return stalls < 2 and attempt.error < max(_FAR * self.rtol, _FAST * self.error)
+
+    def _halve_slabs(self) -> None:
+        """Halve the slabs on which some trajectory varies more than those of the reference."""
+        assert self.trajectories is not None
+        breaks = np.array(self.trajectories.grid.breaks)
+        rough = self.trajectories.highest > _HIGHEST * self.share * self.rtol
+        self.breaks |= {*(0.5 * (breaks[:-1] + breaks[1:])[rough]).tolist()}
 
     def _finer(self, bases: tuple[Basis1D, ...]) -> tuple[Basis1D, ...]:
         """Bases with more nodes where the highest modes found are not small."""

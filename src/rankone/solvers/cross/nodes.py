@@ -23,6 +23,8 @@ __all__ = ["divided", "first_bases", "more_nodes"]
 
 _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
+_STEEP_LINES = 6
+"""Most lines of a parameter through steep points."""
 _TAIL = 0.03
 """What the modes left out may make up, relative to the error asked for."""
 _SLOWEST = 0.95
@@ -78,10 +80,14 @@ def divided(
     domain: Domain,
     rtol: float,
     options: CrossOptions,
+    steep: Array | None,
 ) -> tuple[Basis1D, ...]:
-    """The same bases, but elements where one of many nodes does no better."""
+    """The same bases, but elements where one of many nodes does no better.
+
+    Elements resolve the trajectories on further lines through some of the ``steep`` points (m, d).
+    """
     count = _count(rtol, options)
-    lines = Lines(trajectories, domain)
+    lines = Lines(trajectories, domain, steep)
     found = list(bases)
     for j, basis in enumerate(bases):
         if basis.elements == 1 and basis.size > _STEEP * count:
@@ -139,28 +145,35 @@ def _missed(piece: Basis1D, values: Array, points: Array, exact: Array) -> float
 
 
 class Lines:
-    """Trajectories on two lines for each parameter: through the centre of the box, and past it."""
+    """Trajectories on lines for each parameter: through the centre of the box, and past it.
 
-    def __init__(self, trajectories: Trajectories, domain: Domain) -> None:
+    With several parameters also through some of the ``steep`` points (m, d), if there are any.
+    """
+
+    def __init__(
+        self, trajectories: Trajectories, domain: Domain, steep: Array | None = None
+    ) -> None:
         self.trajectories = trajectories
-        bounds = domain.bounds
-        self.centre, self.width = bounds.mean(axis=1), bounds[:, 1] - bounds[:, 0]
-        sides = np.random.default_rng(20140).choice([-1.0, 1.0], len(bounds))
-        self.shifts = (np.zeros(len(bounds)), _OFF_CENTRE * sides)
+        lower, upper = domain.bounds.T
+        centre = 0.5 * (lower + upper)
+        sides = np.random.default_rng(20140).choice([-1.0, 1.0], centre.size)
+        points = [centre, centre + _OFF_CENTRE * sides * (upper - lower)]
+        if steep is not None:
+            points += list(steep[:: -(-len(steep) // _STEEP_LINES)])
+        self.points = points[: None if centre.size > 1 else 1]
 
     def __call__(self, places: Sequence[tuple[int, Array]]) -> list[Array]:
         """Coefficients (rank, lines, N) at places (N,) of the parameters given."""
         points = []
-        lines = self.shifts[: 1 + (self.centre.size > 1)]
         for j, where in places:
-            for shift in lines:
-                line = np.tile(self.centre + shift * self.width, (where.size, 1))
+            for point in self.points:
+                line = np.tile(point, (where.size, 1))
                 line[:, j] = where
                 points.append(line)
         values = self.trajectories(np.concatenate(points))
-        sizes = np.cumsum([len(lines) * where.size for _, where in places])[:-1]
+        sizes = np.cumsum([len(self.points) * where.size for _, where in places])[:-1]
         parts = np.split(values, sizes, axis=1)
-        return [part.reshape(len(part), len(lines), -1) for part in parts]
+        return [part.reshape(len(part), len(self.points), -1) for part in parts]
 
 
 def needed(spectrum: Array, tolerance: float, farthest: float = _FARTHEST) -> int:

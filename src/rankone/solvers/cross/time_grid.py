@@ -57,6 +57,12 @@ class TimeGrid:
         xi = 0.5 * (_nodes(self.count)[0] + 1.0)
         return np.concatenate([a + (b - a) * xi for a, b in itertools.pairwise(self.breaks)])
 
+    def highest_modes(self, values: Array) -> Array:
+        """Largest of the last two Legendre modes of values (n, T, m) on each slab: (slabs,)."""
+        _, to_modal = _nodes(self.count)
+        local = values.reshape(len(values), self.slabs, self.count, -1)
+        return np.asarray(np.abs(to_modal[-2:] @ local).max(axis=(0, 2, 3), initial=0.0))
+
     def trains(
         self, first: Array, cores: Sequence[Array], bases: Sequence[Basis1D]
     ) -> list[SlabTrain]:

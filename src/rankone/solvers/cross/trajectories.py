@@ -25,6 +25,8 @@ _CALIBRATED, _CALIBRATIONS = 8, 3
 """Reference points at which the error of the integration is measured, and how often at most."""
 _STIFF = 1.5
 """Tolerance of stiff integrations over the error wanted."""
+_BEARABLE = 400
+"""So many explicit steps cost less than the implicit ones that would replace them."""
 _TIGHTEST = 1e-13
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
@@ -65,6 +67,11 @@ class Trajectories:
         Largest number of trajectories.
     workers : Workers, optional
         Where they are integrated.
+
+    Attributes
+    ----------
+    highest : ndarray (slabs,)
+        Largest of the highest modes in time of all trajectories.
     """
 
     def __init__(
@@ -78,11 +85,11 @@ class Trajectories:
     ) -> None:
         self.workers = workers or Workers(yardstick.system)
         self.yardstick, self.grid, self.wanted, self.most = yardstick, grid, wanted, most
-        self.tightness = _STIFF if yardstick.reference.stiff else tightness
-        self.calibrated = yardstick.reference.stiff
+        self.tightness, self.stiff, self.calibrated = tightness, False, False
         self.count = 0
         self.units = yardstick.states * np.sqrt(grid.times.size)
         self.basis = np.zeros((self.units.size * grid.times.size, 0))
+        self.highest = np.zeros(grid.slabs)
 
     def __call__(self, points: Array) -> Array:
         """Coefficients of the trajectories at points (m, d): shape (rank of the basis, m)."""
@@ -90,6 +97,8 @@ class Trajectories:
             raise TooManyTrajectories
         found = self._integrated(points) if self.calibrated else self._first(points)
         self.count += len(points)
+        highest = self.grid.highest_modes(self._in_sizes(found))
+        self.highest = np.maximum(self.highest, highest)
         return self._coefficients(found)
 
     @property
@@ -122,11 +131,18 @@ class Trajectories:
             found = self._integrated(np.concatenate([known, points]))
             self.count += len(known) + (len(points) if number else 0)
             ours, found = np.split(found, [len(known)], axis=1)
+            if self.stiff:
+                break
             share = float(np.abs(exact.swapaxes(1, 2) - self._in_sizes(ours)).max()) / self.wanted
             if not 0.1 <= share <= 1.0:
                 self.tightness *= min(max(0.5 / max(share, 1e-300), 1e-3), 4.0)
             if share <= 1.0:
                 break
+        else:
+            self.stiff = reference.stiff  # explicit steps do not come to the accuracy
+        if self.stiff:
+            self.tightness = _STIFF
+            found = self._integrated(points)
         return found
 
     def _in_sizes(self, trajectories: Array) -> Array:
@@ -146,17 +162,19 @@ class Trajectories:
             *(cut for cut in yardstick.cuts if cut < end),
             end,
         ]
-        given = edges, self.grid.times, yardstick.states, self.tolerance, yardstick.reference.stiff
+        given = edges, self.grid.times, yardstick.states, self.tolerance, self.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
-        return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
+        found, stiff = zip(*self.workers.map(_integrated, tasks, TrajectoryEnds), strict=True)
+        self.stiff |= yardstick.reference.stiff and any(stiff)
+        return np.concatenate(found, axis=1)
 
     def _chunk(self) -> int:
         """Largest number of trajectories in a chunk."""
         recipe: Recipe | None = getattr(self.yardstick.system, "RECIPE", None)
         if recipe is not None and recipe.namespace:
             return _STACKED_USER
-        most = _STACKED_STIFF if self.yardstick.reference.stiff else _STACKED
+        most = _STACKED_STIFF if self.stiff else _STACKED
         return min(max(_STACKED_STATES // int(self.units.size), _FEWEST), most)
 
     def _coefficients(self, trajectories: Array) -> Array:
@@ -185,17 +203,18 @@ def _integrated(
     sizes: Array,
     tolerance: float,
     stiff: bool,
-) -> Array:
-    """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
+) -> tuple[Array, bool]:
+    """Trajectories at points (m, d) in units of the states' sizes, (n T, m), and how they went."""
     record = _AtNodes(times, sizes.size, len(points))
     atol = _ABSOLUTE * tolerance * sizes[:, None]
-    state, _ = Stack(system, points, edges).run(record, tolerance, atol, stiff)
+    stack = Stack(system, points, edges)
+    state, stiff = stack.run(record, tolerance, atol, stiff, bearable=_BEARABLE)
     if record.reached < times.size or not np.isfinite(record.values).all():
         ends = quickest(system, record.time, state, points, atol)
         raise TrajectoryEnds(record.time, points[ends])
     units = sizes * np.sqrt(times.size)
     scaled = record.values.transpose(1, 0, 2) / units[:, None, None]
-    return np.asarray(scaled.reshape(-1, len(points)))
+    return scaled.reshape(-1, len(points)), stiff
 
 
 def _span(columns: Array, tolerance: float) -> Array:
