@@ -193,7 +193,7 @@ class Stack:
         stiff: bool = False,
         max_step: float = math.inf,
         bearable: int = 0,
-    ) -> tuple[Array, bool]:
+    ) -> tuple[Array, float]:
         """Integrate until the end or a failure.
 
         Parameters
@@ -213,30 +213,30 @@ class Stack:
         -------
         state : ndarray (n, m)
             After the last step.
-        stiff : bool
-            Whether Radau was used.
+        left : float
+            Steps that DOP853 would still have made when it was given up for Radau; 0 if it was not.
         """
         n, m = self.shape
         absolute = np.broadcast_to(atol, (n, m)).ravel()
         steps = {"max_step": max_step}
+        left = math.inf
         with np.errstate(all="ignore"):
             if not stiff:
                 explicit = partial(StackedDOP853, states=n, rtol=rtol, atol=absolute, **steps)
                 met = partial(self._met_stiffness, bearable=bearable)
-                state = self._steps(explicit, recorder, met)
-                if state is not None:
-                    return state, False
+                state, left = self._steps(explicit, recorder, met)
+                if not left:
+                    return state, left
             loose = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
             between = () if self.polynomial else _BETWEEN
             implicit = partial(StackedRadau, blocks=self._blocks, between=between, **loose, **steps)
-            state = self._steps(implicit, recorder, lambda solver, count: False)
-        assert state is not None
-        return state, True
+            state, _ = self._steps(implicit, recorder, lambda solver, count: 0.0)
+        return state, left
 
     def _steps(
-        self, method: Any, recorder: Recorder, give_up: Callable[[Any, int], bool]
-    ) -> Array | None:
-        """Step over all segments; None if the method is given up."""
+        self, method: Any, recorder: Recorder, give_up: Callable[[Any, int], float]
+    ) -> tuple[Array, float]:
+        """Step over all segments: the last state, and the steps left if the method is given up."""
         state = initial_values(self.system, np.ascontiguousarray(self.points.T))
         recorder.begin(self.edges[0])
         count = stuck = 0
@@ -247,15 +247,16 @@ class Stack:
                 solver.step()
                 check_time()
                 if solver.status == "failed":
-                    return state
+                    return state, 0.0
                 recorder.add(solver)
                 stuck = stuck + 1 if solver.step_size < least else 0
                 if stuck == _STUCK:
-                    return np.asarray(solver.y.reshape(self.shape))
+                    return np.asarray(solver.y.reshape(self.shape)), 0.0
                 state, count = solver.y.reshape(self.shape), count + 1
-                if give_up(solver, count):
-                    return None
-        return state
+                left = give_up(solver, count)
+                if left:
+                    return state, left
+        return state, 0.0
 
     def _right_hand_side(self, a: float, b: float) -> Callable[[float, Array], Array]:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""
@@ -266,17 +267,19 @@ class Stack:
         least, most = a + INSET * (b - a), b - INSET * (b - a)
         return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
 
-    def _met_stiffness(self, solver: Any, count: int, bearable: int) -> bool:
-        """Whether stability limits many steps, by the fastest rate of decay at present."""
+    def _met_stiffness(self, solver: Any, count: int, bearable: int) -> float:
+        """The steps left, if they are more than bearable and stability limits them; or 0.
+
+        It does by the fastest rate of decay at the present state.
+        """
         if count not in _FIRST_PROBES and count % _PROBE_STEPS:
-            return False
-        if self.edges[-1] - solver.t < bearable * solver.step_size:
-            return False
+            return 0.0
+        left = (self.edges[-1] - solver.t) / solver.step_size
         blocks = self._blocks(solver.t, solver.y)
-        if not np.isfinite(blocks).all():
-            return False
+        if left <= bearable or not np.isfinite(blocks).all():
+            return 0.0
         decay = float(-np.linalg.eigvals(blocks).real.min())
-        return bool(decay * solver.step_size > _STIFF_PRODUCT)
+        return left if decay * solver.step_size > _STIFF_PRODUCT else 0.0
 
     def _blocks(self, t: float, y: Array) -> Array:
         """Jacobian of each trajectory, (m, n, n)."""

@@ -77,8 +77,8 @@ class Reference:
         Parameter points; the first is the centre of the box.
     end : float
         Time reached; before the horizon where a trajectory blows up.
-    stiff : bool
-        Whether the stiff integrator was used.
+    avoided : float
+        Steps that DOP853 would still have made when it was given up for Radau; 0 if it was not.
     blown : int or None
         The point whose trajectory blows up at ``end``, or leaves where its rates are finite.
     large : bool
@@ -90,11 +90,16 @@ class Reference:
     points: Array
     start: float
     end: float
-    stiff: bool
+    avoided: float
     blown: int | None
     batches: tuple[tuple[int, Any], ...]
     states: int
     large: bool = False
+
+    @property
+    def stiff(self) -> bool:
+        """Whether the stiff integrator was used."""
+        return self.avoided > 0.0
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
@@ -107,8 +112,8 @@ class Reference:
         if other.end < self.end and other.blown is not None:
             first, blown = other, len(self.points) + other.blown
         points = np.concatenate([self.points, other.points])
-        batches, stiff = self.batches + other.batches, self.stiff or other.stiff
-        ends = first.end, stiff, blown, batches, self.states, first.large
+        batches, avoided = self.batches + other.batches, max(self.avoided, other.avoided)
+        ends = first.end, avoided, blown, batches, self.states, first.large
         return Reference(points, self.start, *ends)
 
 
@@ -148,7 +153,7 @@ def integrate_reference(
         steps = _Steps()
         atol = rtol * _NEGLIGIBLE * size
         try:
-            state, stiff = stack.run(steps, rtol, atol, max_step=longest)
+            state, avoided = stack.run(steps, rtol, atol, max_step=longest)
         except OutOfTimeError as out:
             raise OutOfTimeError(steps.times[-1], len(steps.pieces)) from out
         largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
@@ -173,7 +178,7 @@ def integrate_reference(
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
-    return Reference(points, start, reached, stiff, blown, batches, system.N_DIFFERENTIAL, large)
+    return Reference(points, start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large)
 
 
 class _Steps:

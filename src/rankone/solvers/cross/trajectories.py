@@ -85,7 +85,8 @@ class Trajectories:
     ) -> None:
         self.workers = workers or Workers(yardstick.system)
         self.yardstick, self.grid, self.wanted, self.most = yardstick, grid, wanted, most
-        self.tightness, self.stiff, self.calibrated = tightness, False, False
+        self.stiff = self.calibrated = yardstick.reference.avoided > _BEARABLE
+        self.tightness = _STIFF if self.stiff else tightness
         self.count = 0
         self.units = yardstick.states * np.sqrt(grid.times.size)
         self.basis = np.zeros((self.units.size * grid.times.size, 0))
@@ -131,17 +132,13 @@ class Trajectories:
             found = self._integrated(np.concatenate([known, points]))
             self.count += len(known) + (len(points) if number else 0)
             ours, found = np.split(found, [len(known)], axis=1)
-            if self.stiff:
-                break
             share = float(np.abs(exact.swapaxes(1, 2) - self._in_sizes(ours)).max()) / self.wanted
             if not 0.1 <= share <= 1.0:
                 self.tightness *= min(max(0.5 / max(share, 1e-300), 1e-3), 4.0)
             if share <= 1.0:
                 break
-        else:
-            self.stiff = reference.stiff  # explicit steps do not come to the accuracy
-        if self.stiff:
-            self.tightness = _STIFF
+        if share > 1.0 and reference.stiff:  # explicit steps do not come to the accuracy
+            self.stiff, self.tightness = True, _STIFF
             found = self._integrated(points)
         return found
 
@@ -165,9 +162,7 @@ class Trajectories:
         given = edges, self.grid.times, yardstick.states, self.tolerance, self.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
-        found, stiff = zip(*self.workers.map(_integrated, tasks, TrajectoryEnds), strict=True)
-        self.stiff |= yardstick.reference.stiff and any(stiff)
-        return np.concatenate(found, axis=1)
+        return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
 
     def _chunk(self) -> int:
         """Largest number of trajectories in a chunk."""
@@ -203,18 +198,18 @@ def _integrated(
     sizes: Array,
     tolerance: float,
     stiff: bool,
-) -> tuple[Array, bool]:
-    """Trajectories at points (m, d) in units of the states' sizes, (n T, m), and how they went."""
+) -> Array:
+    """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
     record = _AtNodes(times, sizes.size, len(points))
     atol = _ABSOLUTE * tolerance * sizes[:, None]
     stack = Stack(system, points, edges)
-    state, stiff = stack.run(record, tolerance, atol, stiff, bearable=_BEARABLE)
+    state, _ = stack.run(record, tolerance, atol, stiff, bearable=_BEARABLE)
     if record.reached < times.size or not np.isfinite(record.values).all():
         ends = quickest(system, record.time, state, points, atol)
         raise TrajectoryEnds(record.time, points[ends])
     units = sizes * np.sqrt(times.size)
     scaled = record.values.transpose(1, 0, 2) / units[:, None, None]
-    return scaled.reshape(-1, len(points)), stiff
+    return np.asarray(scaled.reshape(-1, len(points)))
 
 
 def _span(columns: Array, tolerance: float) -> Array:
