@@ -82,7 +82,9 @@ class System(Protocol):
     PAIRED: tuple[tuple[int, ...], ...]
     """For each group the second states of its quadratic monomials (the order of z and v)."""
     CUTS: tuple[tuple[float, ...], ...]
-    """For each coordinate where tables of it jump or kink; only where there are tables."""
+    """For each coordinate where functions of it alone jump or kink; only where there are some."""
+    PERIODIC_CUTS: tuple[tuple[tuple[float, float], ...], ...]
+    """The same for points that repeat: one of them and the period."""
 
     @staticmethod
     def initial(p: Sequence[Any] | Array) -> Array:

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 import sympy as sp
 
+from rankone.codegen.switching import switches
 from rankone.codegen.text import docstring, literal, nested, quoted, table
-from rankone.functions import Table, known_applied
+from rankone.functions import known_applied
 from rankone.ir import Coordinate
 
 __all__ = ["constants", "cut_table", "definitions", "module_source"]
@@ -54,23 +55,14 @@ def definitions(expressions: Iterable[sp.Expr]) -> list[list[str]]:
 
 
 def cut_table(coordinates: Sequence[Coordinate], expressions: Iterable[sp.Expr]) -> list[str]:
-    """``CUTS``: for each coordinate where tables of it jump or kink; nothing without tables.
+    """``CUTS`` and ``PERIODIC_CUTS``: for each coordinate where functions of it alone switch.
 
-    The points are those of tables of a linear function of the coordinate.
+    Nothing where there are none.
     """
-    found: dict[sp.Symbol, set[float]] = {c.symbol: set() for c in coordinates}
-    for part in known_applied(expressions):
-        symbols = part.args[0].free_symbols
-        if not isinstance(part, Table) or part.kind == "cubic" or len(symbols) != 1:
-            continue
-        (symbol,) = symbols
-        argument = part.args[0]
-        if symbol not in found or argument.has(sp.core.function.AppliedUndef):
-            continue
-        slope = argument.diff(symbol)
-        if slope.is_number and slope != 0:
-            start = float(argument.subs(symbol, 0))
-            found[symbol].update((x - start) / float(slope) for x in part.points)
-    if not any(found.values()):
-        return []
-    return table("CUTS", [[literal(x) for x in sorted(cuts)] for cuts in found.values()])
+    found = switches(coordinates, expressions)
+    lines: list[str] = []
+    if any(each.points for each in found):
+        lines += table("CUTS", nested(tuple(sorted(each.points)) for each in found))
+    if any(each.periodic for each in found):
+        lines += table("PERIODIC_CUTS", nested(tuple(sorted(each.periodic)) for each in found))
+    return lines

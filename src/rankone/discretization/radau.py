@@ -10,10 +10,16 @@ from numpy.polynomial import legendre as npl
 from rankone.arrays import Array
 from rankone.discretization.basis import legendre_values
 
-__all__ = ["INSET", "RadauCollocation"]
+__all__ = ["RadauCollocation", "inset"]
 
-INSET = 1e-9
-"""Times stay inside a slab or segment by this part of it: factors may jump at its ends."""
+_INSET, _ROUNDING = 1e-9, 8.0
+"""Part of a slab or segment by which times stay inside, and least number of units of rounding."""
+
+
+def inset(start: float, end: float) -> float:
+    """How far times stay inside a slab or segment: factors may jump at its ends."""
+    rounding = _ROUNDING * float(np.spacing(max(abs(start), abs(end))))
+    return min(max(_INSET * (end - start), rounding), 0.25 * (end - start))
 
 
 class RadauCollocation:
@@ -49,7 +55,8 @@ class RadauCollocation:
 
     def times(self, start: float, length: float) -> Array:
         """The nodes of the slab [start, start + length], a little inside of it."""
-        return np.asarray(start + length * (INSET + (1.0 - 2.0 * INSET) * self.nodes))
+        near = inset(start, start + length)
+        return np.asarray(start + near + (length - 2.0 * near) * self.nodes)
 
     @staticmethod
     @lru_cache(maxsize=32)

@@ -8,6 +8,7 @@ without a trace; what is found here is given to both.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
@@ -17,6 +18,7 @@ from rankone.arrays import Array
 from rankone.deadline import check_time
 from rankone.discretization import ChebyshevBasis
 from rankone.domain import Domain, KnownFactors
+from rankone.errors import OptionError
 from rankone.system import System
 
 __all__ = ["breakpoints", "system_breakpoints"]
@@ -35,6 +37,10 @@ _RARE = 0.25
 _DEEPEST = 13
 _MOST = 16
 """Most values returned for one parameter."""
+_MOST_REPEATED = 10_000
+"""Most points that repeat with a period."""
+_ROUNDING = 1e-14
+"""Points that are closer, relative to the largest value of the coordinate, are the same."""
 _POLE = 1e9
 """A factor that is so many times larger at a breakpoint than at samples has a pole there."""
 
@@ -45,17 +51,21 @@ def system_breakpoints(
     """Breakpoints of the time factors, and those of the factors of each parameter.
 
     The first factor of every coordinate is one; where it is the only one there is no need to look.
-    Where tables jump or kink is known beforehand.
+    Where the others switch is known beforehand, as far as that could be solved for.
 
     Raises
     ------
     OptionError
-        If a factor is not finite, or has a pole.
+        If a factor is not finite, has a pole, or switches too often.
     """
-    known = getattr(system, "CUTS", ((),) * (1 + len(domain.box)))
+    none = ((),) * (1 + len(domain.box))
+    known, periodic = (getattr(system, name, none) for name in ("CUTS", "PERIODIC_CUTS"))
     found: list[list[float]] = []
-    for factors, cuts in zip(KnownFactors.of(system, domain), known, strict=True):
+    for factors, points, repeated in zip(
+        KnownFactors.of(system, domain), known, periodic, strict=True
+    ):
         interval = factors.interval
+        cuts = [*points, *_repeated(factors, repeated)]
         found.append([])
         if len(factors(np.array(interval))) > 1:
             found[-1] = breakpoints(factors, *interval, cuts)
@@ -65,6 +75,25 @@ def system_breakpoints(
                 raise factors.not_finite()
     in_time, *special = found
     return tuple(in_time), [points[:: max(1, -(-len(points) // _MOST))] for points in special]
+
+
+def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) -> list[float]:
+    """The points that repeat with a period, inside the interval."""
+    lower, upper = factors.interval
+    counted = sum((upper - lower) / period for _, period in periodic)
+    if counted > _MOST_REPEATED:
+        raise OptionError(
+            f"a coefficient switches {counted:.0f} times for {factors.what} in "
+            f"[{lower:g}, {upper:g}]",
+            remedy="choose a shorter range, or replace what switches by its mean",
+        )
+    found: list[float] = []
+    for first, period in periodic:
+        numbers = range(
+            math.floor((lower - first) / period), math.ceil((upper - first) / period) + 1
+        )
+        found += [first + n * period for n in numbers]
+    return found
 
 
 def breakpoints(
@@ -88,7 +117,8 @@ def breakpoints(
         narrow pieces. Empty for functions that are smooth on the scale of the interval.
     """
     finder = _Finder(function, lower, upper)
-    cuts = finder.distinct([x for x in known if lower < x < upper])
+    known = _inside(known, lower, upper)
+    cuts = list(known)
     for _ in range(4):
         edges = [lower, *cuts, upper]
         pieces = [piece for a, b in itertools.pairwise(edges) for piece in finder.pieces(a, b)]
@@ -97,12 +127,24 @@ def breakpoints(
         fresh = [x for x in found if min(abs(x - edge) for edge in edges) > finder.closest]
         if not fresh:
             break
-        cuts = finder.distinct([*cuts, *fresh])
+        cuts = sorted([*cuts, *finder.distinct(fresh)])
     width = upper - lower
     narrow = [(a, b) for a, b, _ in pieces if b - a < _NARROW * width]
     if sum(b - a for a, b in narrow) < _RARE * width:
         cuts += [x for piece in narrow for x in piece]
-    return [x for x in finder.distinct(cuts) if min(x - lower, upper - x) > finder.closest]
+    found = [x for x in finder.distinct(cuts) if min(x - lower, upper - x) > finder.closest]
+    away = [x for x in found if min((abs(x - y) for y in known), default=math.inf) > finder.closest]
+    return sorted([*known, *away])
+
+
+def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
+    """Points inside an interval, ascending, each once but for rounding errors."""
+    least = _ROUNDING * max(abs(lower), abs(upper))
+    kept: list[float] = []
+    for x in sorted(points):
+        if x - (kept[-1] if kept else lower) > least and upper - x > least:
+            kept.append(x)
+    return kept
 
 
 def _interpolation(places: Array) -> Array:

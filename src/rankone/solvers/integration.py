@@ -18,7 +18,7 @@ import scipy.sparse
 
 from rankone.arrays import Array
 from rankone.deadline import check_time
-from rankone.discretization.radau import INSET
+from rankone.discretization.radau import inset
 from rankone.system import System
 
 __all__ = ["Recorder", "Stack", "initial_values", "quickest"]
@@ -264,7 +264,8 @@ class Stack:
         parameters = np.ascontiguousarray(self.points.T)
         if len(self.edges) == 2:
             return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
-        least, most = a + INSET * (b - a), b - INSET * (b - a)
+        near = inset(a, b)
+        least, most = a + near, b - near
         return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
 
     def _met_stiffness(self, solver: Any, count: int, bearable: int) -> float:

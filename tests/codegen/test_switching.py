@@ -1,0 +1,109 @@
+"""Where known functions of one coordinate switch, against points known by hand."""
+
+import math
+
+import pytest
+import sympy as sp
+
+import rankone as ro
+from rankone.codegen.switching import switches
+from rankone.ir import Coordinate
+
+t, k = sp.symbols("t k")
+x = sp.Function("x")(t)
+TIME = Coordinate("t", t, 0.0, 10.0)
+
+
+def found(expression, coordinate=TIME):
+    (result,) = switches([coordinate], [expression])
+    return result
+
+
+@pytest.mark.parametrize(
+    ("expression", "points"),
+    [
+        (sp.Heaviside(t - 6) * sp.Heaviside(sp.Float("6.001") - t), [6.0, 6.001]),
+        (sp.Piecewise((1, (t > 2) & (t < 2 + sp.Rational(1, 3600))), (0, True)), [2, 2 + 1 / 3600]),
+        (sp.Abs(t**2 - 2), [-math.sqrt(2), math.sqrt(2)]),
+        (sp.Max(1, t, 4 - t), [1.0, 2.0, 3.0]),
+        (sp.sign(sp.exp(-t / 3) - sp.Rational(1, 2)), [3 * math.log(2)]),
+        (sp.Heaviside((t - 2) * (sp.Float("2.0001") - t)), [2.0, 2.0001]),
+        (sp.sqrt(t - 3), [3.0]),
+        (sp.Abs(sp.Abs(t - 5) - 1), [4.0, 5.0, 6.0]),
+        (sp.Heaviside(sp.log(t) - 1) * x, [math.e]),
+        (sp.Piecewise((x, sp.And(t < 1, x > 0)), (0, True)), [1.0]),
+        (sp.Heaviside(t * sp.sin(t) - 1), None),
+        (sp.sin(t) * sp.exp(-t), []),
+        (sp.Abs(t - k), []),
+    ],
+)
+def test_points(expression, points):
+    result = found(expression)
+    assert not result.periodic
+    if points is None:  # found by changes of sign
+        assert len(result.points) == 4
+        assert all(abs(a * math.sin(a) - 1) < 1e-12 for a in result.points)
+    else:
+        assert sorted(result.points) == pytest.approx(points, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("expression", "periodic"),
+    [
+        (sp.floor(2 * t + 1), [(0.5, 0.5)]),
+        (sp.Mod(t, sp.Rational(1, 3)), [(0.0, 1 / 3)]),
+        (sp.Abs(sp.cos(3 * t)), [(-math.pi / 6, math.pi * 2 / 3), (math.pi / 6, math.pi * 2 / 3)]),
+        (sp.sign(sp.tan(t) - 1), [(math.pi / 4, math.pi)]),
+        (
+            sp.acos(sp.cos(t)),
+            [(-math.pi, 2 * math.pi), (0.0, 2 * math.pi), (math.pi, 2 * math.pi)],
+        ),
+    ],
+)
+def test_periodic(expression, periodic):
+    result = found(expression)
+    known = {(a % p % p, p) for a, p in result.periodic}
+    wanted = {(a % p % p, p) for a, p in periodic}
+    close = [any(abs(a - b) + abs(p - q) < 1e-12 for b, q in wanted) for a, p in known]
+    assert all(close) and len(known) <= len(periodic)
+    assert not result.points
+
+
+def pulse(width, notation, start=60):
+    end = start + sp.Float(width)
+    match notation:
+        case "Heaviside":
+            return sp.Heaviside(t - start) * sp.Heaviside(end - t)
+        case "Piecewise":
+            return sp.Piecewise((1, (t > start) & (t < end)), (0, True))
+        case _:
+            return (sp.sign(t - start) - sp.sign(t - end)) / 2
+
+
+@pytest.mark.parametrize("notation", ["Heaviside", "Piecewise", "sign"])
+@pytest.mark.parametrize("width", [1e-2, 1e-7])
+@pytest.mark.parametrize("method", ["train", "cross"])
+def test_a_pulse_is_not_stepped_over(width, notation, method):
+    rate = -x + k * pulse(width, notation) / sp.Float(width)
+    problem = ro.Problem([sp.Eq(x.diff(t), rate)], (t, 0, 100), {k: (1, 2)}, {x: 0})
+    solution = ro.solve(problem, rtol=1e-4, method=method)
+    assert solution.success
+    exact = 1.5 / width * (math.exp(width) - 1) * math.exp(-1)
+    assert solution(t=61, k=1.5)[0] == pytest.approx(exact, rel=1e-3)
+
+
+def test_a_moved_horizon_has_its_switches():
+    rate = -x + k * (sp.floor(t) + sp.Heaviside(t - 7))
+    problem = ro.Problem([sp.Eq(x.diff(t), rate)], (t, 0, 3), {k: (1, 2)}, {x: 1})
+    moved = ro.compile(problem).solve(rtol=1e-6, t_final=9)
+    direct = ro.Problem([sp.Eq(x.diff(t), rate)], (t, 0, 9), {k: (1, 2)}, {x: 1})
+    there = ro.compile(direct).solve(rtol=1e-6)
+    assert moved.success
+    assert moved(t=8.5, k=1.5) == pytest.approx(there(t=8.5, k=1.5), rel=1e-12)
+
+
+def test_what_switches_too_often_is_refused():
+    rate = -x + k * sp.floor(1e6 * t)
+    problem = ro.Problem([sp.Eq(x.diff(t), rate)], (t, 0, 9), {k: (1, 2)}, {x: 1})
+    with pytest.raises(ro.RankoneError, match="switches 9000000 times"):
+        ro.solve(problem)
