@@ -1,0 +1,1 @@
+"""Systems made to be got wrong, and the truth about them."""

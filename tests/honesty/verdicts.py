@@ -1,0 +1,134 @@
+"""What a solve came to, held against SciPy on stacked trajectories at points of its own."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.integrate
+import sympy as sp
+
+import rankone as ro
+from tests.honesty.cases import Case, case, t
+
+__all__ = ["Verdict", "judged", "tried"]
+
+WITHIN = 5.0
+"""Errors of a success, over rtol, from which it is wrong."""
+POINTS, TIMES = 500, 21
+LONGEST = 30.0
+"""Seconds after which a solve is slow."""
+_ACCURACY, _STEPS = 1e-9, 20_000
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a case ended: ``ok``, ``refused``, ``wrong``, ``error``, ``slow`` or ``unknown``.
+
+    Attributes
+    ----------
+    kept : float
+        Largest error at the points of a success over rtol.
+    """
+
+    verdict: str
+    kept: float
+    seconds: float
+    message: str
+
+
+def tried(seed: int, kind: str, method: str) -> tuple[int, str, Verdict]:
+    """The seed, the name and the verdict of the case of a kind."""
+    made = case(kind, seed)
+    return seed, made.name, judged(made, method=method)
+
+
+def judged(case: Case, **options: object) -> Verdict:
+    """Solve a case and judge the result."""
+    began = time.perf_counter()
+    solution = None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ro.RankoneWarning)
+            solution = ro.solve(case.problem(), case.rtol, **options)  # type: ignore[arg-type]
+        message = f"{solution.method}: {solution.message}"
+    except ro.RankoneError as error:
+        message = f"{type(error).__name__}: {error}"
+    except Exception as error:  # what nobody should ever see
+        return Verdict("error", np.inf, time.perf_counter() - began, f"{error!r}")
+    seconds = time.perf_counter() - began
+    if solution is None or not solution.success:
+        return Verdict("slow" if seconds > LONGEST else "refused", np.nan, seconds, message)
+    points = sampled(case)
+    times = np.linspace(0.0, case.end, TIMES)
+    try:
+        exact = truth(case, points, times)
+    except TimeoutError:
+        return Verdict("unknown", np.nan, seconds, message)
+    values = {str(symbol): p[:, None] for symbol, p in zip(case.box, points, strict=True)}
+    found = solution(t=times[None, :], **values)
+    size = np.abs(exact).max(axis=(1, 2))
+    errors = np.abs(found - exact).max(axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
+    kept = float(np.nan_to_num(errors, nan=np.inf).max()) / case.rtol
+    verdict = "wrong" if kept > WITHIN else "slow" if seconds > LONGEST else "ok"
+    return Verdict(verdict, kept, seconds, message)
+
+
+def sampled(case: Case) -> np.ndarray:
+    """Points (d, POINTS): random ones, a third of them where something narrow is."""
+    generator = np.random.default_rng(77)
+    bounds = np.array(list(case.box.values()), dtype=float)
+    points = bounds[:, :1] + np.diff(bounds, axis=1) * generator.random((len(bounds), POINTS))
+    names = list(case.box)
+    for i, (symbol, place, half) in enumerate(case.places):
+        j = names.index(symbol)
+        near = points[j, i :: 3 * len(case.places)]
+        near[:] = np.clip(place + half * generator.uniform(-1, 1, near.size), *bounds[j])
+    return points
+
+
+def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Trajectories (n, points, times); NaN where there are none."""
+    n, m = len(case.unknowns), points.shape[1]
+    names = [sp.Dummy() for _ in case.unknowns]
+    plain = [rate.xreplace(dict(zip(case.unknowns, names, strict=True))) for rate in case.rates]
+    rhs = sp.lambdify([t, names, list(case.box)], plain, ["numpy", "scipy"])
+    start = sp.lambdify([list(case.box)], case.initial, ["numpy", "scipy"])
+    state = np.stack([np.broadcast_to(v, m) for v in start(points)]).astype(float)
+    values = np.full((n, m, times.size), np.nan)
+    values[:, :, 0] = state
+    edges = np.unique([0.0, *(c for c in case.cuts if 0.0 < c < case.end), case.end])
+    scale = np.maximum(np.abs(state).max(axis=1, keepdims=True), 1e-3)
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        inset = min(max(1e-9 * (b - a), 8 * np.spacing(b)), 0.25 * (b - a))
+
+        def rate(now: float, u: np.ndarray, a: float = a, b: float = b, i: float = inset):
+            inside = min(max(now, a + i), b - i)
+            return _flat(rhs(inside, u.reshape(n, m), points), m)
+
+        solver = _stepper(rate, a, state.ravel(), b, scale, m)
+        for _ in range(_STEPS):
+            if solver.status != "running":
+                break
+            solver.step()
+            if solver.status == "failed":
+                return values
+            inner = (times > solver.t_old) & (times <= solver.t)
+            values[:, :, inner] = solver.dense_output()(times[inner]).reshape(n, m, -1)
+        else:
+            raise TimeoutError
+        state = solver.y.reshape(n, m)
+    return values
+
+
+def _stepper(rate, a, y, b, scale, m):
+    """An integrator of a stack: implicit where the rates are fast."""
+    atol = np.repeat(_ACCURACY * 1e-3 * scale, m, axis=1).ravel()
+    longest = (b - a) / 25
+    return scipy.integrate.DOP853(rate, a, y, b, rtol=_ACCURACY, atol=atol, max_step=longest)
+
+
+def _flat(parts: list[object], m: int) -> np.ndarray:
+    return np.concatenate([np.broadcast_to(part, m) for part in parts]).astype(float)
