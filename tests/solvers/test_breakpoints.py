@@ -11,7 +11,9 @@ def step(x):
 
 
 def found(function, lower, upper):
-    return breakpoints(lambda x: np.stack([np.ones_like(x), function(x)]), lower, upper)
+    return list(
+        breakpoints(lambda x: np.stack([np.ones_like(x), function(x)]), lower, upper).points
+    )
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from rankone.discretization.basis import (
     Basis1D,
     ChebyshevBasis,
     LegendreBasis,
+    legendre_derivative,
     legendre_values,
 )
 from rankone.discretization.finite_elements import LagrangeElements
@@ -17,5 +18,6 @@ __all__ = [
     "LagrangeElements",
     "LegendreBasis",
     "RadauCollocation",
+    "legendre_derivative",
     "legendre_values",
 ]

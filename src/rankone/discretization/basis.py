@@ -11,7 +11,7 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 
 from rankone.arrays import Array
 
-__all__ = ["BASES", "Basis1D", "ChebyshevBasis", "LegendreBasis", "legendre_values"]
+__all__ = [
+    "BASES",
+    "Basis1D",
+    "ChebyshevBasis",
+    "LegendreBasis",
+    "legendre_derivative",
+    "legendre_values",
+]
 
 
 def legendre_values(xi: Array, count: int) -> Array:
@@ -45,6 +52,18 @@ def legendre_values(xi: Array, count: int) -> Array:
         values[m + 1] = ((2 * m + 1) * xi * values[m] - m * values[m - 1]) / (m + 1)
     values *= np.sqrt(2.0 * np.arange(count) + 1.0)[:, None]
     return values.T
+
+
+@lru_cache(maxsize=32)
+def legendre_derivative(count: int) -> Array:
+    """Coefficients of the derivatives on [-1, 1] of the same polynomials, (count, count).
+
+    Column n holds those of the nth: ``P_n' = sum of (2 k + 1) P_k`` over k = n - 1, n - 3, ...
+    """
+    degrees = np.arange(count)
+    below = degrees[None, :] - degrees[:, None]
+    roots = np.sqrt(2.0 * degrees + 1.0)
+    return np.where((below > 0) & (below % 2 == 1), np.outer(roots, roots), 0.0)
 
 
 def chebyshev_values(xi: Array, count: int) -> Array:

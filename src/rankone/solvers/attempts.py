@@ -9,12 +9,16 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+
+from rankone.arrays import Array
 from rankone.deadline import OutOfTimeError, seconds_left, time_limit
 from rankone.domain import Domain
 from rankone.progress import Report
 from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.solvers.residual import doubtful_points
 from rankone.solvers.verification import Yardstick
 from rankone.system import Recipe, System
 
@@ -142,10 +146,11 @@ def solve_in_attempts(
         before = marcher.yardstick
         with _timed(timings, "check"):
             attempt = Attempt(result, before.measured(result.slabs))
-            if result.points is not None and (result.stopped or attempt.error <= request.rtol):
+            points = _further_points(before, attempt, request.rtol, index)
+            if points is not None:
                 try:
                     with _unless_asked(slow * _LONGEST):
-                        marcher.yardstick = before.with_points(result.points)
+                        marcher.yardstick = before.with_points(points)
                 except OutOfTimeError:  # not measured where it must be
                     result.stopped = Status.TIME_LIMIT
                 attempt = Attempt(result, marcher.yardstick.measured(result.slabs))
@@ -177,6 +182,20 @@ def solve_in_attempts(
         message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
     return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
+
+
+def _further_points(
+    yardstick: Yardstick, attempt: Attempt, rtol: float, number: int
+) -> Array | None:
+    """Points at which an attempt is to be measured too; None while it is not good enough."""
+    result = attempt.result
+    if not result.stopped and attempt.error > rtol:
+        return None
+    given = [] if result.points is None else [result.points]
+    if not result.stopped:
+        doubtful = doubtful_points(yardstick, result.slabs, attempt.error / rtol, rtol, number)
+        given += [] if doubtful is None else [doubtful]
+    return np.concatenate(given) if given else None
 
 
 def _unless_asked(seconds: float) -> AbstractContextManager[None]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -21,7 +22,7 @@ from rankone.domain import Domain, KnownFactors
 from rankone.errors import OptionError
 from rankone.system import System
 
-__all__ = ["breakpoints", "system_breakpoints"]
+__all__ = ["Breakpoints", "breakpoints", "resolving_pieces", "system_breakpoints"]
 
 _SAMPLES = 2**14
 """Fine samples over the interval: narrower pieces may be missed."""
@@ -29,14 +30,13 @@ _NODES = 14
 _TOLERANCE = 1e-7
 """Interpolation error that counts as resolved, relative to the largest value."""
 _NARROW = 1.0 / 64.0
-_UNIT = ChebyshevBasis(0.0, 1.0, _NODES)
 _EXTRA = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
 """Places beside the samples, so that small pieces are looked at too."""
 _RARE = 0.25
 """Narrow pieces count if they make up less than this part of the interval."""
 _DEEPEST = 13
-_MOST = 16
-"""Most values returned for one parameter."""
+_SEEN = 224
+"""Samples that tell the size of a factor."""
 _MOST_REPEATED = 10_000
 """Most points that repeat with a period."""
 _ROUNDING = 1e-14
@@ -45,9 +45,23 @@ _POLE = 1e9
 """A factor that is so many times larger at a breakpoint than at samples has a pole there."""
 
 
-def system_breakpoints(
-    system: System, domain: Domain
-) -> tuple[tuple[float, ...], list[list[float]]]:
+@dataclass(frozen=True)
+class Breakpoints:
+    """Points at which an interval is best cut for known functions.
+
+    Attributes
+    ----------
+    points : tuple of float
+        Ascending, inside the interval: jumps and kinks, and the ends of narrow pieces.
+    smooth : bool
+        Whether a few nodes between them resolve the functions.
+    """
+
+    points: tuple[float, ...] = ()
+    smooth: bool = True
+
+
+def system_breakpoints(system: System, domain: Domain) -> tuple[Breakpoints, ...]:
     """Breakpoints of the time factors, and those of the factors of each parameter.
 
     The first factor of every coordinate is one; where it is the only one there is no need to look.
@@ -60,21 +74,20 @@ def system_breakpoints(
     """
     none = ((),) * (1 + len(domain.box))
     known, periodic = (getattr(system, name, none) for name in ("CUTS", "PERIODIC_CUTS"))
-    found: list[list[float]] = []
-    for factors, points, repeated in zip(
+    found: list[Breakpoints] = []
+    for factors, alone, repeated in zip(
         KnownFactors.of(system, domain), known, periodic, strict=True
     ):
         interval = factors.interval
-        cuts = [*points, *_repeated(factors, repeated)]
-        found.append([])
+        cuts = [*alone, *_repeated(factors, repeated)]
+        found.append(Breakpoints())
         if len(factors(np.array(interval))) > 1:
             found[-1] = breakpoints(factors, *interval, cuts)
-            points = np.array([*interval, *found[-1]])
-            samples = np.abs(factors(np.linspace(*interval, _NODES * _MOST))).max()
+            points = np.array([*interval, *found[-1].points])
+            samples = np.abs(factors(np.linspace(*interval, _SEEN))).max()
             if np.abs(factors(points)).max() > _POLE * samples:
                 raise factors.not_finite()
-    in_time, *special = found
-    return tuple(in_time), [points[:: max(1, -(-len(points) // _MOST))] for points in special]
+    return tuple(found)
 
 
 def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) -> list[float]:
@@ -98,8 +111,11 @@ def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) ->
 
 def breakpoints(
     function: Callable[[Array], Array], lower: float, upper: float, known: Sequence[float] = ()
-) -> list[float]:
+) -> Breakpoints:
     """Points at which an interval is best cut for a vector of functions.
+
+    Jumps and kinks are located by bisection. There are none for functions that are smooth on the
+    scale of the interval.
 
     Parameters
     ----------
@@ -109,12 +125,6 @@ def breakpoints(
         The interval.
     known : sequence of float
         Points that are among them if they are inside.
-
-    Returns
-    -------
-    list of float
-        Ascending, inside the interval: jumps and kinks, located by bisection, and the ends of
-        narrow pieces. Empty for functions that are smooth on the scale of the interval.
     """
     finder = _Finder(function, lower, upper)
     known = _inside(known, lower, upper)
@@ -128,13 +138,14 @@ def breakpoints(
         if not fresh:
             break
         cuts = sorted([*cuts, *finder.distinct(fresh)])
+    smooth = len(pieces) <= len(cuts) + 1
     width = upper - lower
     narrow = [(a, b) for a, b, _ in pieces if b - a < _NARROW * width]
     if sum(b - a for a, b in narrow) < _RARE * width:
         cuts += [x for piece in narrow for x in piece]
     found = [x for x in finder.distinct(cuts) if min(x - lower, upper - x) > finder.closest]
     away = [x for x in found if min((abs(x - y) for y in known), default=math.inf) > finder.closest]
-    return sorted([*known, *away])
+    return Breakpoints(tuple(sorted([*known, *away])), smooth)
 
 
 def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
@@ -147,10 +158,43 @@ def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
     return kept
 
 
-def _interpolation(places: Array) -> Array:
+def resolving_pieces(
+    function: Callable[[Array], Array],
+    lower: float,
+    upper: float,
+    borders: Sequence[float],
+    nodes: int,
+    tolerance: float,
+) -> list[tuple[float, float]]:
+    """Pieces of an interval on each of which so many Chebyshev nodes resolve functions.
+
+    Parameters
+    ----------
+    function : callable
+        Maps points (N,) to values (rows, N).
+    lower, upper : float
+        The interval.
+    borders : sequence of float
+        Points inside of it, ascending, that no piece crosses.
+    nodes : int
+    tolerance : float
+        Largest error, relative to the largest value of each row.
+    """
+    finder = _Finder(function, lower, upper, nodes, tolerance)
+    edges = itertools.pairwise([lower, *borders, upper])
+    return [(a, b) for left, right in edges for a, b, _ in finder.pieces(left, right)]
+
+
+@lru_cache(32)
+def _unit(nodes: int) -> ChebyshevBasis:
+    return ChebyshevBasis(0.0, 1.0, nodes)
+
+
+def _interpolation(places: Array, nodes: int) -> Array:
     """From values at the nodes of [0, 1] to those at places (N,) and at the extra ones."""
-    at = _UNIT.modal_values(np.concatenate([places, _EXTRA]))
-    return np.asarray(np.sqrt(_UNIT.weights)[:, None] * (_UNIT.to_modal.T @ at.T))
+    unit = _unit(nodes)
+    at = unit.modal_values(np.concatenate([places, _EXTRA]))
+    return np.asarray(np.sqrt(unit.weights)[:, None] * (unit.to_modal.T @ at.T))
 
 
 def _even(places: Array) -> bool:
@@ -161,17 +205,24 @@ def _even(places: Array) -> bool:
     return bool(abs(first - 0.5) + abs(last - 0.5) < 1e-6)
 
 
-@lru_cache(16)
-def _evenly(count: int) -> Array:
+@lru_cache(32)
+def _evenly(count: int, nodes: int) -> Array:
     """The same for the middles of so many equal parts: what a dyadic piece has."""
-    return _interpolation((np.arange(count) + 0.5) / count)
+    return _interpolation((np.arange(count) + 0.5) / count, nodes)
 
 
 class _Finder:
     """Recursive bisection of one interval until the functions are resolved on every piece."""
 
-    def __init__(self, function: Callable[[Array], Array], lower: float, upper: float) -> None:
-        self.function = function
+    def __init__(
+        self,
+        function: Callable[[Array], Array],
+        lower: float,
+        upper: float,
+        nodes: int = _NODES,
+        tolerance: float = _TOLERANCE,
+    ) -> None:
+        self.function, self.nodes, self.tolerance = function, nodes, tolerance
         self.lower, self.width = lower, upper - lower
         self.closest = 1e-9 * self.width
         points = lower + self.width * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
@@ -183,15 +234,18 @@ class _Finder:
         """Largest interpolation error on [a, b], at the fine samples and a few more points."""
         inside = slice(*np.searchsorted(self.points, [a, b]))
         places = (self.points[inside] - a) / (b - a)
-        few = self.function(a + (b - a) * np.concatenate([_UNIT.nodes, _EXTRA]))
-        matrix = _evenly(places.size) if _even(places) else _interpolation(places)
-        values = np.concatenate([self.values[:, inside], few[:, _NODES:]], axis=1)
-        return float(np.max(np.abs(values - few[:, :_NODES] @ matrix) / self.size))
+        few = self.function(a + (b - a) * np.concatenate([_unit(self.nodes).nodes, _EXTRA]))
+        if _even(places):
+            matrix = _evenly(places.size, self.nodes)
+        else:
+            matrix = _interpolation(places, self.nodes)
+        values = np.concatenate([self.values[:, inside], few[:, self.nodes :]], axis=1)
+        return float(np.max(np.abs(values - few[:, : self.nodes] @ matrix) / self.size))
 
     def pieces(self, a: float, b: float, depth: int = 0) -> list[tuple[float, float, bool]]:
         """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
         check_time()
-        if self.error(a, b) <= _TOLERANCE:
+        if self.error(a, b) <= self.tolerance:
             return [(a, b, True)]
         if depth == _DEEPEST or b - a < 4.0 * self.closest:
             return [(a, b, False)]
@@ -203,7 +257,7 @@ class _Finder:
         found = []
         for (a, b, left), (_, c, right) in itertools.pairwise(pieces):
             near = 0.25 * min(b - a, c - b)
-            if left and right and self.error(b - near, b + near) > _TOLERANCE:
+            if left and right and self.error(b - near, b + near) > self.tolerance:
                 found.append(b)
         return found
 
@@ -214,7 +268,7 @@ class _Finder:
             if not a < middle < b:
                 break
             left, right = self.error(a, middle), self.error(middle, b)
-            if max(left, right) <= 1e-3 * _TOLERANCE:
+            if max(left, right) <= 1e-3 * self.tolerance:
                 return middle
             a, b = (a, middle) if left > right else (middle, b)
         return 0.5 * (a + b)

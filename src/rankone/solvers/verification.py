@@ -10,7 +10,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.domain import Domain
-from rankone.solvers.breakpoints import system_breakpoints
+from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
 from rankone.solvers.outcome import Measured
 from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
 from rankone.solvers.suspects import active_points
@@ -23,6 +23,8 @@ _ACCURACY = 3e-3
 """Tolerance of the reference, for the worst of its trajectories, over that asked for."""
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
+_BESIDE = 16
+"""Most breakpoints of a parameter that are checked on either side."""
 _GENERAL = 4
 """Check points of a system that does not separate, over those asked for: it may kink or jump where
 no factor of one coordinate tells."""
@@ -44,7 +46,7 @@ class Yardstick:
         Whether there are random points, so that an error can be stated.
     cuts : tuple of float
         Times at which the time factors jump, kink or are narrow.
-    special : tuple of tuples of float
+    special : tuple of Breakpoints
         The same for the factors of each parameter.
     """
 
@@ -55,22 +57,24 @@ class Yardstick:
     corners: int
     checked: bool
     cuts: tuple[float, ...] = ()
-    special: tuple[tuple[float, ...], ...] = ()
+    special: tuple[Breakpoints, ...] = ()
 
     @classmethod
     def of(cls, system: System, domain: Domain, rtol: float, check: int) -> Yardstick:
         """Integrate the reference for a solve to ``rtol`` with ``check`` random points."""
-        cuts, special = system_breakpoints(system, domain)
+        in_time, *special = system_breakpoints(system, domain)
+        cuts = in_time.points
         check *= 1 if system.SEPARATED else _GENERAL
-        points = check_points(domain.bounds, check, special=special if check else ())
+        beside = [_few(each.points) for each in special]
+        points = check_points(domain.bounds, check, special=beside if check else ())
         active = active_points(system, domain) if check else points[:0]
         points = np.concatenate([points, active])
         accuracy = max(_ACCURACY * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
-        interior = 1 + check + 2 * sum(map(len, special)) + len(active)
+        interior = 1 + check + 2 * sum(map(len, beside)) + len(active)
         corners = len(points) - interior if check and domain.box else 0
-        where = tuple(map(tuple, special))
-        return cls(system, domain, accuracy, reference, corners, bool(check), cuts, where)
+        found = cuts, tuple(special)
+        return cls(system, domain, accuracy, reference, corners, bool(check), *found)
 
     def with_points(self, points: Array) -> Yardstick:
         """The same with more interior points (m, d); those of before are not integrated again."""
@@ -114,3 +118,8 @@ class Yardstick:
         if self.reference.blown is None:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
+
+
+def _few(points: Sequence[float]) -> Sequence[float]:
+    """At most so many of the points as are checked."""
+    return points[:: max(1, -(-len(points) // _BESIDE))]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.discretization import Basis1D, legendre_values
+from rankone.discretization import Basis1D, legendre_derivative, legendre_values
 
 __all__ = ["SlabTrain"]
 
@@ -62,6 +62,12 @@ class SlabTrain:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
         in_time = np.tensordot(self.cores[0], self._time_values(times), (1, 1))
         return np.asarray(np.einsum("nrt,rm->nmt", in_time, carry, optimize=True))
+
+    def derivative(self) -> SlabTrain:
+        """The derivatives of the states with respect to time."""
+        first, count = self.cores[0], self.cores[0].shape[1]
+        slopes = legendre_derivative(count) * (2.0 / (self.end - self.start))
+        return replace(self, cores=(slopes @ first, *self.cores[1:]))
 
     def shares_parameters(self, other: SlabTrain) -> bool:
         """Whether all but the first core are those of another slab."""

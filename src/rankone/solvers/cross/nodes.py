@@ -10,17 +10,23 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
+from rankone.solvers.breakpoints import Breakpoints, resolving_pieces
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 
 __all__ = ["divided", "first_bases", "more_nodes"]
 
+_KNOWN = 0.1
+"""What an element may miss of the known functions of its parameter, in the same unit."""
+_MORE = (1.5, 2.5, 4.0)
+"""Nodes of one element, over those of the lines, that are tried before elements."""
 _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
 _STEEP_LINES = 6
@@ -52,26 +58,49 @@ def first_bases(
     """Bases that resolve the trajectories on two lines for each parameter.
 
     One line goes through the centre of the box, one past it. The modes of a smooth function fall
-    geometrically, which tells how many are needed beyond those of the line.
+    geometrically, which tells how many are needed beyond those of the line. Where known functions
+    of a parameter are narrow, kink or jump is known before: elements begin with pieces on each of
+    which they are resolved.
     """
     kind = BASES[options.basis]
     count = _count(rtol, options)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
+    known = [_known(trajectories, j, count, rtol) for j in range(len(bases))]
     lines = Lines(trajectories, domain)
     values = lines([(j, basis.nodes) for j, basis in enumerate(bases)])
     special = trajectories.yardstick.special or ((),) * len(bases)
     found = []
     for j, basis in enumerate(bases):
+        borders, least = known[j]
         predicted = needed(_spectrum(basis, values[j]), _TAIL * rtol, math.inf)
-        if special[j] or (len(bases) == 1 and predicted > _STEEP * count):
+        if borders or (len(bases) == 1 and predicted > _STEEP * count):
             tail = _TAIL_STEEP * rtol
-            elements = _elements(lines, j, basis, special[j], tail, options.max_nodes)
-            if elements.size <= predicted or special[j]:
+            elements = _elements(lines, j, basis, borders, tail, options.max_nodes)
+            if elements.size <= predicted or borders:
                 found.append(elements)
                 continue
         wanted = min(predicted, math.ceil(_FARTHEST * count))
-        found.append(replace(basis, degree=min(max(wanted, 3), options.max_nodes)))
+        found.append(replace(basis, degree=min(max(wanted, least, 3), options.max_nodes)))
     return tuple(found)
+
+
+def _known(trajectories: Trajectories, j: int, nodes: int, rtol: float) -> tuple[list[float], int]:
+    """Where elements of a parameter begin, and nodes needed at least where there are none.
+
+    They resolve the known functions of it.
+    """
+    yardstick = trajectories.yardstick
+    found = yardstick.special[j] if yardstick.special else Breakpoints()
+    if found.smooth:
+        return list(found.points), 0
+    known, interval = partial(yardstick.system.parameter_factors, j), yardstick.domain.box[j]
+    for count in (nodes, *(round(more * nodes) for more in _MORE)):
+        pieces = resolving_pieces(known, *interval, found.points, count, _KNOWN * rtol)
+        if len(pieces) == 1:
+            return [], count
+        if count == nodes:
+            elements = pieces
+    return [a for a, _ in elements[1:]], 0
 
 
 def divided(

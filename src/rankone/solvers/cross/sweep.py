@@ -28,6 +28,10 @@ _FULL_GRID = 1600
 """Number of nodes of the grid up to which all of them are sampled."""
 _EXCHANGES, _VOLUME = 100, 1.1
 """Most exchanges of columns of a skeleton, and the factor on its volume that is worth one."""
+_CORNERS = 4
+"""Most corners among the left points."""
+_CORNER_WEIGHT = 0.5
+"""Their weight: what is missed there alone may be larger."""
 _EXTRA = 16
 """Expected rank of a bond: twice that of the next one, and so many more."""
 
@@ -52,7 +56,8 @@ class Interpolation:
 def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     """For each bond the left points: node indices of the parameters before it, (m, b).
 
-    Random ones, ``count`` of them, or all where the whole grid is small.
+    Random ones, ``count`` of them, and corners of their grid, or all where the whole grid is small.
+    In the corners products of many parameters are largest, which random points hardly see.
     """
     generator = np.random.default_rng(seed)
     points = [np.zeros((1, 0), dtype=np.int64)]
@@ -62,9 +67,29 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
         if full or total <= count:
             columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
         else:
-            columns = [generator.integers(0, size, count) for size in sizes[:b]]
+            corners = _corners(b, generator)
+            columns = [
+                np.concatenate([generator.integers(0, size, count), (size - 1) * corner])
+                for size, corner in zip(sizes[:b], corners.T, strict=True)
+            ]
         points.append(np.stack(columns, axis=1).astype(np.int64))
     return points
+
+
+def _corners(dimensions: int, generator: np.random.Generator) -> Integers:
+    """The two ends of the diagonal and random corners of a unit cube, or all, (m, dimensions)."""
+    if 2**dimensions <= _CORNERS:
+        return np.stack(np.unravel_index(np.arange(2**dimensions), (2,) * dimensions), axis=1)
+    ends = np.repeat([[0], [1]], dimensions, axis=1)
+    return np.concatenate([ends, generator.integers(0, 2, (_CORNERS - 2, dimensions))])
+
+
+def _weights(left: Integers, sizes: Sequence[int]) -> Array:
+    """Weights of left points in what a row space may miss: less for corners of their grid."""
+    if len(left) == math.prod(sizes):
+        return np.ones(len(left))
+    at_ends = ((left == 0) | (left == np.array(sizes) - 1)).all(axis=1)
+    return np.where(at_ends, _CORNER_WEIGHT, 1.0)
 
 
 def interpolate(
@@ -95,8 +120,9 @@ def interpolate(
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
         block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))
-        matrix = block.reshape(-1, len(columns))
-        allowed = tolerance * math.sqrt(len(left[b]) * len(columns))
+        weights = _weights(left[b], [basis.size for basis in bases[:b]])
+        matrix = (block * weights[:, None]).reshape(-1, len(columns))
+        allowed = tolerance * math.sqrt(np.sum(weights**2) * len(columns))
         guess = generator.standard_normal((2 * len(right) + _EXTRA, len(columns)))
         _, values, rows = truncated_svd(matrix, allowed, max_rank, guess)
         limited |= values.size == max_rank

@@ -1,0 +1,81 @@
+"""Where the residual of the equations says that a solution is worse than where it was measured.
+
+Trajectories at a few random points do not see what is narrow. The residual u' - f(t, p, u) costs a
+microsecond a point instead of a trajectory; it is no error, but at the same time it is about as
+large in proportion to the error at other points as where the error is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.solvers.verification import Yardstick
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["doubtful_points"]
+
+_CANDIDATES, _SLABS, _CHOSEN = 512, 4, 8
+"""Points looked at, on how many slabs at most, and how many of them are taken."""
+_TIMES = np.array([0.21, 0.64, 0.97])
+"""In slab lengths."""
+_NOISE = 1e-3
+"""Residuals below this part of the tolerance, in sizes over the length of the slab, are nothing."""
+_KNOWN = 64
+"""Most trajectories of the reference whose residuals are looked at."""
+
+
+def doubtful_points(
+    yardstick: Yardstick, slabs: Sequence[SlabTrain], share: float, rtol: float, number: int
+) -> Array | None:
+    """Points (m, d) where the error is expected to be above the tolerance; None if there are none.
+
+    Parameters
+    ----------
+    yardstick : Yardstick
+    slabs : sequence of SlabTrain
+    share : float
+        Measured error over the tolerance.
+    rtol : float
+    number : int
+        That of the attempt: each has points of its own.
+    """
+    domain = yardstick.domain
+    if not domain.box or not slabs or not yardstick.checked:
+        return None
+    lower, upper = domain.bounds.T
+    generator = np.random.default_rng((20141, number))
+    candidates = lower + (upper - lower) * generator.random((_CANDIDATES, lower.size))
+    known = np.delete(yardstick.reference.points, np.s_[1 : 1 + yardstick.corners], axis=0)[
+        -_KNOWN:
+    ]
+    points = np.concatenate([known, candidates])
+    ratios = np.zeros(_CANDIDATES)
+    carry, last = np.zeros((0, 0)), None
+    for i in sorted({round(i) for i in np.linspace(0, len(slabs) - 1, _SLABS)}):
+        slab = slabs[i]
+        if last is None or not slab.shares_parameters(last):
+            carry, last = slab.over_parameters(points.T), slab
+        sizes = _residuals(yardstick, slab, points, carry)
+        floor = _NOISE * rtol / (slab.end - slab.start)
+        largest = np.maximum(sizes[:, : len(known)].max(axis=1, keepdims=True), floor)
+        ratios = np.maximum(ratios, (sizes[:, len(known) :] / largest).max(axis=0))
+    ratios = np.where(np.isfinite(ratios), ratios, np.inf)
+    worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
+    doubtful = candidates[worst[ratios[worst] * share > 1.0]]
+    return doubtful if len(doubtful) else None
+
+
+def _residuals(yardstick: Yardstick, slab: SlabTrain, points: Array, carry: Array) -> Array:
+    """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
+    times = slab.start + (slab.end - slab.start) * _TIMES
+    values, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
+    units = yardstick.states[:, None]
+    with np.errstate(all="ignore"):
+        found = [
+            np.abs(rates[:, :, j] - yardstick.system.rhs(time, values[:, :, j], points.T)) / units
+            for j, time in enumerate(times)
+        ]
+    return np.stack([np.nan_to_num(each.max(axis=0), nan=np.inf) for each in found])
