@@ -1,4 +1,4 @@
-"""Where the residual of the equations says that a solution is worse than where it was measured.
+"""Where the residual of the equations says that a solution is worse than measured.
 
 Trajectories at a few random points do not see what is narrow. The residual u' - f(t, p, u) costs a
 microsecond a point instead of a trajectory; it is no error, but at the same time it is about as

@@ -188,8 +188,9 @@ class CrossMarcher:
         settled = all(
             new.size <= _SETTLED * b.size for new, b in zip(finer, self.bases, strict=True)
         )
-        if settled or (stalls and not grown):
-            self.share *= min(max(0.5 * self.rtol / attempt.error, 0.1), 0.5)
+        close = attempt.error < _FAR * self.rtol
+        if settled or close or (stalls and not grown):
+            self.share *= min(max(self.rtol / attempt.error, 0.1), 0.5)
             finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
         self.bases = finer

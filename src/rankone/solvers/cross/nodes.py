@@ -31,7 +31,7 @@ _OFF_CENTRE = 0.35
 """Distance of the second line of a parameter from the centre, in widths of the other intervals."""
 _STEEP_LINES = 6
 """Most lines of a parameter through steep points."""
-_TAIL = 0.03
+_TAIL = 0.015
 """What the modes left out may make up, relative to the error asked for."""
 _SLOWEST = 0.95
 """Largest ratio of successive modes that is believed."""
@@ -68,7 +68,6 @@ def first_bases(
     known = [_known(trajectories, j, count, rtol) for j in range(len(bases))]
     lines = Lines(trajectories, domain)
     values = lines([(j, basis.nodes) for j, basis in enumerate(bases)])
-    special = trajectories.yardstick.special or ((),) * len(bases)
     found = []
     for j, basis in enumerate(bases):
         borders, least = known[j]

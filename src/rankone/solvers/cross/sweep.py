@@ -28,8 +28,8 @@ _FULL_GRID = 1600
 """Number of nodes of the grid up to which all of them are sampled."""
 _EXCHANGES, _VOLUME = 100, 1.1
 """Most exchanges of columns of a skeleton, and the factor on its volume that is worth one."""
-_CORNERS = 4
-"""Most corners among the left points."""
+_CORNERS = 0.45
+"""Corners among the left points, over the random ones."""
 _CORNER_WEIGHT = 0.5
 """Their weight: what is missed there alone may be larger."""
 _EXTRA = 16
@@ -67,7 +67,7 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
         if full or total <= count:
             columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
         else:
-            corners = _corners(b, generator)
+            corners = _corners(b, round(_CORNERS * count), generator)
             columns = [
                 np.concatenate([generator.integers(0, size, count), (size - 1) * corner])
                 for size, corner in zip(sizes[:b], corners.T, strict=True)
@@ -76,12 +76,12 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     return points
 
 
-def _corners(dimensions: int, generator: np.random.Generator) -> Integers:
-    """The two ends of the diagonal and random corners of a unit cube, or all, (m, dimensions)."""
-    if 2**dimensions <= _CORNERS:
+def _corners(dimensions: int, count: int, generator: np.random.Generator) -> Integers:
+    """Corners of a unit cube, (m, dimensions): the ends of the diagonal and random ones, or all."""
+    if 2**dimensions <= count:
         return np.stack(np.unravel_index(np.arange(2**dimensions), (2,) * dimensions), axis=1)
     ends = np.repeat([[0], [1]], dimensions, axis=1)
-    return np.concatenate([ends, generator.integers(0, 2, (_CORNERS - 2, dimensions))])
+    return np.concatenate([ends, generator.integers(0, 2, (count - 2, dimensions))])
 
 
 def _weights(left: Integers, sizes: Sequence[int]) -> Array:
