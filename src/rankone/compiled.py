@@ -176,8 +176,8 @@ class CompiledProblem:
             terms do not separate. False skips the check; the solution then does not count as a
             success.
         max_seconds : float, optional
-            Time limit; the best solution so far is returned, with ``success`` False. Without one no
-            further attempt is begun after 20 seconds.
+            Time limit; the best solution so far is returned, with ``success`` False. Without one it
+            is 25 seconds, or 250 where functions of the user are called.
         on_failure : {"return", "raise"}
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.

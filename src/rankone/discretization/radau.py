@@ -12,13 +12,13 @@ from rankone.discretization.basis import legendre_values
 
 __all__ = ["RadauCollocation", "inset"]
 
-_INSET, _ROUNDING = 1e-9, 8.0
+_INSET, _UNITS = 1e-9, 8.0
 """Part of a slab or segment by which times stay inside, and least number of units of rounding."""
 
 
 def inset(start: float, end: float) -> float:
     """How far times stay inside a slab or segment: factors may jump at its ends."""
-    rounding = _ROUNDING * float(np.spacing(max(abs(start), abs(end))))
+    rounding = _UNITS * float(np.spacing(max(abs(start), abs(end))))
     return min(max(_INSET * (end - start), rounding), 0.25 * (end - start))
 
 

@@ -67,9 +67,10 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
     """
     parser = _parser(about)
     given = parser.parse_args()
-    asked = given.rtol, given.box, given.t_final, given.options
+    asked = given.rtol, given.box, given.t_final, given.max_seconds, given.options
     if given.load is not None and any(value is not None for value in asked):
-        parser.error("--load takes a solution as it is: no --rtol, --box, --t-final or --options")
+        refused = "--rtol, --box, --t-final, --max-seconds or --options"
+        parser.error(f"--load takes a solution as it is: no {refused}")
     if given.grid is not None and given.save is None:
         parser.error("--grid needs --save")
     solution = None
@@ -104,6 +105,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
     add("--rtol", type=float, help="relative tolerance (default: 1e-6)")
     add("--box", nargs="+", action="extend", metavar=_SPAN, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
+    add("--max-seconds", type=float, metavar="S", help="time limit; the best so far is kept")
     add("--options", nargs="+", action="extend", metavar=_PAIR, help="options of the engine")
     add("--at", nargs="+", action="extend", metavar=_PAIR, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
@@ -118,9 +120,10 @@ def _parser(description: str) -> argparse.ArgumentParser:
 def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> SolutionCore:
     """Solve as the command line asks; after a blow-up take the part before it."""
     box, options = box_of(given.box), options_of(given.options, Asked.keywords())
+    limits = {"t_final": given.t_final, "max_seconds": given.max_seconds}
     rtol = 1e-6 if given.rtol is None else given.rtol
     try:
-        return solve(rtol, parameters=box, t_final=given.t_final, **options)
+        return solve(rtol, parameters=box, **limits, **options)
     except ConvergenceError as error:
         if not isinstance(error.solution, SolutionCore):
             raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -20,15 +20,13 @@ from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.solvers.residual import doubtful_points
 from rankone.solvers.verification import Yardstick
-from rankone.system import Recipe, System
+from rankone.system import System
 
 __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
-_LONGEST = 20.0
-"""Seconds after which the reference is given up, and the attempts together, if no time limit was
-asked for; as long may the reference at further points take."""
-_SLOW = 10.0
-"""They are longer by this where functions of the user are called, which may be slow."""
+_EXPLAINING, _SHARE = 5.0, 0.15
+"""Seconds kept for saying why a solve failed, and their largest share of all."""
+_MORE_TIME = "give more time by max_seconds"
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
@@ -82,7 +80,7 @@ class Attempt:
             corner = max(self.measured.corners, default=0.0)
             if corner > max(rtol, self.error):
                 text += f" (up to {corner:.1e} at the corners of the box)"
-        if self.result.stopped is not None:
+        if self.result.stopped is not None and not self.result.whole:
             reached = f"at t = {slabs[-1].end:.6g}" if slabs else "before the first slab"
             text += f"; stopped {reached}"
         return text
@@ -119,44 +117,59 @@ def solve_in_attempts(
 ) -> Outcome:
     """Integrate the reference, then march and check until the measured error fits.
 
-    ``prepared`` makes the marcher from the request and its yardstick.
+    ``prepared`` makes the marcher from the request and its yardstick. A part of the time is kept
+    for saying why it failed.
     """
     timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
+    left = seconds_left()
+    with time_limit(left - min(_EXPLAINING, _SHARE * left)):
+        try:
+            with _timed(timings, "reference"):
+                yardstick = Yardstick.of(system, domain, request.rtol, request.points)
+                marcher = prepared(request, yardstick)
+                marcher.yardstick = yardstick
+        except OutOfTimeError as out:
+            message = f"{Status.TIME_LIMIT.value} by the reference trajectories"
+            if out.args:
+                message += ", at t = {:.6g} after {} steps".format(*out.args)
+            return Outcome((), Status.TIME_LIMIT, f"{message}; {_MORE_TIME}", None, (), timings)
+        best, records, out_of_time = _attempts(marcher, request, report, timings)
+    yardstick = marcher.yardstick
+    status = best.status(yardstick, request.rtol)
+    if out_of_time and status is not Status.CONVERGED:
+        status = Status.TIME_LIMIT
+    status, cause = marcher.explained(status, best)
+    message = best.message(status, request.rtol, cause)
+    remedies = {Status.TIME_LIMIT: _MORE_TIME, **marcher.remedies}
+    if status in remedies:
+        message += f"; {remedies[status]}"
+    slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
+    return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
+
+
+def _attempts(
+    marcher: Marcher, request: Request[Any], report: Report, timings: dict[str, float]
+) -> tuple[Attempt, list[SlabRecord], bool]:
+    """The best attempt, the records of all, and whether they ended because of the time."""
     records: list[SlabRecord] = []
     best: Attempt | None = None
     stalls, out_of_time = 0, False
-    recipe: Recipe | None = getattr(system, "RECIPE", None)
-    slow = _SLOW if recipe is not None and recipe.namespace else 1.0
-    began = clock.perf_counter()
-    try:
-        with _timed(timings, "reference"), _unless_asked(slow * _LONGEST):
-            yardstick = Yardstick.of(system, domain, request.rtol, request.points)
-            marcher = prepared(request, yardstick)
-            marcher.yardstick = yardstick
-    except OutOfTimeError as out:
-        message = f"{Status.TIME_LIMIT.value} by the reference trajectories"
-        if out.args:
-            message += ", at t = {:.6g} after {} steps".format(*out.args)
-        message += "; raise max_seconds, or smooth what switches back and forth"
-        return Outcome((), Status.TIME_LIMIT, message, None, (), timings)
     for index in range(request.options.max_attempts):
-        left = slow * _LONGEST - (clock.perf_counter() - began)
-        with _timed(timings, "march"), _unless_asked(left):
+        with _timed(timings, "march"):
             result = marcher.march(index, report)
+        records += result.records
         before = marcher.yardstick
         with _timed(timings, "check"):
             attempt = Attempt(result, before.measured(result.slabs))
-            points = _further_points(before, attempt, request.rtol, index)
-            if points is not None:
+            further = _further_points(before, attempt, request.rtol, index)
+            if further is not None:
                 try:
-                    with _unless_asked(slow * _LONGEST):
-                        marcher.yardstick = before.with_points(points)
+                    marcher.yardstick = before.with_points(further)
                 except OutOfTimeError:  # not measured where it must be
                     result.stopped = Status.TIME_LIMIT
                 attempt = Attempt(result, marcher.yardstick.measured(result.slabs))
                 if best is not None:
                     best = Attempt(best.result, marcher.yardstick.measured(best.result.slabs))
-        records += result.records
         if marcher.yardstick.end < before.end:  # a trajectory ends earlier than was known
             best = None
             continue
@@ -166,22 +179,9 @@ def solve_in_attempts(
         done = result.stopped or not before.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
-        if clock.perf_counter() - began > slow * _LONGEST and math.isinf(seconds_left()):
-            out_of_time = True
-            break
-    yardstick = marcher.yardstick
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    status = best.status(yardstick, request.rtol)
-    if out_of_time and status is not Status.CONVERGED:
-        status = Status.TIME_LIMIT
-    status, cause = marcher.explained(status, best)
-    message = best.message(status, request.rtol, cause)
-    remedies = {Status.TIME_LIMIT: "raise max_seconds", **marcher.remedies}
-    if status in remedies:
-        message += f"; {remedies[status]}"
-    slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
-    return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
+    return best, records, out_of_time
 
 
 def _further_points(
@@ -196,11 +196,6 @@ def _further_points(
         doubtful = doubtful_points(yardstick, result.slabs, attempt.error / rtol, rtol, number)
         given += [] if doubtful is None else [doubtful]
     return np.concatenate(given) if given else None
-
-
-def _unless_asked(seconds: float) -> AbstractContextManager[None]:
-    """A time limit that holds only if there is no other."""
-    return time_limit(seconds if math.isinf(seconds_left()) else None)
 
 
 @contextmanager

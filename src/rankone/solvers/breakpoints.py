@@ -39,7 +39,7 @@ _SEEN = 224
 """Samples that tell the size of a factor."""
 _MOST_REPEATED = 10_000
 """Most points that repeat with a period."""
-_ROUNDING = 1e-14
+_COINCIDE = 1e-14
 """Points that are closer, relative to the largest value of the coordinate, are the same."""
 _POLE = 1e9
 """A factor that is so many times larger at a breakpoint than at samples has a pole there."""
@@ -150,7 +150,7 @@ def breakpoints(
 
 def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
     """Points inside an interval, ascending, each once but for rounding errors."""
-    least = _ROUNDING * max(abs(lower), abs(upper))
+    least = _COINCIDE * max(abs(lower), abs(upper))
     kept: list[float] = []
     for x in sorted(points):
         if x - (kept[-1] if kept else lower) > least and upper - x > least:

@@ -67,7 +67,8 @@ class MarchResult:
 
     ``stopped`` says why the march ended early; None if it reached the end. ``points`` (m, d) are
     parameter points at which the error must be within the tolerance too if it is at those that are
-    always taken, or at which the march met its end.
+    always taken, or at which the march met its end. ``whole`` says that the slabs reach the end
+    although it was stopped.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)
@@ -75,6 +76,7 @@ class MarchResult:
     limits: set[Status] = field(default_factory=set)
     stopped: Status | None = None
     points: Array | None = None
+    whole: bool = False
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ _LONGEST = 0.1
 """Longest step, in horizons, where functions of time or of unknowns may hide between its stages."""
 _GROWN = 1e3
 """Size of a state, over the initial ones, that tells a blow-up from a pole or a border."""
+_RUNAWAY, _LATER = 1e6, 1.0001
+"""Growth in a horizon, at the last rate, that tells the same, and a state a little later."""
 _INTEGRATIONS = 3
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -176,9 +178,18 @@ def integrate_reference(
     if reached < end:
         blown = quickest(system, reached, state, points, floor)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
+        large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
     return Reference(points, start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large)
+
+
+def _runs_away(system: System, time: float, state: Array, point: Array, horizon: float) -> bool:
+    """Whether a state grows at an enormous rate, and would a little later as well: no pole."""
+    with np.errstate(all="ignore"):
+        now, later = (system.rhs(time, s * state[:, None], point[:, None]) for s in (1.0, _LATER))
+    fast = now[:, 0] * np.sign(state) * horizon > _RUNAWAY * np.abs(state)
+    return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
 
 
 class _Steps:

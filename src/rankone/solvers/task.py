@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -14,16 +13,19 @@ from rankone.options import checked_number
 from rankone.progress import Report, quiet
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.outcome import Outcome, Status
-from rankone.system import System
+from rankone.system import Recipe, System
 
 __all__ = ["Asked", "Task"]
 
 _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP, Status.LEAVES, Status.STEEP)
 """How a solve ends that no other engine is tried after."""
-_BRIEF, _SHARE = 2.0, 0.4
-"""Seconds for train where cross follows, and their largest share of the time limit."""
-_NEXT = 10.0
-"""Seconds for train where cross has failed, if no time limit was asked for."""
+_LONGEST, _SLOW = 25.0, 10.0
+"""Seconds for a solve if no time limit was asked for; longer by that factor where functions of the
+user are called, which may be slow."""
+_BRIEF, _BRIEFLY = 2.0, 0.4
+"""Seconds for train where cross follows, and their largest share of the time."""
+_FIRST = 0.7
+"""Share of the time for cross where train follows."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Task:
         Tried one after the other until the error is within the tolerance.
     requests : sequence of Request
         One for each engine.
-    max_seconds : float or None
+    max_seconds : float
         For all of them together.
     """
 
@@ -61,7 +63,7 @@ class Task:
     requests: Sequence[Request[Any]]
     system: System
     domain: Domain
-    max_seconds: float | None
+    max_seconds: float
 
     @classmethod
     def of(
@@ -76,9 +78,12 @@ class Task:
             engine.request(asked.rtol, asked.check, asked.options, keywords) for engine in engines
         ]
         domain = Domain.of(system).moved(system.PARAMETERS, asked.parameters, asked.t_final)
-        seconds = asked.max_seconds
-        if seconds is not None:
-            seconds = checked_number("max_seconds", seconds, 0.0, kind=float)
+        if asked.max_seconds is None:
+            recipe: Recipe | None = getattr(system, "RECIPE", None)
+            slow = recipe is not None and recipe.namespace
+            seconds = _LONGEST * (_SLOW if slow else 1.0)
+        else:
+            seconds = checked_number("max_seconds", asked.max_seconds, 0.0, kind=float)
         return cls(engines, requests, system, domain, seconds)
 
     def run(
@@ -97,13 +102,19 @@ class Task:
         box, horizon, rtol = self.domain.box, self.domain.horizon, self.requests[0].rtol
         return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
 
-    def _seconds(self, engine: Engine[Any], tried: int) -> float | None:
-        """What an engine is given beside the limit that was asked for: train no more than a try."""
-        if engine.name != "train" or len(self.engines) == 1:
-            return None
-        if tried:
-            return _NEXT if self.max_seconds is None else None
-        return min(_BRIEF, _SHARE * (self.max_seconds or math.inf))
+    def _seconds(self, tried: int) -> float:
+        """What the next engine is given: train before cross no more than a try."""
+        left = seconds_left()
+        if tried == len(self.engines) - 1:
+            return left
+        if self.engines[tried].name == "train":
+            return min(_BRIEF, _BRIEFLY * left)
+        return _FIRST * left
+
+    def _rank(self, outcome: Outcome) -> tuple[bool, bool, float]:
+        """The best outcome has the least: it is final, or gets to the end, or errs least."""
+        whole = bool(outcome.slabs) and outcome.slabs[-1].end >= self.domain.horizon[1]
+        return outcome.status not in _FINAL, not whole, outcome.error
 
     def _outcome(self, report: Report) -> tuple[Outcome, str]:
         """The best outcome, and the name of its engine."""
@@ -111,12 +122,12 @@ class Task:
         for engine, request in zip(self.engines, self.requests, strict=True):
             if found and seconds_left() <= 0.0:
                 break
-            with time_limit(self._seconds(engine, len(found))):
+            with time_limit(self._seconds(len(found))):
                 outcome = engine.solve(self.system, self.domain, request, report)
             found.append((outcome, engine.name))
             if outcome.status in _FINAL:
                 break
-        best, method = min(found, key=lambda pair: (pair[0].status not in _FINAL, pair[0].error))
+        best, method = min(found, key=lambda pair: self._rank(pair[0]))
         if len(found) == 1:
             return best, method
         timings = {stage: sum(o.timings[stage] for o, _ in found) for stage in best.timings}

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError, time_limit
-from rankone.discretization import Basis1D
+from rankone.deadline import OutOfTimeError
+from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
 from rankone.solvers.attempts import Attempt, solve_in_attempts
@@ -36,8 +36,8 @@ __all__ = ["ENGINE", "solve_cross"]
 _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
 _LEFT_POINTS = 9
-_EXPLAINING = 5.0
-"""Seconds for finding a reason."""
+_LEAST_NODES = 3
+"""Nodes of what does not depend on a parameter."""
 _PATIENCE, _CHEAP = 5, 80_000
 """Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
 _FEW = 3
@@ -101,11 +101,9 @@ class CrossMarcher:
         try:
             found, bases = self._interpolated(trajectories, level)
         except TooManyTrajectories:
-            result.stopped = Status.TRAJECTORY_LIMIT
-            return result
+            return self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfTimeError:
-            result.stopped = Status.TIME_LIMIT
-            return result
+            return self._stopped(Status.TIME_LIMIT, grid)
         except TrajectoryEnds as ends:
             result.stopped, result.points = Status.NO_CONVERGENCE, ends.point[None, :]
             self.ends = ends.time
@@ -132,6 +130,15 @@ class CrossMarcher:
         result.records.append(record)
         report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
         return result
+
+    def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
+        """The trajectory at the centre for every parameter, which is better than nothing."""
+        yardstick, kind = self.yardstick, BASES[self.options.basis]
+        bases = tuple(kind(lower, upper, _LEAST_NODES) for lower, upper in yardstick.domain.box)
+        constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
+        centre = yardstick.reference(grid.times)[:, 0, :, None]
+        modal = apply_to_modes([centre, *constant], [basis.to_modal for basis in bases])
+        return MarchResult(grid.trains(centre, modal[1:], bases), stopped=status, whole=True)
 
     def _grid(self, level: float) -> TimeGrid | None:
         """Slabs that resolve the reference, or None if there are too many."""
@@ -227,8 +234,7 @@ class CrossMarcher:
         if attempt.result.slabs:
             lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
         try:
-            with time_limit(_EXPLAINING):
-                front = steepest_front(trajectories.values, domain, lines)
+            front = steepest_front(trajectories.values, domain, lines)
         except (OutOfTimeError, TrajectoryEnds):
             front = None
         if front is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -66,14 +67,19 @@ class Front:
         if self.share > _JUMP:
             return (
                 f"the solution depends steeply on {quote(name)}: {states[self.state]} changes by "
-                f"{self.change:.2g} of its size between {name} = {self.lower:.6g} and "
-                f"{self.upper:.6g}{where}"
+                f"{self.change:.2g} of its size between {name} = {self._told(self.lower)} and "
+                f"{self._told(self.upper)}{where}"
             )
         do = "end in different states" if self.at_end else "differ"
         return (
             f"the solution depends on {quote(name)} as on a jump: trajectories on both sides of "
             f"{name} = {self.lower:.6g} {do}{where}"
         )
+
+    def _told(self, value: float) -> str:
+        """A place with so many digits that the ends of the piece differ."""
+        width, largest = self.upper - self.lower, max(abs(self.lower), abs(self.upper))
+        return f"{value:.{max(6, 2 + math.ceil(math.log10(largest / width)))}g}"
 
 
 def steepest_front(

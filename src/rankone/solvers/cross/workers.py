@@ -91,11 +91,11 @@ class Workers:
             ) from lost
         return [results[k] for k in range(len(tasks))]
 
-    def close(self, now: bool = False) -> None:
-        """End the processes that were started here, ``now`` also in the middle of a task."""
+    def close(self) -> None:
+        """End the processes that were started here, also in the middle of a task or of a start."""
         if not isinstance(self._asked, int) or self._executor is None:
             return
-        self._executor.shutdown(wait=not now, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
         running = [process for process in self._processes if process.is_alive()]
         for process in running:
             process.terminate()
@@ -175,10 +175,8 @@ def open_workers(system: System, executor: Executor | int | None) -> Iterator[Wo
     workers = Workers(system, executor)
     try:
         yield workers
-    except BaseException:
-        workers.close(now=True)
-        raise
-    workers.close(now=seconds_left() <= 0.0)
+    finally:
+        workers.close()
 
 
 def _call(recipe: Any, end: float, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
