@@ -290,6 +290,32 @@ def steep(draw: random.Random) -> Case:
 
 
 @_kind
+def products(draw: random.Random) -> Case:
+    """Products of three to six parameters, large in a corner of the box that few points see."""
+    x, y = _unknown("x"), _unknown("y")
+    symbols = sp.symbols("a b c d e f")[: draw.randint(3, 6)]
+    sides = [draw.choice([s, s, 1 - s]) for s in symbols]
+    product = sp.Mul(*sides) ** draw.choice([1, 1, 2, 4])
+    strength, box = _logarithmic(draw, 1, 100), dict.fromkeys(symbols, (0.0, 1.0))
+    end, rtol = draw.uniform(0.5, 3), 10.0 ** -draw.uniform(2, 6)
+    match draw.randrange(6):
+        case 0:
+            rate = -strength * product * x
+        case 1:
+            rate = -strength * product * (x - sp.cos(_number(draw, 1, 5) * t))
+        case 2:
+            rate = strength * product - x**3
+        case 3:
+            rate = -x + 1 + strength * sp.Max(0, sum(sides) - _number(draw, 0.6, 0.95) * len(sides))
+        case 4:
+            rates = [y, -(1 + strength * product) * x]
+            return Case("oscillator", [x, y], rates, [1, sp.S.Zero], box, end, rtol, [], [])
+        case _:
+            rate = _number(draw, 0.1, 1.5) * product * (x**2 + symbols[0]) / end
+    return _alone(f"product of {len(symbols)}", rate, x, 1, box, end=end, rtol=rtol)
+
+
+@_kind
 def general(draw: random.Random) -> Case:
     """Rates that do not separate, with what is narrow, kinked or steep inside."""
     x = _unknown("x")

@@ -19,6 +19,13 @@ __all__ = ["doubtful_points"]
 
 _CANDIDATES, _SLABS, _CHOSEN = 512, 4, 8
 """Points looked at, on how many slabs at most, and how many of them are taken."""
+_FEW, _MORE, _WORK = 3, 5, 3e7
+"""Beyond so many parameters there are up to so many times the points, as far as so many
+multiplications go, a fifth of them near the corners."""
+_NEAR = 1.0 / 3.0
+"""Power of the distance from the centre that draws points towards the corners."""
+_RARE = 5.0
+"""Those are taken where the error is expected to be so many times the tolerance."""
 _TIMES = np.array([0.21, 0.64, 0.97])
 """In slab lengths."""
 _NOISE = 1e-3
@@ -47,12 +54,14 @@ def doubtful_points(
         return None
     lower, upper = domain.bounds.T
     generator = np.random.default_rng((20141, number))
-    candidates = lower + (upper - lower) * generator.random((_CANDIDATES, lower.size))
+    work = sum(core.size for core in slabs[-1].cores[1:])
+    unit, tolerated = _candidates(lower.size, int(_WORK / max(work, 1)), generator)
+    candidates = lower + (upper - lower) * unit
     known = np.delete(yardstick.reference.points, np.s_[1 : 1 + yardstick.corners], axis=0)[
         -_KNOWN:
     ]
     points = np.concatenate([known, candidates])
-    ratios = np.zeros(_CANDIDATES)
+    ratios = np.zeros(len(candidates))
     carry, last = np.zeros((0, 0)), None
     for i in sorted({round(i) for i in np.linspace(0, len(slabs) - 1, _SLABS)}):
         slab = slabs[i]
@@ -62,10 +71,21 @@ def doubtful_points(
         floor = _NOISE * rtol / (slab.end - slab.start)
         largest = np.maximum(sizes[:, : len(known)].max(axis=1, keepdims=True), floor)
         ratios = np.maximum(ratios, (sizes[:, len(known) :] / largest).max(axis=0))
-    ratios = np.where(np.isfinite(ratios), ratios, np.inf)
+    ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
     worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
     doubtful = candidates[worst[ratios[worst] * share > 1.0]]
     return doubtful if len(doubtful) else None
+
+
+def _candidates(d: int, most: int, generator: np.random.Generator) -> tuple[Array, Array]:
+    """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
+    if d <= _FEW:
+        return generator.random((_CANDIDATES, d)), np.ones(_CANDIDATES)
+    points = generator.random((min(max(most, _CANDIDATES), _MORE * _CANDIDATES), d))
+    near = np.arange(len(points)) % _MORE == 0
+    offset = 2.0 * points[near] - 1.0
+    points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _NEAR
+    return points, np.where(near, _RARE, 1.0)
 
 
 def _residuals(yardstick: Yardstick, slab: SlabTrain, points: Array, carry: Array) -> Array:

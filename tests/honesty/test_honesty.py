@@ -1,0 +1,24 @@
+"""A fixed part of the honesty suite: nothing wrong and marked successful, nothing unexpected."""
+
+import pytest
+
+from tests.honesty.cases import KINDS, case
+from tests.honesty.verdicts import judged
+
+COUNTS = {"pulses": 12, "features": 12, "systems": 8, "products": 8, "steep": 4, "general": 4}
+"""Cases of each kind."""
+SOLVED = ("pulses", "features")
+"""Kinds that have to be solved, not only to be refused where they are not."""
+
+
+def test_every_kind_is_tried():
+    assert COUNTS.keys() == KINDS.keys()
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"), [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]
+)
+def test_the_statement_holds(kind, seed):
+    verdict = judged(case(kind, seed), max_seconds=10)
+    allowed = ("ok",) if kind in SOLVED else ("ok", "refused", "unknown")
+    assert verdict.verdict in allowed, verdict
