@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import warnings
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
     values[:, :, 0] = state
     edges = np.unique([0.0, *(c for c in case.cuts if 0.0 < c < case.end), case.end])
     scale = np.maximum(np.abs(state).max(axis=1, keepdims=True), 1e-3)
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         inset = min(max(1e-9 * (b - a), 8 * np.spacing(b)), 0.25 * (b - a))
 
         def rate(now: float, u: np.ndarray, a: float = a, b: float = b, i: float = inset):

@@ -59,7 +59,6 @@ def check_points(
     else:
         corners = rng.integers(0, 2, size=(8, d)).astype(float)
         corners[0], corners[1] = 0.0, 1.0
-    corners = np.clip(corners, _BESIDE, 1.0 - _BESIDE)  # at an end itself there may be a jump
     unit = np.concatenate([np.full((1, d), 0.5), corners, rng.random((count, d))])
     points = [lower + width * unit]
     for j, values in enumerate(special):

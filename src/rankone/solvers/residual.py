@@ -17,7 +17,7 @@ from rankone.tensors.slab import SlabTrain
 
 __all__ = ["doubtful_points"]
 
-_CANDIDATES, _SLABS, _CHOSEN = 512, 4, 8
+_LOOKED, _SLABS, _CHOSEN = 512, 4, 8
 """Points looked at, on how many slabs at most, and how many of them are taken."""
 _FEW, _MORE, _WORK = 3, 5, 3e7
 """Beyond so many parameters there are up to so many times the points, as far as so many
@@ -80,8 +80,8 @@ def doubtful_points(
 def _candidates(d: int, most: int, generator: np.random.Generator) -> tuple[Array, Array]:
     """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
     if d <= _FEW:
-        return generator.random((_CANDIDATES, d)), np.ones(_CANDIDATES)
-    points = generator.random((min(max(most, _CANDIDATES), _MORE * _CANDIDATES), d))
+        return generator.random((_LOOKED, d)), np.ones(_LOOKED)
+    points = generator.random((min(max(most, _LOOKED), _MORE * _LOOKED), d))
     near = np.arange(len(points)) % _MORE == 0
     offset = 2.0 * points[near] - 1.0
     points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _NEAR

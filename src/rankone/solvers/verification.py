@@ -23,6 +23,8 @@ _ACCURACY = 3e-3
 """Tolerance of the reference, for the worst of its trajectories, over that asked for."""
 _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
+_INSET = 4e-9
+"""By how much, in widths of the interval, corners are moved inside where functions jump."""
 _BESIDE = 16
 """Most breakpoints of a parameter that are checked on either side."""
 _GENERAL = 4
@@ -67,6 +69,7 @@ class Yardstick:
         check *= 1 if system.SEPARATED else _GENERAL
         beside = [_few(each.points) for each in special]
         points = check_points(domain.bounds, check, special=beside if check else ())
+        points = _off_switches(points, system, domain)
         active = active_points(system, domain) if check else points[:0]
         points = np.concatenate([points, active])
         accuracy = max(_ACCURACY * rtol, 3e-13)
@@ -118,6 +121,18 @@ class Yardstick:
         if self.reference.blown is None:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
+
+
+def _off_switches(points: Array, system: System, domain: Domain) -> Array:
+    """Points (m, d) with corners moved a little inside where a function jumps at the very end."""
+    moved = points.copy()
+    for j, cuts in enumerate(getattr(system, "CUTS", ((),))[1:]):
+        lower, upper = domain.box[j]
+        near = _INSET * (upper - lower)
+        for cut in cuts:
+            if min(abs(cut - lower), abs(cut - upper)) < near:
+                moved[:, j] = np.clip(moved[:, j], lower + near, upper - near)
+    return moved
 
 
 def _few(points: Sequence[float]) -> Sequence[float]:
