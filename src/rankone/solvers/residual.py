@@ -30,6 +30,9 @@ _TIMES = np.array([0.21, 0.64, 0.97])
 """In slab lengths."""
 _NOISE = 1e-3
 """Residuals below this part of the tolerance, in sizes over the length of the slab, are nothing."""
+_EXPECTED = 1.5
+"""Error expected, over the tolerance, from which a point is doubtful: on smooth problems expected
+errors reach 1.4 and are overestimates, where something was missed 3 and more."""
 _KNOWN = 64
 """Most trajectories of the reference whose residuals are looked at."""
 
@@ -73,7 +76,7 @@ def doubtful_points(
         ratios = np.maximum(ratios, (sizes[:, len(known) :] / largest).max(axis=0))
     ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
     worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
-    doubtful = candidates[worst[ratios[worst] * share > 1.0]]
+    doubtful = candidates[worst[ratios[worst] * share > _EXPECTED]]
     return doubtful if len(doubtful) else None
 
 

@@ -197,7 +197,7 @@ class CrossMarcher:
         )
         close = attempt.error < _FAR * self.rtol
         if settled or close or (stalls and not grown):
-            self.share *= min(max(self.rtol / attempt.error, 0.1), 0.5)
+            self.share *= min(max(self.rtol / attempt.error, 0.1), 0.7)
             finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
         self.bases = finer
