@@ -14,7 +14,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import EvaluationError
-from rankone.wording import did_you_mean, listing
+from rankone.wording import did_you_mean, listing, shown
 
 __all__ = ["Coordinates", "name_of", "round_off"]
 
@@ -189,10 +189,10 @@ class Coordinates:
             array = np.asarray(value)
             if array.dtype.kind in "biufO" and value is not None:
                 return np.asarray(array, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             pass
         raise EvaluationError(
-            f"`{name}` is {value!r}, not a real number or an array of real numbers", term=name
+            f"`{name}` is {shown(value)}, not a real number or an array of real numbers", term=name
         )
 
     def broadcast(self, arrays: Sequence[Array]) -> tuple[Array, tuple[int, ...]]:

@@ -15,8 +15,10 @@ from rankone.errors import OptionError
 from rankone.system import System
 from rankone.wording import did_you_mean, quote, shown
 
-__all__ = ["Domain", "KnownFactors", "check_factors"]
+__all__ = ["LEAST_WIDTH", "Domain", "KnownFactors", "check_factors"]
 
+LEAST_WIDTH = 1e-290
+"""Shortest interval whose parts are still numbers."""
 _SAMPLES = 257
 """Points of an interval at which known functions are looked at."""
 
@@ -85,6 +87,8 @@ def _interval(what: str, given: Any) -> tuple[float, float]:
         lower = upper = math.nan
     if isinstance(given, Set):  # it has no order
         lower = math.nan
+    if lower < upper and upper - lower < LEAST_WIDTH:
+        raise OptionError(f"{what} is {shown(given)}, which is too narrow", term=given)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
         raise OptionError(
             f"{what} is {shown(given)}, not two numbers in ascending order", term=given

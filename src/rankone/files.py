@@ -35,10 +35,13 @@ def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneE
     try:
         place = Path(os.path.realpath(target))
         exists, folder, inside = place.exists(), place.is_dir(), place.parent.is_dir()
+        regular = place.is_file()
     except (OSError, ValueError) as reason:  # no permission, too long, a null character
         raise error(f"`{target}` cannot be written: {reason}", term=target) from reason
     if folder:
         raise error(f"`{target}` cannot be written: it is a directory", term=target)
+    if exists and not regular:
+        raise error(f"`{target}` cannot be written: it is no regular file", term=target)
     if not inside:
         missing = f"there is no directory `{target.parent}`"
         raise error(f"`{target}` cannot be written: {missing}", term=target)

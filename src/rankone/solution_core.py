@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -119,15 +120,17 @@ class SolutionCore:
         numbers = self._coordinates.numbers(given)
         if numbers is not None:
             return evaluator.one(numbers, rows)
-        points, shape = self._coordinates.broadcast(self._coordinates.arrays(given))
-        if shape == ():
-            return evaluator.one(points[:, 0].tolist(), rows)
-        values = evaluator.many(points, rows)
+        with _memory():
+            points, shape = self._coordinates.broadcast(self._coordinates.arrays(given))
+            if shape == ():
+                return evaluator.one(points[:, 0].tolist(), rows)
+            values = evaluator.many(points, rows)
         return values.reshape(len(values), *shape)
 
     def _evaluate_grid(self, given: list[Any], rows: Rows) -> Array:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
-        return self._evaluator.grid(self._coordinates.axes(given), rows)
+        with _memory():
+            return self._evaluator.grid(self._coordinates.axes(given), rows)
 
     @cached_property
     def _evaluator(self) -> TrainEvaluator:
@@ -279,6 +282,17 @@ class _ByState(dict[str, float]):
         if name not in self:
             raise KeyError(f"no state {name}{did_you_mean(name, self)}; known are {listing(self)}")
         return self[name]
+
+
+@contextmanager
+def _memory() -> Iterator[None]:
+    """An error of ours for more values than there is memory for."""
+    try:
+        yield
+    except MemoryError as error:
+        raise EvaluationError(
+            f"there is no memory for all values: {error}", remedy="evaluate part after part"
+        ) from None
 
 
 def raise_blow_up(solution: SolutionCore) -> None:

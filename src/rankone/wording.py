@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable
 from fractions import Fraction
 
-__all__ = ["clip", "count", "did_you_mean", "listing", "number", "quote", "shown"]
+__all__ = ["clip", "count", "did_you_mean", "is_text", "listing", "number", "quote", "shown"]
 
 _LONGEST_QUOTE = 160
 _LONGEST_FRACTION = 24
@@ -24,6 +24,11 @@ def shown(value: object) -> str:
         return clip(repr(value), _LONGEST_QUOTE)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return "a number of thousands of digits"
+
+
+def is_text(value: object) -> bool:
+    """Whether a value is text that can be written to a file: no half of a surrogate pair."""
+    return isinstance(value, str) and not any("\ud800" <= letter <= "\udfff" for letter in value)
 
 
 def clip(text: str, longest: int) -> str:

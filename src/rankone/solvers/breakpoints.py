@@ -37,12 +37,18 @@ _RARE = 0.25
 _DEEPEST = 13
 _SEEN = 224
 """Samples that tell the size of a factor."""
+_MOST_ROUGH = 1000
+"""Most places found by samples alone at which functions are not smooth."""
 _MOST_REPEATED = 10_000
 """Most points that repeat with a period."""
 _COINCIDE = 1e-14
 """Points that are closer, relative to the largest value of the coordinate, are the same."""
 _POLE = 1e9
 """A factor that is so many times larger at a breakpoint than at samples has a pole there."""
+
+
+class TooManyBreakpoints(Exception):
+    """Functions are not smooth anywhere."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,14 @@ def system_breakpoints(system: System, domain: Domain) -> tuple[Breakpoints, ...
         cuts = [*alone, *_repeated(factors, repeated)]
         found.append(Breakpoints())
         if len(factors(np.array(interval))) > 1:
-            found[-1] = breakpoints(factors, *interval, cuts)
+            try:
+                found[-1] = breakpoints(factors, *interval, cuts)
+            except TooManyBreakpoints:
+                raise OptionError(
+                    f"a coefficient varies too fast for {factors.what} in "
+                    f"[{interval[0]:g}, {interval[1]:g}]: 16384 samples do not resolve it",
+                    remedy="choose a shorter range, or replace what varies by its mean",
+                ) from None
             points = np.array([*interval, *found[-1].points])
             samples = np.abs(factors(np.linspace(*interval, _SEEN))).max()
             if np.abs(factors(points)).max() > _POLE * samples:
@@ -132,7 +145,10 @@ def breakpoints(
     for _ in range(4):
         edges = [lower, *cuts, upper]
         pieces = [piece for a, b in itertools.pairwise(edges) for piece in finder.pieces(a, b)]
-        found = [finder.locate(a, b) for a, b, resolved in pieces if not resolved]
+        rough = [(a, b) for a, b, resolved in pieces if not resolved]
+        if len(rough) > _MOST_ROUGH:
+            raise TooManyBreakpoints
+        found = [finder.locate(a, b) for a, b in rough]
         found += finder.hidden(pieces)
         fresh = [x for x in found if min(abs(x - edge) for edge in edges) > finder.closest]
         if not fresh:

@@ -8,6 +8,7 @@ from typing import Any
 
 import sympy as sp
 
+from rankone.domain import LEAST_WIDTH
 from rankone.errors import ProblemError
 from rankone.wording import quote, shown
 
@@ -15,6 +16,7 @@ __all__ = ["Box", "Time", "check_parameters", "check_time"]
 
 Time = tuple[sp.Symbol, float, float]
 Box = dict[sp.Symbol, tuple[float, float]]
+_OTHER_UNITS = "choose larger units"
 
 
 def check_time(time: Any) -> Time:
@@ -26,6 +28,10 @@ def check_time(time: Any) -> Time:
     if not isinstance(symbol, sp.Symbol):
         raise ProblemError(f"time {quote(symbol)} is not a SymPy symbol", term=time, remedy=remedy)
     t0, t1 = _real(start, "the start of time", remedy), _real(end, "the end of time", remedy)
+    if t1 > t0 and t1 - t0 < LEAST_WIDTH:
+        raise ProblemError(
+            f"the time horizon from {t0:g} to {t1:g} is too short", term=time, remedy=_OTHER_UNITS
+        )
     if not t1 > t0:
         kind = "zero" if t1 == t0 else "negative"
         raise ProblemError(
@@ -81,6 +87,8 @@ def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:
             term=symbol,
             remedy="widen it, or write the number itself in the equations",
         )
+    if low < high and high - low < LEAST_WIDTH:
+        raise ProblemError(f"{shown} is too narrow", term=symbol, remedy=_OTHER_UNITS)
     if low > high:
         raise ProblemError(f"{shown} is reversed", term=symbol, remedy=f"write ({high:g}, {low:g})")
     if not symbol.is_commutative or symbol.is_extended_real is False:

@@ -9,7 +9,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
-from rankone.wording import count, did_you_mean, listing, quote
+from rankone.wording import count, did_you_mean, is_text, listing, quote
 
 __all__ = [
     "check_equations",
@@ -50,6 +50,10 @@ def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ..
     return given, [_residual(equation, i, time) for i, equation in enumerate(given, 1)]
 
 
+def _is_matrix(value: sp.Basic) -> bool:
+    return isinstance(value, sp.MatrixExpr) or bool(getattr(value, "is_Matrix", False))
+
+
 def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
     def error(message: str, term: object, remedy: str) -> ProblemError:
         return ProblemError(message, equation=number, term=term, remedy=remedy)
@@ -60,9 +64,9 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
             equation,
             "its sides are the same or both numbers: write what was meant",
         )
-    if isinstance(equation, sp.Eq):
+    if isinstance(equation, sp.Eq) and not any(map(_is_matrix, equation.args)):
         residual = equation.lhs - equation.rhs
-    elif isinstance(equation, sp.Expr) and not isinstance(equation, sp.MatrixExpr):
+    elif isinstance(equation, sp.Expr) and not _is_matrix(equation):
         residual = equation
     else:
         kind = type(equation).__name__
@@ -220,6 +224,12 @@ def check_names(
     named = [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]
     for name, what in named:
+        if not is_text(name):
+            raise ProblemError(
+                f"the name {name!r} of {what!r} is no text that can be written",
+                term=name,
+                remedy="rename it",
+            )
         if name in taken:
             raise ProblemError(
                 f"the name {quote(name)} belongs both to {taken[name]} and to {what}",

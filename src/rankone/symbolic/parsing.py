@@ -8,6 +8,7 @@ says they mean.
 from __future__ import annotations
 
 import ast
+import itertools
 import keyword
 import math
 import operator
@@ -46,9 +47,18 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
 }
+_COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: sp.Lt,
+    ast.LtE: sp.Le,
+    ast.Gt: sp.Gt,
+    ast.GtE: sp.Ge,
+}
+_LOGIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {ast.BitAnd: sp.And, ast.BitOr: sp.Or}
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LONGEST_POWER_BITS = 4096
+_MOST_ARGUMENTS = 20
+"""SymPy compares all pairs of the arguments of a maximum."""
 
 
 def parse_expression(
@@ -175,16 +185,50 @@ class _Translator(ast.NodeVisitor):
         name = node.func.id.removesuffix(_KEYWORD_SUFFIX)
         if name in self.names:
             return self._applied(name, [self.visit(argument) for argument in node.args])
+        if name == "Piecewise":
+            return self._piecewise(node.args)
         if name not in FUNCTIONS:
             hint = did_you_mean(name, [*FUNCTIONS, *self.names])
             raise self.error(
                 f"unknown function {quote(name)}{hint}",
-                f"the functions known are {', '.join(sorted(FUNCTIONS))}",
+                f"the functions known are {', '.join(sorted([*FUNCTIONS, 'Piecewise']))}",
             )
+        if len(node.args) > _MOST_ARGUMENTS:
+            raise self.error(f"{quote(name)} has {len(node.args)} arguments")
         arguments = [self.visit(argument) for argument in node.args]
         if not arguments or (len(arguments) > 1 and name not in _VARIADIC):
             raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
         return FUNCTIONS[name](*arguments)
+
+    def _piecewise(self, branches: list[ast.expr]) -> sp.Expr:
+        """``Piecewise((value, condition), ..., (value, True))``."""
+        pairs = []
+        for branch in branches:
+            if not isinstance(branch, ast.Tuple) or len(branch.elts) != 2:
+                raise self.error(
+                    f"{quote(ast.unparse(branch))} is no branch of a Piecewise",
+                    "write Piecewise((value, condition), ..., (value, True))",
+                )
+            value, condition = branch.elts
+            pairs.append((self.visit(value), self._condition(condition)))
+        if not pairs or pairs[-1][1] != sp.true:
+            raise self.error("the last branch of `Piecewise` has no condition `True`")
+        return sp.Piecewise(*pairs)
+
+    def _condition(self, node: ast.expr) -> sp.Basic:
+        """Comparisons, joined by ``&`` and ``|``; ``True``."""
+        if isinstance(node, ast.Name) and node.id.removesuffix(_KEYWORD_SUFFIX) == "True":
+            return sp.true
+        if isinstance(node, ast.BinOp) and type(node.op) in _LOGIC:
+            return _LOGIC[type(node.op)](self._condition(node.left), self._condition(node.right))
+        if isinstance(node, ast.Compare) and all(type(op) in _COMPARED for op in node.ops):
+            sides = [self.visit(side) for side in (node.left, *node.comparators)]
+            pairs = zip(node.ops, itertools.pairwise(sides), strict=True)
+            return sp.And(*(_COMPARED[type(op)](a, b) for op, (a, b) in pairs))
+        raise self.error(
+            f"{quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ''))} is no condition",
+            "write for example (t > 1) & (t < 2), or 1 < t < 2",
+        )
 
     def _applied(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
         """Accept ``x(t)`` for the unknown ``x``."""

@@ -27,7 +27,7 @@ from rankone.symbolic.initial import check_initial
 from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
-from rankone.wording import count, did_you_mean, quote, shown
+from rankone.wording import count, did_you_mean, is_text, quote, shown
 
 __all__ = ["Problem"]
 
@@ -96,7 +96,7 @@ class Problem:
     mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str | None):
+        if self.name is not None and not is_text(self.name):
             raise ProblemError(
                 f"the name is {shown(self.name)}, not text", term=self.name, remedy="give a title"
             )

@@ -134,6 +134,9 @@ class _Separation:
                 "take the function as a further unknown with an equation of its own, "
                 "such as s = sin(x) with s' = cos(x) x'"
             )
+        elif reason.reason == "too many terms":
+            message += "has too many terms when it is multiplied out"
+            way_out = "take the sum in it as a further unknown with an equation of its own"
         else:
             message += f"couples {listing(c.symbol for c in among)} and does not factor"
             way_out = "write it as a sum of products of functions of one coordinate each, or " + (

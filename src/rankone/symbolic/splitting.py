@@ -31,6 +31,10 @@ _ADDITION = {
 """Addition theorems f(a + b) = sum of sign g(a) h(b), as (g, h, sign)."""
 
 
+_MOST_TERMS, _HIGHEST_POWER = 1500, 64
+"""Products that a product of two sums may come to, and the highest power of a mixed expression."""
+
+
 class Indivisible(Exception):
     """An expression cannot be split.
 
@@ -38,15 +42,19 @@ class Indivisible(Exception):
     ----------
     part : Expr
         The smallest expression that cannot be split.
-    reason : {"couples", "not polynomial", "not real"}
-        It couples coordinates, is not polynomial in the states, or a root or logarithm leaves the
-        real numbers.
+    reason : {"couples", "not polynomial", "not real", "too many terms"}
+        It couples coordinates, is not polynomial in the states, a root or logarithm leaves the
+        real numbers, or it has too many terms when it is multiplied out.
     """
 
     def __init__(self, part: sp.Expr, reason: str) -> None:
         super().__init__(part, reason)
         self.part = part
         self.reason = reason
+
+
+class _TooManyTerms(Exception):
+    """A product has too many terms when it is multiplied out."""
 
 
 class Splitter:
@@ -77,6 +85,13 @@ class Splitter:
         Indivisible
             If it is not one.
         """
+        try:
+            return self._split(expression)
+        except _TooManyTerms:
+            raise Indivisible(expression, "too many terms") from None
+
+    def _split(self, expression: sp.Expr) -> MonomialSum:
+        """Tell the kinds of expressions apart."""
         if expression.is_Symbol:
             if expression in self._state:
                 state = Monomial(self._one.factors, ((self._state[expression], 1),))
@@ -124,7 +139,12 @@ class Splitter:
         return self._product(*pieces, *map(self.split, mixed))
 
     def _product(self, *sums: MonomialSum) -> MonomialSum:
-        return reduce(lambda left, right: left.times(right, self._product_of), sums)
+        return reduce(self._times_two, sums)
+
+    def _times_two(self, left: MonomialSum, right: MonomialSum) -> MonomialSum:
+        if len(left) * len(right) > _MOST_TERMS:
+            raise _TooManyTerms
+        return left.times(right, self._product_of)
 
     def _number(self, number: sp.Expr) -> MonomialSum:
         return MonomialSum.of([(self._one, number)])
@@ -182,6 +202,8 @@ class Splitter:
             if base.free_symbols:
                 raise self._indivisible(expression)
             return self._split_exponential(base, exponent, expression)
+        if exponent.is_Integer and exponent > _HIGHEST_POWER:
+            raise _TooManyTerms
         if exponent.is_Integer and exponent > 0:
             return self._product(*[self.split(base)] * int(exponent))
         number, product = self._single(base, expression)
