@@ -98,7 +98,7 @@ def test_poles_between_the_samples_are_refused(pole, method):
     compiled = ro.compile(
         ro.Problem.from_strings({"x": f"-x/({pole})"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
     )
-    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, {})
+    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, None, {})
     task = Task.of([ENGINES[method]], compiled.system, asked)
     with pytest.raises(ro.OptionError, match="a coefficient is not finite for `k` in"):
         task.run(compiled.metadata())
@@ -107,6 +107,6 @@ def test_poles_between_the_samples_are_refused(pole, method):
 def test_poles_of_initial_values_are_refused():
     problem = ro.Problem.from_strings({"x": "-x"}, {"x": "1/k"}, {"k": (1, 2)}, time=(0, 1))
     compiled = ro.compile(problem)
-    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, {})
+    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, None, {})
     with pytest.raises(ro.OptionError, match="not finite for `k`"):
         Task.of([ENGINES["train"]], compiled.system, asked).run(compiled.metadata())

@@ -33,7 +33,7 @@ _STAGES = {
 """What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
 _ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final"),
-    *("check", "max_seconds", "progress", "on_failure"),
+    *("check", "cover", "max_seconds", "progress", "on_failure"),
 )
 """What ``solve`` takes beside options of the engine."""
 _FILE_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
@@ -138,6 +138,11 @@ def _parser() -> argparse.ArgumentParser:
         help="options of the engine, such as max_rank=300",
     )
     solve.add_argument(
+        "--cover",
+        choices=("interior", "box"),
+        help="whether success covers the corners of the box; by default up to three parameters",
+    )
+    solve.add_argument(
         "--max-seconds", metavar="S", type=float, help="time limit; the best so far is kept"
     )
     solve.add_argument("--json", action="store_true", help="print the summary as JSON")
@@ -219,6 +224,7 @@ def _solve(arguments: argparse.Namespace) -> int:
             parameters=box,
             t_final=arguments.t_final,
             check=check,
+            cover=arguments.cover,
             max_seconds=arguments.max_seconds,
             progress=bar,
             **options,

@@ -147,6 +147,7 @@ class CompiledProblem:
         t_final: float | None = None,
         progress: bool | Report = False,
         check: bool | int = True,
+        cover: Literal["interior", "box"] | None = None,
         max_seconds: float | None = None,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
@@ -175,6 +176,9 @@ class CompiledProblem:
             Number of random check points (24 for True, at most 100000), four times as many where
             terms do not separate. False skips the check; the solution then does not count as a
             success.
+        cover : {"interior", "box"}, optional
+            What success covers: random points of the interior, or corners of the box as well. By
+            default "box" up to three parameters; beyond, corners are measured and stated.
         max_seconds : float, optional
             Time limit; the best solution so far is returned, with ``success`` False. Without one it
             is 25 seconds, or 250 where functions of the user are called.
@@ -208,7 +212,7 @@ class CompiledProblem:
         if method not in _ANY_SYSTEM:
             self.separated.require_separated()
         check_points(check)
-        asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
+        asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)
         task = Task.of(engines, self.system, asked, "method", "progress", "on_failure")
         if parameters or t_final is not None:
             check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)

@@ -139,6 +139,8 @@ class Solution(SolutionCore):
             error = f"not measured, {asked}"
         else:
             error = f"{self.error:.2g} measured on {measured.points} trajectories, {asked}"
+            if measured.quantile is not None:
+                error += f", 95 % below {measured.quantile:.2g}"
             if len(self.errors) > 1:
                 error += "; " + _some(
                     [f"{name} {value:.2g}" for name, value in self.errors.items()]

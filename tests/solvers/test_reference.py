@@ -83,14 +83,14 @@ def test_the_error_measure_sees_an_error_put_in_by_hand():
     points = check_points(np.array(system.BOX), 5)
     reference = integrate_reference(system, points, 0.0, 2.0, 1e-12)
     slabs = list(solution.outcome.slabs)
-    good = measure(slabs, reference, np.ones(1), 2)
+    good = measure(slabs, reference, np.ones(1), 2, True)
     assert max(good.interior) < 1e-7
     core = slabs[-1].cores[0].copy()
     core[0, 0] *= 1.0 + 1e-3
     spoiled = type(slabs[-1])(
         slabs[-1].start, slabs[-1].end, (core, *slabs[-1].cores[1:]), slabs[-1].bases
     )
-    assert max(measure([*slabs[:-1], spoiled], reference, np.ones(1), 2).interior) > 1e-5
+    assert max(measure([*slabs[:-1], spoiled], reference, np.ones(1), 2, True).interior) > 1e-5
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(1.0, np.exp(2.0)), (-1.0, 1.0)])

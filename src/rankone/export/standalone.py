@@ -234,6 +234,7 @@ def solve(
     parameters: Mapping[str, Sequence[float]] | None = None,
     t_final: float | None = None,
     check: bool | int = True,
+    cover: str | None = None,
     max_seconds: float | None = None,
     **options: Any,
 ) -> Solution:
@@ -251,6 +252,8 @@ def solve(
     check : bool or int
         Number of random check points, 24 for True, four times as many where terms do not
         separate; without any the error is not known.
+    cover : {{"interior", "box"}}, optional
+        Whether success covers the corners of the box too; by default up to three parameters.
     max_seconds : float, optional
         Time limit; the best solution so far is returned.
     **options
@@ -263,7 +266,7 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    asked = Asked(rtol, parameters, t_final, check, max_seconds, options)
+    asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)
     return solve_system(ENGINE, SYSTEM, METADATA, asked)
 
 

@@ -73,13 +73,16 @@ class Attempt:
         """The sentence a user reads: how it ended, the figures, and how far it came."""
         text, slabs = cause, self.result.slabs
         if self.measured is not None:
+            corner = max(self.measured.corners, default=0.0)
+            worse = corner > max(rtol, self.error)
+            if worse and status is Status.CONVERGED:
+                text += " in the interior of the box"
             figures = f"{self.error:.1e} of {rtol:.1e}"
             if status is not Status.CONVERGED:
                 figures = f"measured error {self.error:.1e}, asked {rtol:.1e}"
             text += f": {figures}"
-            corner = max(self.measured.corners, default=0.0)
-            if corner > max(rtol, self.error):
-                text += f" (up to {corner:.1e} at the corners of the box)"
+            if worse:
+                text += f" (up to {corner:.1e} at the corners, which cover='box' asks for too)"
         if self.result.stopped is not None and not self.result.whole:
             reached = f"at t = {slabs[-1].end:.6g}" if slabs else "before the first slab"
             text += f"; stopped {reached}"
@@ -125,7 +128,9 @@ def solve_in_attempts(
     with time_limit(left - min(_EXPLAINING, _SHARE * left)):
         try:
             with _timed(timings, "reference"):
-                yardstick = Yardstick.of(system, domain, request.rtol, request.points)
+                yardstick = Yardstick.of(
+                    system, domain, request.rtol, request.points, request.cover
+                )
                 marcher = prepared(request, yardstick)
                 marcher.yardstick = yardstick
         except OutOfTimeError as out:

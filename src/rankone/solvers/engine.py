@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from rankone.domain import Domain
+from rankone.errors import OptionError
 from rankone.options import Options, checked_number
 from rankone.progress import Report, quiet
 from rankone.solvers.outcome import Outcome, SlabRecord
@@ -16,6 +17,7 @@ __all__ = ["Engine", "Report", "Request"]
 
 _TIGHTEST, _LOOSEST = 1e-10, 0.1
 _CHECK_POINTS = 24
+_COVERS = ("interior", "box")
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
@@ -32,11 +34,14 @@ class Request(Generic[AnyOptions]):
         Number of random interior check points; 0 skips the check.
     options : Options
         Limits and discretisation, those of the engine.
+    cover : {"interior", "box"} or None
+        Whether success covers the corners of the box; None where there are few parameters.
     """
 
     rtol: float
     points: int
     options: AnyOptions
+    cover: str | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ class Engine(Generic[AnyOptions]):
         check: bool | int,
         options: Mapping[str, Any],
         keywords: Sequence[str] = (),
+        cover: str | None = None,
     ) -> Request[AnyOptions]:
         """What is asked, or an OptionError: 24 points for ``check=True``, none for False.
 
@@ -67,7 +73,11 @@ class Engine(Generic[AnyOptions]):
         points = (
             _CHECK_POINTS * check if isinstance(check, bool) else checked_number("check", check, 0)
         )
-        return Request(rtol, points, self.options.of(keywords, **options))
+        if cover not in (None, *_COVERS):
+            raise OptionError(
+                f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
+            )
+        return Request(rtol, points, self.options.of(keywords, **options), cover)
 
     def run(
         self,

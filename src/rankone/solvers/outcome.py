@@ -67,20 +67,29 @@ class Measured:
     Attributes
     ----------
     interior : tuple of float
-        For each state the largest error over random interior parameter points (and, for up to
-        three parameters, over the corners of the box).
+        For each state the largest error over interior parameter points, and over the corners of
+        the box where they count.
     corners : tuple of float
         For each state the largest error over corners of the box; empty without parameters.
     points : int
         Number of trajectories compared.
     method : str
         The SciPy method of the reference.
+    cover : {"interior", "box"}
+        Whether the corners are among the errors in ``interior``.
+    quantile : float or None
+        95 % of the points that count are no worse.
+    worst : tuple of float
+        The worst of them.
     """
 
     interior: tuple[float, ...]
     corners: tuple[float, ...]
     points: int
     method: str
+    cover: str = "interior"
+    quantile: float | None = None
+    worst: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

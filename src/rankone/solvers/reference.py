@@ -18,10 +18,12 @@ from rankone.solvers.outcome import Measured
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Reference", "check_points", "integrate_reference", "measure"]
+__all__ = ["FEW", "Reference", "check_points", "integrate_reference", "measure"]
 
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
+FEW, _FEW_CORNERS, _MOST_CORNERS = 3, 8, 256
+"""Number of parameters up to which corners count like other points, and numbers of corners."""
 _BESIDE = 4e-9
 """Distance from special values, in widths of the interval: at a jump itself there is no value."""
 _NEGLIGIBLE = 1e-7
@@ -37,7 +39,11 @@ _INTEGRATIONS = 3
 
 
 def check_points(
-    box: Array, count: int, seed: int = 20140, special: Sequence[Sequence[float]] = ()
+    box: Array,
+    count: int,
+    seed: int = 20140,
+    special: Sequence[Sequence[float]] = (),
+    every_corner: bool | None = None,
 ) -> Array:
     """The centre of the box, corners, and random interior points, shape (m, d).
 
@@ -45,19 +51,22 @@ def check_points(
     ----------
     box : ndarray (d, 2)
     count : int
-        Number of random points; with it come all corners for d <= 3, else eight of them.
+        Number of random points; with it come corners, all or eight of them.
     special : sequence of sequences of float
         For each parameter values inside of its interval that are checked on either side.
+    every_corner : bool, optional
+        Whether all corners are taken, or 256 of more; None for d <= 3.
     """
     rng = np.random.default_rng(seed)
     d = len(box)
     lower, width = box[:, 0], box[:, 1] - box[:, 0]
     if d == 0 or count == 0:
         return (lower + 0.5 * width)[None, :]
-    if d <= 3:
+    if d <= FEW if every_corner is None else every_corner and 2**d <= _MOST_CORNERS:
         corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
     else:
-        corners = rng.integers(0, 2, size=(8, d)).astype(float)
+        number = _MOST_CORNERS if every_corner else _FEW_CORNERS
+        corners = rng.integers(0, 2, size=(number, d)).astype(float)
         corners[0], corners[1] = 0.0, 1.0
     unit = np.concatenate([np.full((1, d), 0.5), corners, rng.random((count, d))])
     points = [lower + width * unit]
@@ -211,7 +220,7 @@ class _Steps:
 
 
 def measure(
-    slabs: Sequence[SlabTrain], reference: Reference, scale: Array, corners: int
+    slabs: Sequence[SlabTrain], reference: Reference, scale: Array, corners: int, whole_box: bool
 ) -> Measured:
     """Errors of the slabs against the reference over their whole time span.
 
@@ -222,8 +231,10 @@ def measure(
         value over the corners, where that is larger.
     corners : int
         Number of check points, after the centre, that are corners of the box.
+    whole_box : bool
+        Whether they count like the others.
     """
-    m, d = reference.points.shape
+    m = len(reference.points)
     errors = np.zeros((reference.states, m))
     largest = scale.copy()
     all_times = [slab.start + (slab.end - slab.start) * _CHECK_TIMES for slab in slabs]
@@ -237,10 +248,19 @@ def measure(
         at_corners = np.abs(exact[:, 1 : 1 + corners]).max(axis=(1, 2), initial=0.0)
         largest = np.maximum(largest, at_corners)
     errors = np.where(np.isfinite(errors), errors, np.inf)
-    at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0) / largest
-    interior = np.maximum(errors[:, 0], errors[:, 1 + corners :].max(axis=1, initial=0.0)) / scale
-    if d <= 3:
-        interior = np.maximum(interior, at_corners)
-    stated = tuple(at_corners.tolist()) if corners else ()
-    method = "Radau" if reference.stiff else "DOP853"
-    return Measured(tuple(interior.tolist()), stated, m, method)
+    errors[:, 1 : 1 + corners] /= largest[:, None]
+    errors[:, 0] /= scale
+    errors[:, 1 + corners :] /= scale[:, None]
+    at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0)
+    counted = np.ones(m, dtype=bool)
+    counted[1 : 1 + corners] = whole_box
+    of_points = errors[:, counted].max(axis=0)
+    return Measured(
+        interior=tuple(errors[:, counted].max(axis=1).tolist()),
+        corners=tuple(at_corners.tolist()) if corners else (),
+        points=m,
+        method="Radau" if reference.stiff else "DOP853",
+        cover="box" if whole_box else "interior",
+        quantile=float(np.quantile(of_points, 0.95, method="higher")),
+        worst=tuple(reference.points[counted][np.argmax(of_points)].tolist()),
+    )

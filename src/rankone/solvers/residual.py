@@ -59,6 +59,8 @@ def doubtful_points(
     generator = np.random.default_rng((20141, number))
     work = sum(core.size for core in slabs[-1].cores[1:])
     unit, tolerated = _candidates(lower.size, int(_WORK / max(work, 1)), generator)
+    if yardstick.whole_box:
+        tolerated = np.ones(len(unit))
     candidates = lower + (upper - lower) * unit
     known = np.delete(yardstick.reference.points, np.s_[1 : 1 + yardstick.corners], axis=0)[
         -_KNOWN:

@@ -36,6 +36,7 @@ class Asked:
     parameters: Mapping[Any, Sequence[float]] | None
     t_final: float | None
     check: bool | int
+    cover: str | None
     max_seconds: float | None
     options: Mapping[str, Any]
 
@@ -75,7 +76,8 @@ class Task:
         """
         keywords = (*asked.keywords(), *further)
         requests = [
-            engine.request(asked.rtol, asked.check, asked.options, keywords) for engine in engines
+            engine.request(asked.rtol, asked.check, asked.options, keywords, asked.cover)
+            for engine in engines
         ]
         domain = Domain.of(system).moved(system.PARAMETERS, asked.parameters, asked.t_final)
         if asked.max_seconds is None:

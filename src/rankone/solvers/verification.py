@@ -12,7 +12,7 @@ from rankone.arrays import Array
 from rankone.domain import Domain
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
 from rankone.solvers.outcome import Measured
-from rankone.solvers.reference import Reference, check_points, integrate_reference, measure
+from rankone.solvers.reference import FEW, Reference, check_points, integrate_reference, measure
 from rankone.solvers.suspects import active_points
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
@@ -44,6 +44,8 @@ class Yardstick:
         Trajectories at the centre, at corners and at random interior points.
     corners : int
         Number of check points, after the centre, that are corners.
+    whole_box : bool
+        Whether they count like the other points.
     checked : bool
         Whether there are random points, so that an error can be stated.
     cuts : tuple of float
@@ -57,18 +59,28 @@ class Yardstick:
     accuracy: float
     reference: Reference
     corners: int
+    whole_box: bool
     checked: bool
     cuts: tuple[float, ...] = ()
     special: tuple[Breakpoints, ...] = ()
 
     @classmethod
-    def of(cls, system: System, domain: Domain, rtol: float, check: int) -> Yardstick:
-        """Integrate the reference for a solve to ``rtol`` with ``check`` random points."""
+    def of(
+        cls, system: System, domain: Domain, rtol: float, check: int, cover: str | None = None
+    ) -> Yardstick:
+        """Integrate the reference for a solve to ``rtol`` with ``check`` random points.
+
+        ``cover`` says whether corners count, "box", or not, "interior"; they do by default where
+        there are few parameters.
+        """
+        whole_box = len(domain.box) <= FEW if cover is None else cover == "box"
         in_time, *special = system_breakpoints(system, domain)
         cuts = in_time.points
         check *= 1 if system.SEPARATED else _GENERAL
         beside = [_few(each.points) for each in special]
-        points = check_points(domain.bounds, check, special=beside if check else ())
+        few = beside if check else ()
+        every = whole_box or len(domain.box) <= FEW
+        points = check_points(domain.bounds, check, special=few, every_corner=every)
         points = _off_switches(points, system, domain)
         active = active_points(system, domain) if check else points[:0]
         points = np.concatenate([points, active])
@@ -77,7 +89,7 @@ class Yardstick:
         interior = 1 + check + 2 * sum(map(len, beside)) + len(active)
         corners = len(points) - interior if check and domain.box else 0
         found = cuts, tuple(special)
-        return cls(system, domain, accuracy, reference, corners, bool(check), *found)
+        return cls(system, domain, accuracy, reference, corners, whole_box, bool(check), *found)
 
     def with_points(self, points: Array) -> Yardstick:
         """The same with more interior points (m, d); those of before are not integrated again."""
@@ -113,7 +125,7 @@ class Yardstick:
         """Errors of the slabs in units of the sizes; None without check or slabs."""
         if not slabs or not self.checked:
             return None
-        return measure(slabs, self.reference, self.states, self.corners)
+        return measure(slabs, self.reference, self.states, self.corners, self.whole_box)
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

@@ -23,7 +23,7 @@ from rankone.solvers.verification import Yardstick
 __all__ = ["ENGINE"]
 
 _SHARE_FEW, _SHARE_MANY = 0.06, 0.4
-"""Inner tolerance / rtol if corners count (d <= 3), if not."""
+"""Inner tolerance / rtol if corners count, if not."""
 
 
 class TrainMarcher(Marcher):
@@ -44,7 +44,7 @@ class TrainMarcher(Marcher):
         self.growth = amplification(system, reference, yardstick.states, yardstick.end)
         self.collocation = RadauCollocation.of(self.options.nodes_in_time(self.rtol))
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
-        self.inner = self.rtol * (_SHARE_FEW if len(domain.box) <= 3 else _SHARE_MANY)
+        self.inner = self.rtol * (_SHARE_FEW if yardstick.whole_box else _SHARE_MANY)
         self.guesses: Sequence[Guess] = ()
 
     def march(self, index: int, report: Report) -> MarchResult:

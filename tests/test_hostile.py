@@ -1,0 +1,110 @@
+"""Hostile input: the right answer or a clear error, soon."""
+
+import os
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import rankone as ro
+
+t, k = sp.symbols("t k")
+x = sp.Function("x")(t)
+
+
+def text(rate, box=None, initial="1", time=(0, 1), **more):
+    return ro.Problem.from_strings(
+        {"x": rate}, {"x": initial}, {"k": (0, 1)} if box is None else box, time, **more
+    )
+
+
+def plain(equation=None, **more):
+    given = {"time": (t, 0, 1), "parameters": {k: (0, 1)}, "initial": {x: 1}, **more}
+    return ro.Problem([sp.Eq(x.diff(t), -k * x) if equation is None else equation], **given)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: plain(name=3), "the name is 3, not text"),
+        (lambda: plain(name="\ud800"), "not text"),
+        (lambda: plain(parameters={sp.Symbol("\ud800"): (0, 1)}), "no text that can be written"),
+        (
+            lambda: plain(sp.Eq(sp.Matrix([x.diff(t)]), sp.Matrix([-k * x]))),
+            "not a scalar equation",
+        ),
+        (lambda: plain(time=(t, 0, 5e-324)), "too short"),
+        (lambda: plain(parameters={k: (0, 5e-324)}), "too narrow"),
+        (lambda: text(f"max({','.join(f'x - {i}*k' for i in range(200))})"), "200 arguments"),
+        (lambda: text("Piecewise((1, t > 1))"), "the last branch"),
+        (lambda: text("Piecewise((1, t), (2, True))"), "`t` is no condition"),
+        (lambda: text("Piecewise(1, 2)"), "no branch of a Piecewise"),
+        (lambda: text("(t > 1)*x"), "not understood"),
+    ],
+)
+def test_a_problem_that_is_none(make, said):
+    with pytest.raises(ro.ProblemError, match=said):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("rate", "box", "said"),
+    [
+        ("(k + 1)**1000000*x", {"k": (0, 1)}, "not finite"),
+        ("sin(10**30*t)*x*k", {"k": (0, 1)}, "varies too fast for time"),
+        ("k*x*floor(1e6*t)", {"k": (0, 1)}, "switches 1000000 times"),
+        ("-k*x", {"k": (-1e308, 1e308)}, "not finite"),
+    ],
+)
+def test_a_coefficient_that_is_hopeless(rate, box, said):
+    with pytest.raises(ro.RankoneError, match=said):
+        ro.solve(text(rate, box))
+
+
+@pytest.mark.parametrize("rate", ["-(a + b + c + x + t)**24", "-(a + b + c + x + t)**16"])
+def test_a_power_of_thousands_of_terms_stays_as_it_is(rate):
+    compiled = ro.compile(text(rate, dict.fromkeys("abc", (0, 1))))
+    (term,) = compiled.separated.general
+    assert "too many terms" in term.reason
+    assert compiled.solve(1e-3).success
+
+
+def test_a_power_beyond_all_reason_is_not_expanded():
+    compiled = ro.compile(text("x**99999999*k"))
+    assert len(compiled.source) < 10_000
+    with pytest.raises(ro.BlowUpError):
+        compiled.solve(1e-3)
+
+
+def test_piecewise_in_text_is_that_of_sympy():
+    given = text("-k*x + Piecewise((1, (t > 0.2) & (t < 0.4)), (2*x, 0.5 < t <= 0.7), (0, True))")
+    branches = (1, (t > 0.2) & (t < 0.4)), (2 * x, (t > 0.5) & (t <= 0.7)), (0, True)
+    same = plain(sp.Eq(x.diff(t), -k * x + sp.Piecewise(*branches)))
+    one, two = ro.solve(given, 1e-6), ro.solve(same, 1e-6)
+    assert one.success
+    np.testing.assert_allclose(one(t=0.9, k=0.3), two(t=0.9, k=0.3), rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return ro.solve(plain(), 1e-3)
+
+
+def test_a_number_beyond_floats(solution):
+    with pytest.raises(ro.EvaluationError, match="`k` is 1000000"):
+        solution(t=0.5, k=10**400)
+
+
+def test_more_values_than_memory(solution):
+    times, values = np.linspace(0, 1, 300_000)[:, None], np.linspace(0, 1, 300_000)[None, :]
+    with pytest.raises(ro.EvaluationError, match="no memory for all values"):
+        solution(t=times, k=values)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_is_not_replaced(solution, tmp_path):
+    pipe = tmp_path / "u.npz"
+    os.mkfifo(pipe)
+    with pytest.raises(ro.StorageError, match="no regular file"):
+        solution.save(pipe, overwrite=True)
+    assert pipe.is_fifo()
