@@ -71,6 +71,8 @@ def rebuilt(kind: Any, value: Any) -> Any:
     if kind is float and (type(value) in (float, int) or value in _NOT_FINITE):
         return float(value)
     if type(value) is kind:
+        if kind is str:
+            value.encode()  # an error for half of a surrogate pair
         return value
     raise TypeError(f"{value!r} is not of the kind {kind}")
 

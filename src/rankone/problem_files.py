@@ -8,6 +8,7 @@ Instead of ``time = [0, 6]`` there may be a table ``[time]`` with ``start`` and 
 from __future__ import annotations
 
 import math
+import os
 import runpy
 import sys
 import tomllib
@@ -74,6 +75,7 @@ def load_problem(path: str | PathLike[str]) -> Problem:
 def _from_python(file: Path) -> Problem:
     from rankone.symbolic import Problem
 
+    before, folder = [*sys.path], os.getcwd()
     sys.path.insert(0, str(file.resolve().parent))
     try:
         names = runpy.run_path(str(file), run_name="<rankone>")
@@ -83,7 +85,8 @@ def _from_python(file: Path) -> Problem:
         where = f"`{file}`{_line(error, file)}"
         raise ProblemError(f"{where} failed: {type(error).__name__}: {error}", term=file) from error
     finally:
-        sys.path.remove(str(file.resolve().parent))
+        sys.path[:] = before
+        os.chdir(folder)
     problem = names.get("problem")
     if isinstance(problem, Problem):
         return problem
@@ -118,8 +121,8 @@ def _from_toml(file: Path) -> Problem:
             term=file,
             remedy=f"{_SHOWN}, with formulas in quotes",
         ) from error
-    except (UnicodeDecodeError, OSError) as error:
-        raise ProblemError(f"`{file}` is not readable TOML: {error}", term=file) from error
+    except (UnicodeDecodeError, OSError, ValueError, RecursionError) as error:
+        raise ProblemError(f"`{file}` is not readable TOML: {error}", term=file) from None
     known = (*_REQUIRED, *_OPTIONAL)
     for key in content:
         if key not in known:

@@ -41,6 +41,7 @@ _DAMAGE = (
     EOFError,
     LookupError,
     NotImplementedError,
+    OverflowError,
     RecursionError,
     TypeError,
     ValueError,

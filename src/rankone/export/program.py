@@ -200,7 +200,7 @@ def _pairs(
             raise OptionError(f"{option}: {text!r} has a name that is given twice")
         try:
             values[name] = read(value)
-        except ValueError:
+        except (ValueError, RecursionError):
             name = ""
         if not name:
             raise OptionError(f"{option}: {text!r} cannot be read", remedy=f"write {form}")

@@ -29,7 +29,8 @@ _RARE = 5.0
 _TIMES = np.array([0.21, 0.64, 0.97])
 """In slab lengths."""
 _NOISE = 1e-3
-"""Residuals below this part of the tolerance, in sizes over the length of the slab, are nothing."""
+"""Errors below this part of the tolerance count as so large, and residuals below it, in sizes over
+the length of the slab, as well."""
 _EXPECTED = 1.5
 """Error expected, over the tolerance, from which a point is doubtful: on smooth problems expected
 errors reach 1.4 and are overestimates, where something was missed 3 and more."""
@@ -78,7 +79,7 @@ def doubtful_points(
         ratios = np.maximum(ratios, (sizes[:, len(known) :] / largest).max(axis=0))
     ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
     worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
-    doubtful = candidates[worst[ratios[worst] * share > _EXPECTED]]
+    doubtful = candidates[worst[ratios[worst] * max(share, _NOISE) > _EXPECTED]]
     return doubtful if len(doubtful) else None
 
 

@@ -57,6 +57,8 @@ _LOGIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {ast.BitAnd: sp.An
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LONGEST_POWER_BITS = 4096
+_LARGEST_GAMMA = 172
+"""Beyond, the gamma function is larger than any floating-point number."""
 _MOST_ARGUMENTS = 20
 """SymPy compares all pairs of the arguments of a maximum."""
 
@@ -198,6 +200,8 @@ class _Translator(ast.NodeVisitor):
         arguments = [self.visit(argument) for argument in node.args]
         if not arguments or (len(arguments) > 1 and name not in _VARIADIC):
             raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
+        if name == "gamma" and arguments[0].is_number and not abs(arguments[0]) < _LARGEST_GAMMA:
+            raise self.error(f"{quote(f'gamma({arguments[0]})')} is too large a number")
         return FUNCTIONS[name](*arguments)
 
     def _piecewise(self, branches: list[ast.expr]) -> sp.Expr:

@@ -1,0 +1,8 @@
+"""``python -m rankone`` is the command line."""
+
+import sys
+
+from rankone.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())
