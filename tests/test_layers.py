@@ -88,6 +88,7 @@ FRONT_END = (
     "compiled",
     "problem_files",
     "cli",
+    "__main__",
 )
 """What may reach SymPy, beside the package itself."""
 REST = [name for name in PATHS if "." in name and name.split(".")[1] not in FRONT_END]

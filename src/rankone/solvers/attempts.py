@@ -26,6 +26,7 @@ __all__ = ["Attempt", "Marcher", "solve_in_attempts"]
 
 _EXPLAINING, _SHARE = 5.0, 0.15
 """Seconds kept for saying why a solve failed, and their largest share of all."""
+_LESS = "narrow the box, loosen rtol or take another method"
 _MORE_TIME = "give more time by max_seconds"
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
@@ -145,7 +146,7 @@ def solve_in_attempts(
         status = Status.TIME_LIMIT
     status, cause = marcher.explained(status, best)
     message = best.message(status, request.rtol, cause)
-    remedies = {Status.TIME_LIMIT: _MORE_TIME, **marcher.remedies}
+    remedies = {Status.TIME_LIMIT: _MORE_TIME, Status.MEMORY_LIMIT: _LESS, **marcher.remedies}
     if status in remedies:
         message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
@@ -161,7 +162,10 @@ def _attempts(
     stalls, out_of_time = 0, False
     for index in range(request.options.max_attempts):
         with _timed(timings, "march"):
-            result = marcher.march(index, report)
+            try:
+                result = marcher.march(index, report)
+            except MemoryError:
+                result = MarchResult(stopped=Status.MEMORY_LIMIT)
         records += result.records
         before = marcher.yardstick
         with _timed(timings, "check"):

@@ -9,17 +9,20 @@ lowers it again by solving with the identity.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 
 __all__ = ["RankOneSum"]
 
 _STABLE = 120
 """Largest rank whose norm is found by orthogonalisation if there are more than two dimensions."""
+_BLOCK = 4_000_000
+"""Inner products of products that are formed at once."""
 _ROUNDING = 1e-15
 """Relative size of what cancels in squared norms."""
 
@@ -78,7 +81,7 @@ class RankOneSum:
 
     def inner(self, other: RankOneSum) -> float:
         """Euclidean inner product."""
-        return float(self._gram(other).sum())
+        return sum(float(gram.sum()) for gram in self._grams(other))
 
     def distance(self, other: RankOneSum, square: float | None = None) -> float:
         """Euclidean norm of the difference, as careful as :meth:`norm`.
@@ -91,12 +94,15 @@ class RankOneSum:
         rest = square - 2.0 * self.inner(other) + other.inner(other)
         return math.sqrt(max(rest, _ROUNDING * square))
 
-    def _gram(self, other: RankOneSum) -> Array:
-        """Inner products of the products, (R, R of the other)."""
-        gram = np.ones((self.rank, other.rank))
-        for a, b in zip(self.factors, other.factors, strict=True):
-            gram *= a.T @ b
-        return gram
+    def _grams(self, other: RankOneSum) -> Iterator[Array]:
+        """Inner products of the products, (R, R of the other), a block of columns at a time."""
+        step = max(_BLOCK // max(self.rank, 1), 1)
+        for first in range(0, other.rank, step):
+            check_time()
+            gram = np.ones((self.rank, min(step, other.rank - first)))
+            for a, b in zip(self.factors, other.factors, strict=True):
+                gram *= a.T @ b[:, first : first + step]
+            yield gram
 
     def norm(self) -> float:
         """Euclidean norm.
@@ -107,8 +113,10 @@ class RankOneSum:
         if self.rank == 0:
             return 0.0
         if self.rank > _STABLE and len(self.factors) > 2:
-            gram = self._gram(self)
-            return math.sqrt(max(float(gram.sum()), _ROUNDING * float(np.abs(gram).sum())))
+            square = size = 0.0
+            for gram in self._grams(self):
+                square, size = square + float(gram.sum()), size + float(np.abs(gram).sum())
+            return math.sqrt(max(square, _ROUNDING * size))
         carry = np.ones((1, self.rank))
         for factor in self.factors[:-1]:
             block = (carry[:, None, :] * factor).reshape(-1, self.rank)

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 
 __all__ = ["left_products", "multiplicity", "right_products", "unpack"]
 
+_WORK = 5e9
+"""Multiplications after which the time is looked at."""
 _BLOCKS = 4
 
 
@@ -41,8 +44,10 @@ def unpack(packed: Array, rank: int) -> Array:
     return full
 
 
-def _blocks(rank: int) -> list[tuple[int, int]]:
+def _blocks(rank: int, work: float) -> list[tuple[int, int]]:
+    """Rows that are treated together, where one row takes so many multiplications."""
     step = -(-rank // _BLOCKS) if rank > 2 * _BLOCKS else rank
+    step = max(min(step, int(_WORK / max(work, 1.0))), 1)
     return [(first, min(first + step, rank)) for first in range(0, rank, step)]
 
 
@@ -68,7 +73,8 @@ def right_products(env: Array, core: Array, vector: Array) -> Array:
     square = env.reshape(s, s * s)
     packed = np.empty((r * (r + 1) // 2, size, s))
     row = 0
-    for first, last in _blocks(r):
+    for first, last in _blocks(r, size * s**3):
+        check_time()
         block = np.ascontiguousarray(weighted[:, first:last]).reshape(-1, s)
         once = (block @ square).reshape(size, (last - first) * s, s)
         twice = np.matmul(once, nodes[:, first:].swapaxes(1, 2))
@@ -104,7 +110,8 @@ def left_products(env: Array, core: Array, vector: Array) -> Array:
     once = once * vector[:, None]
     packed = np.empty((s * (s + 1) // 2, tests, size))
     row = 0
-    for first, last in _blocks(s):
+    for first, last in _blocks(s, size * tests * r**2):
+        check_time()
         width = last - first
         rows = np.ascontiguousarray(once[..., first:last].transpose(2, 0, 3, 1))
         twice = np.matmul(rows.reshape(size, tests * width, r), nodes[:, :, first:])
