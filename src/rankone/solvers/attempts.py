@@ -190,7 +190,23 @@ def _attempts(
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    return best, records, out_of_time
+    return _restated(best, marcher.yardstick, request.rtol), records, out_of_time
+
+
+def _restated(best: Attempt, yardstick: Yardstick, rtol: float) -> Attempt:
+    """A failure with the error that it has where it is worst, as far as that is easily found."""
+    if not best.result.slabs or not rtol < best.error < math.inf:
+        return best
+    doubtful = doubtful_points(yardstick, best.result.slabs, best.error / rtol, rtol, -1)
+    if doubtful is None:
+        return best
+    try:
+        stricter = yardstick.with_points(doubtful)
+    except OutOfTimeError:
+        return best
+    if stricter.end < yardstick.end:
+        return best
+    return Attempt(best.result, stricter.measured(best.result.slabs))
 
 
 def _further_points(

@@ -57,7 +57,7 @@ def doubtful_points(
     if not domain.box or not slabs or not yardstick.checked:
         return None
     lower, upper = domain.bounds.T
-    generator = np.random.default_rng((20141, number))
+    generator = np.random.default_rng((20141, number + 1))
     work = sum(core.size for core in slabs[-1].cores[1:])
     unit, tolerated = _candidates(lower.size, int(_WORK / max(work, 1)), generator)
     if yardstick.whole_box:
