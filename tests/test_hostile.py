@@ -108,3 +108,29 @@ def test_a_pipe_is_not_replaced(solution, tmp_path):
     with pytest.raises(ro.StorageError, match="no regular file"):
         solution.save(pipe, overwrite=True)
     assert pipe.is_fifo()
+
+
+ODD = [3, "x", b"x", np.zeros((2, 2)), object(), {1: 2}, "\ud800", 10**400, float("nan"), sp.I]
+
+
+@pytest.mark.parametrize("value", ODD, ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda value: ro.Problem(value, (t, 0, 1), {k: (1, 2)}, {x: 1}),
+        lambda value: ro.Problem([value], (t, 0, 1), {k: (1, 2)}, {x: 1}),
+        lambda value: plain(time=value),
+        lambda value: plain(parameters=(value,)),
+        lambda value: plain(parameters={k: value}),
+        lambda value: ro.compile(plain()).solve(1e-3, method=value),
+        lambda value: ro.compile(plain()).solve(1e-3, cover=value),
+        lambda value: ro.compile(plain()).solve(1e-3, on_failure=value),
+        lambda value: ro.compile(plain()).solve(1e-3, max_rank=(value,)),
+        lambda value: ro.compile(plain()).solve(1e-3, basis=value),
+        lambda value: ro.table([1, 2], [1, 2], kind=value),
+        lambda value: ro.load(value),
+    ],
+)
+def test_odd_values_are_named(call, value):
+    with pytest.raises(ro.RankoneError):
+        call(value)

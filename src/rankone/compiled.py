@@ -201,7 +201,7 @@ class CompiledProblem:
         SeparationError
             The method needs separated terms, and some term does not separate.
         """
-        if on_failure not in ("return", "raise"):
+        if not isinstance(on_failure, str) or on_failure not in ("return", "raise"):
             raise OptionError(
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
@@ -209,7 +209,7 @@ class CompiledProblem:
         separated = not self.separated.general
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=separated)
-        if method not in _ANY_SYSTEM:
+        if str(method) not in _ANY_SYSTEM:
             self.separated.require_separated()
         check_points(check)
         asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)

@@ -162,7 +162,7 @@ def table(
             term=times,
             remedy="sort them and leave out repetitions",
         )
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise ProblemError(
             f"kind={kind!r} is unknown", term=kind, remedy=f"choose from {', '.join(_KINDS)}"
         )

@@ -83,7 +83,7 @@ def choice(default: str, choices: Iterable[str]) -> Any:
     known = tuple(choices)
 
     def check(name: str, value: Any) -> Any:
-        if value not in known:
+        if not isinstance(value, str) or value not in known:
             remedy = f"choose one of {', '.join(known)}"
             raise OptionError(f"{name}={value!r} is unknown", remedy=remedy)
         return value

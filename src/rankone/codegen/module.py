@@ -16,11 +16,11 @@ from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
 from rankone.codegen.text import described_table, nested, table
-from rankone.errors import check_kind
+from rankone.errors import OptionError, check_kind
 from rankone.ir import QuadraticSystem, SeparatedForm, Term
 from rankone.lowering import quadratic_system
 from rankone.system import System
-from rankone.wording import number
+from rankone.wording import number, quote
 
 __all__ = ["generate_source", "load_module"]
 
@@ -88,12 +88,19 @@ def load_module(
     """
     check_kind("load_module", source, str, remedy="give the text of generate_source(form)")
     check_kind("load_module", name, str, remedy="give the name of the module as text")
-    digest = hashlib.sha256(source.encode()).hexdigest()[:8]
+    digest = hashlib.sha256(source.encode(errors="replace")).hexdigest()[:8]
     filename = f"<rankone {name} {digest}>"
     module = types.ModuleType(name)
     module.__file__ = filename
     module.__dict__.update(namespace or {})
-    exec(compile(source, filename, "exec"), module.__dict__)
+    try:
+        code = compile(source, filename, "exec")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise OptionError(
+            f"the source of {quote(name)} is no module that Python can compile: {error}",
+            remedy="give the text of generate_source(form)",
+        ) from None
+    exec(code, module.__dict__)
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     return cast(System, module)
 

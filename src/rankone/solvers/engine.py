@@ -73,7 +73,7 @@ class Engine(Generic[AnyOptions]):
         points = (
             _CHECK_POINTS * check if isinstance(check, bool) else checked_number("check", check, 0)
         )
-        if cover not in (None, *_COVERS):
+        if cover is not None and (not isinstance(cover, str) or cover not in _COVERS):
             raise OptionError(
                 f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
             )

@@ -45,7 +45,7 @@ def engines_for(
     OptionError
         If there is no such method, or an option belongs to another one.
     """
-    if method == AUTO:
+    if isinstance(method, str) and method == AUTO:
         order = ("train", "cross") if parameters <= _FEW_PARAMETERS else ("cross", "train")
         possible = [ENGINES[name] for name in order if separated or name == "cross"]
         knowing = [e for e in possible if set(options) <= set(e.options.names())]

@@ -34,7 +34,7 @@ def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ..
             f"equations are {quote(equations)}, not a list", term=equations, remedy="write [...]"
         )
     try:
-        if isinstance(equations, str | Mapping | Set):
+        if isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
             raise TypeError
         given = tuple(equations)
     except TypeError:
@@ -58,7 +58,7 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
     def error(message: str, term: object, remedy: str) -> ProblemError:
         return ProblemError(message, equation=number, term=term, remedy=remedy)
 
-    if equation in (sp.true, sp.false, True, False):
+    if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
         raise error(
             f"{quote(equation)} is a truth value; SymPy has evaluated the equation already",
             equation,

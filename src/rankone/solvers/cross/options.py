@@ -14,12 +14,15 @@ from rankone.options import Options, checked_number, choice, integer
 __all__ = ["CrossOptions"]
 
 
+_MOST_PROCESSES = 1000
+
+
 def _check_executor(name: str, value: Any) -> Executor | int:
     """The value if it is an executor or a number of processes, or an OptionError."""
     if isinstance(value, Executor):
         return value
     if isinstance(value, int):
-        return int(checked_number(name, value, 1))
+        return int(checked_number(name, value, 1, _MOST_PROCESSES))
     raise OptionError(
         f"{name}={value!r} is not valid",
         remedy="give a number of processes or a concurrent.futures.Executor",
