@@ -53,6 +53,13 @@ class Switches:
     periodic: set[tuple[float, float]] = field(default_factory=set)
 
 
+_NOT_SMOOTH = (
+    *(Relational, sp.Heaviside, sp.sign, sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.frac),
+    *(sp.Mod, sp.asin, sp.acos, sp.Pow, Table),
+)
+"""Functions that are not smooth everywhere."""
+
+
 class _Unsolved(Exception):
     """A boundary equation has no solution in closed form."""
 
@@ -77,14 +84,7 @@ def _boundaries(
 ) -> Iterator[tuple[sp.Expr, Sequence[float] | None]]:
     """Expressions, and the values at which they are boundaries; None for all integers."""
     zero = (0.0,)
-    seen: set[sp.Basic] = set()
-    waiting = list(expressions)
-    while waiting:
-        part = waiting.pop()
-        if part in seen:
-            continue
-        seen.add(part)
-        waiting += part.args
+    for part in {part for expression in expressions for part in expression.atoms(*_NOT_SMOOTH)}:
         if isinstance(part, Relational):
             yield part.lhs - part.rhs, zero
         elif isinstance(part, sp.Heaviside | sp.sign | sp.Abs):
