@@ -35,7 +35,7 @@ __all__ = ["ENGINE", "solve_cross"]
 
 _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
-_LEFT_POINTS = 9
+_LEFT_POINTS = 7
 _LEAST_NODES = 3
 """Nodes of what does not depend on a parameter."""
 _PATIENCE, _CHEAP = 5, 80_000
