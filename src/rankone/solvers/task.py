@@ -133,5 +133,5 @@ class Task:
         if len(found) == 1:
             return best, method
         timings = {stage: sum(o.timings[stage] for o, _ in found) for stage in best.timings}
-        told = "; ".join(f"{name}: {outcome.message}" for outcome, name in found)
-        return replace(best, timings=timings, message=f"by {method}; {told}"), method
+        others = "".join(f". Tried too, {n}: {o.message}" for o, n in found if o is not best)
+        return replace(best, timings=timings, message=f"{method}: {best.message}{others}"), method
