@@ -91,6 +91,11 @@ class System(Protocol):
         """Initial values at p (d, ...), shape (N_DIFFERENTIAL, ...); where nothing separates."""
 
     @staticmethod
+    def moving_cuts(p: Sequence[Any] | Array) -> Array:
+        """Times at which functions of time and parameters switch at p (d, ...), shape (cuts, ...);
+        only where nothing separates and there are some."""
+
+    @staticmethod
     def time_factors(t: Array) -> Array:
         """Time factors at the points t (P,): shape (number of factors, P); row 0 is one."""
 

@@ -6,7 +6,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen.switching import switches
+from rankone.codegen.switching import moving_switches, switches
 from rankone.ir import Coordinate
 
 t, k = sp.symbols("t k")
@@ -108,3 +108,49 @@ def test_what_switches_too_often_is_refused():
     problem = ro.Problem([sp.Eq(x.diff(t), rate)], (t, 0, 9), {k: (1, 2)}, {x: 1})
     with pytest.raises(ro.RankoneError, match="switches 9000000 times"):
         ro.solve(problem)
+
+
+MOVING = {
+    "pulse": "-x + 1000*Heaviside(t - 60*k)*Heaviside(60*k + 0.001 - t)",
+    "dose": "-0.1*x + 18000*Piecewise((1, (t > 10*k) & (t < 10*k + 1/3600)), (0, True))",
+    "peak": "-x + 1e5*exp(-((t - 60*k)/1e-5)**2)",
+}
+
+
+@pytest.mark.parametrize("rate", MOVING.values(), ids=MOVING)
+def test_switches_that_move_with_a_parameter_are_not_stepped_over(rate):
+    """What no interpolation resolves is refused, not missed."""
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))
+    compiled = ro.compile(problem)
+    assert len(compiled.system.moving_cuts([0.7])) == (1 if "exp" in rate else 2)
+    solution = compiled.solve(1e-3, max_seconds=5)
+    assert not solution.success
+    assert solution.error > 0.1 or not solution.outcome.slabs
+    assert "at times that depend on parameters" in solution.message
+
+
+def test_moving_switches_are_those_of_time_and_parameters():
+    coordinates = [TIME, Coordinate("k", k, 0.5, 1.0)]
+    found = moving_switches(
+        coordinates,
+        [sp.Heaviside(2 * t - k) * sp.Heaviside(t - x) + sp.Abs(t - 3) + sp.exp(-k * t)],
+    )
+    assert found == (k / 2,)
+
+
+@pytest.mark.parametrize(
+    ("shape", "area"),
+    [
+        ("1e7*exp(-((t - 0.31234)/1e-7)**2)", math.sqrt(math.pi)),
+        ("1e6*(tanh((t - 0.31234)*1e9) - tanh((t - 0.312341)*1e9))", 2.0),
+        ("1e7/(1 + ((t - 0.31234)*1e7)**2)", math.pi),
+    ],
+)
+@pytest.mark.parametrize("method", ["train", "cross"])
+def test_a_narrow_smooth_pulse_is_not_stepped_over(shape, area, method):
+    problem = ro.Problem.from_strings({"x": f"k*{shape}"}, {"x": "1"}, {"k": (0.5, 1.5)}, (0, 1))
+    solution = ro.solve(problem, 1e-4, method=method)
+    if solution.success:
+        assert solution(t=1, k=1)[0] == pytest.approx(1 + area, rel=1e-3)
+    else:
+        assert solution.error > 1e-4

@@ -21,6 +21,7 @@ from rankone.codegen.header import opening
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import Index, mask, shape_line
 from rankone.codegen.printer import common_subexpressions, numpy_text, readable_text
+from rankone.codegen.switching import moving_switches
 from rankone.codegen.text import assignment, docstring, paragraph, unpacking
 from rankone.errors import ProblemError, SeparationError
 from rankone.ir import Coordinate, State
@@ -74,6 +75,7 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     """
     writer = _Writer(system)
     functions = [writer.rhs(), writer.jacobian(), writer.initial(), _with_products(writer.n)]
+    functions.append(writer.moving_cuts())
     known = known_functions(system.coordinates, [*system.rhs, *system.initial])
     factors = [(sp.S.One, *found) for found in known]
     blocks = [
@@ -198,6 +200,20 @@ class _Writer:
             *self._body("initial", f"np.empty(({self.n}, *shape))", entries, shape),
         ]
 
+    def moving_cuts(self) -> list[str]:
+        """Where functions of time and parameters switch; nothing if there are none."""
+        times = moving_switches(self.system.coordinates, [*self.system.rhs])
+        if not times:
+            return []
+        entries: dict[Index, sp.Expr] = {(i,): s.xreplace(self.real) for i, s in enumerate(times)}
+        shape = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
+        about = f"Times at which functions of time and of p (d, ...) switch: ({len(times)}, ...)."
+        return [
+            "def moving_cuts(p):",
+            *docstring([about]),
+            *self._body("moving_cuts", f"np.empty(({len(times)}, *shape))", entries, shape),
+        ]
+
     def _body(
         self,
         function: str,
@@ -228,7 +244,9 @@ class _Writer:
         lines.append(f"    out = {allocation}")
         for (row, *column), text in zip(entries, texts, strict=True):
             target = f"out[{', '.join(map(str, (row, *column)))}]"
-            meaning = f"{self._name(row)}'" if function != "initial" else self._name(row)
+            meaning = ""
+            if function != "moving_cuts":
+                meaning = self._name(row) if function == "initial" else f"{self._name(row)}'"
             if column:
                 meaning = f"d({meaning})/d{self._name(column[0])}"
             lines += assignment(target, [_as_float(text)], meaning)

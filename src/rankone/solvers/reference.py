@@ -32,6 +32,8 @@ _LONGEST = 0.1
 """Longest step, in horizons, where functions of time or of unknowns may hide between its stages."""
 _GROWN = 1e3
 """Size of a state, over the initial ones, that tells a blow-up from a pole or a border."""
+_COINCIDENT = 1e-14
+"""Times that are closer, relative to the ends of the horizon, are the same."""
 _RUNAWAY, _LATER = 1e6, 1.0001
 """Growth in a horizon, at the last rate, that tells the same, and a state a little later."""
 _INTEGRATIONS = 3
@@ -155,7 +157,8 @@ def integrate_reference(
     OutOfTimeError
         With the time reached and the number of steps.
     """
-    stack = Stack(system, points, [start, *cuts, end])
+    between = _with_moving(system, points, start, end, cuts)
+    stack = Stack(system, points, [start, *between, end])
     initial = initial_values(system, np.ascontiguousarray(points.T))
     size = np.abs(initial).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
@@ -191,6 +194,21 @@ def integrate_reference(
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
     return Reference(points, start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large)
+
+
+def _with_moving(
+    system: System, points: Array, start: float, end: float, cuts: Sequence[float]
+) -> list[float]:
+    """The cuts, and the times at which functions of time switch at some of the points."""
+    moving = getattr(system, "moving_cuts", None)
+    if moving is None:
+        return list(cuts)
+    with np.errstate(all="ignore"):
+        times = np.asarray(moving(np.ascontiguousarray(points.T))).ravel()
+    found = np.unique([*cuts, *times[(times > start) & (times < end)]])
+    least = _COINCIDENT * max(abs(start), abs(end))
+    apart = np.diff(found, prepend=start) > least
+    return [float(time) for time in found[apart] if end - time > least]
 
 
 def _runs_away(system: System, time: float, state: Array, point: Array, horizon: float) -> bool:

@@ -34,13 +34,14 @@ FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "abs": sp.Abs,
     "min": sp.Min,
     "max": sp.Max,
+    "Mod": sp.Mod,
 }
-"""Functions known by name; all take one argument but ``min`` and ``max``."""
+"""Functions known by name; all take one argument but ``min``, ``max`` and ``Mod``."""
 
 CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
 """Constants known by name, unless the user gives the name another meaning."""
 
-_VARIADIC = {"min", "Min", "max", "Max"}
+_VARIADIC = {"min", "Min", "max", "Max", "Mod"}
 _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -198,6 +199,8 @@ class _Translator(ast.NodeVisitor):
         if len(node.args) > _MOST_ARGUMENTS:
             raise self.error(f"{quote(name)} has {len(node.args)} arguments")
         arguments = [self.visit(argument) for argument in node.args]
+        if name == "Mod" and len(arguments) != 2:
+            raise self.error(f"{quote(name)} takes two arguments, not {len(arguments)},")
         if not arguments or (len(arguments) > 1 and name not in _VARIADIC):
             raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
         if name == "gamma" and arguments[0].is_number and not abs(arguments[0]) < _LARGEST_GAMMA:

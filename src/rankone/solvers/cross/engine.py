@@ -48,6 +48,7 @@ _FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
 
+_MOVING = " (the rates switch, or are narrow, at times that depend on parameters)"
 _UNRESOLVED = (
     Status.TOLERANCE,
     Status.RANK_LIMIT,
@@ -228,8 +229,11 @@ class CrossMarcher:
         trajectories, domain = self.trajectories, self.yardstick.domain
         if status is Status.NO_CONVERGENCE:
             return status, f"a trajectory cannot be integrated beyond t = {self.ends:.6g}"
+        system = self.yardstick.system
+        moves = hasattr(system, "moving_cuts") and status in (*_UNRESOLVED, Status.SLAB_LIMIT)
+        cause = status.value + (_MOVING if moves else "")
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
-            return status, status.value
+            return status, cause
         lines = [domain.bounds.mean(axis=1)]
         if attempt.result.slabs:
             lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
@@ -238,8 +242,7 @@ class CrossMarcher:
         except (OutOfTimeError, TrajectoryEnds):
             front = None
         if front is None:
-            return status, status.value
-        system = self.yardstick.system
+            return status, cause
         return Status.STEEP, front.sentence(system.STATES, system.PARAMETERS)
 
 
