@@ -85,6 +85,8 @@ class System(Protocol):
     """For each coordinate where functions of it alone jump or kink; only where there are some."""
     PERIODIC_CUTS: tuple[tuple[tuple[float, float], ...], ...]
     """The same for points that repeat: one of them and the period."""
+    PEAKS: int
+    """How many of the ``events`` vanish in the middle of peaks; only where there are some."""
 
     @staticmethod
     def initial(p: Sequence[Any] | Array) -> Array:
@@ -94,6 +96,11 @@ class System(Protocol):
     def moving_cuts(p: Sequence[Any] | Array) -> Array:
         """Times at which functions of time and parameters switch at p (d, ...), shape (cuts, ...);
         only where nothing separates and there are some."""
+
+    @staticmethod
+    def events(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """Functions that vanish where the right-hand side peaks, the first PEAKS, or switches over
+        the states, shape (events, ...); only where nothing separates and there are some."""
 
     @staticmethod
     def time_factors(t: Array) -> Array:

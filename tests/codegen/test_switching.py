@@ -6,7 +6,8 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen.switching import moving_switches, switches
+from rankone.codegen.events import moving_switches
+from rankone.codegen.switching import switches
 from rankone.ir import Coordinate
 
 t, k = sp.symbols("t k")

@@ -10,7 +10,7 @@ import sympy as sp
 
 import rankone as ro
 
-__all__ = ["KINDS", "Case", "case"]
+__all__ = ["KINDS", "Case", "alone", "case", "kind", "logarithmic", "number", "t", "unknown"]
 
 t = sp.Symbol("t")
 KINDS: dict[str, Callable[[random.Random], Case]] = {}
@@ -25,11 +25,13 @@ class Case:
     ----------
     rates : list of Expr
         Right-hand sides in the unknowns.
-    cuts : list of float
-        Times at which the right-hand side switches.
-    places : list of (Symbol, float, float)
-        Places of a parameter at which something narrow is, and its half width: a third of the
-        points at which the truth is looked at lie there.
+    cuts : list of Expr
+        Times at which the right-hand side switches, perhaps functions of the parameters.
+    places : list of (Symbol, Expr, Expr)
+        Places of a parameter at which something narrow is, and its half width, perhaps functions
+        of the other parameters: a third of the points at which the truth is looked at lie there.
+    passed : Expr, optional
+        The time at which the only unknown has a value, as a function of it, where that is known.
     """
 
     name: str
@@ -39,8 +41,9 @@ class Case:
     box: dict[sp.Symbol, tuple[float, float]]
     end: float
     rtol: float
-    cuts: list[float]
-    places: list[tuple[sp.Symbol, float, float]]
+    cuts: list[sp.Expr]
+    places: list[tuple[sp.Symbol, sp.Expr, sp.Expr]]
+    passed: sp.Expr | None = None
 
     def problem(self) -> ro.Problem:
         """As a user writes it."""
@@ -57,26 +60,30 @@ def case(kind: str, seed: int) -> Case:
     return KINDS[kind](random.Random(f"{kind} {seed}"))
 
 
-def _kind(make: Callable[[random.Random], Case]) -> Callable[[random.Random], Case]:
+def kind(make: Callable[[random.Random], Case]) -> Callable[[random.Random], Case]:
+    """Register a maker of cases under its name."""
     KINDS[make.__name__] = make
     return make
 
 
-def _number(draw: random.Random, lower: float, upper: float) -> sp.Float:
+def number(draw: random.Random, lower: float, upper: float) -> sp.Float:
+    """A number of an interval, of four digits."""
     return sp.Float(f"{draw.uniform(lower, upper):.4g}")
 
 
-def _logarithmic(draw: random.Random, lower: float, upper: float) -> sp.Float:
+def logarithmic(draw: random.Random, lower: float, upper: float) -> sp.Float:
+    """The same, drawn on a logarithmic scale."""
     return sp.Float(f"{lower * (upper / lower) ** draw.random():.4g}")
 
 
-def _alone(name: str, rate: sp.Expr, x: sp.Expr, start: sp.Expr, box: dict, **more: object) -> Case:
+def alone(name: str, rate: sp.Expr, x: sp.Expr, start: sp.Expr, box: dict, **more: object) -> Case:
     """A case with one unknown."""
     given = {"cuts": [], "places": [], **more}
     return Case(name, [x], [rate], [sp.sympify(start)], box, **given)  # type: ignore[arg-type]
 
 
-def _unknown(name: str) -> sp.Expr:
+def unknown(name: str) -> sp.Expr:
+    """A function of time."""
     return sp.Function(name)(t)
 
 
@@ -99,18 +106,18 @@ def _pulse(draw: random.Random, end: float, width: float) -> tuple[sp.Expr, list
     return shape / length, [float(first), float(last)], notation
 
 
-@_kind
+@kind
 def pulses(draw: random.Random) -> Case:
     """A short pulse of weight comparable to the rest: width 1e-3 to 1e-7 of the horizon."""
-    x, k = _unknown("x"), sp.Symbol("k")
-    end = float(_logarithmic(draw, 1.0, 200.0))
+    x, k = unknown("x"), sp.Symbol("k")
+    end = float(logarithmic(draw, 1.0, 200.0))
     share = 10 ** draw.uniform(-7, -3)
     shape, cuts, notation = _pulse(draw, end, share * end)
-    rate = -draw.choice([k, sp.Integer(1)]) * x * _number(draw, 1, 5) / end
+    rate = -draw.choice([k, sp.Integer(1)]) * x * number(draw, 1, 5) / end
     rate += draw.choice([k, sp.Integer(3)]) * shape
     name = f"pulse {share:.0e} {notation}"
     box = {k: (1.0, 2.0)}
-    return _alone(name, rate, x, 5 * k, box, end=end, rtol=10.0 ** -draw.randint(3, 6), cuts=cuts)
+    return alone(name, rate, x, 5 * k, box, end=end, rtol=10.0 ** -draw.randint(3, 6), cuts=cuts)
 
 
 # -- features of one parameter -----------------------------------------------------------------
@@ -118,7 +125,7 @@ def pulses(draw: random.Random) -> Case:
 
 def _feature(draw: random.Random, k: sp.Symbol, width: float) -> tuple[sp.Expr, float, str]:
     """A narrow function of one parameter in (0, 1), its place, and its name."""
-    place = _number(draw, 0.02, 0.98)
+    place = number(draw, 0.02, 0.98)
     w = sp.Float(f"{width:.4g}")
     name = draw.choice(["Gaussian", "Lorentz", "tanh", "abs"])
     match name:
@@ -133,18 +140,18 @@ def _feature(draw: random.Random, k: sp.Symbol, width: float) -> tuple[sp.Expr, 
     return shape, float(place), name
 
 
-@_kind
+@kind
 def features(draw: random.Random) -> Case:
     """A peak, a layer or a kink over one of up to four parameters: 0.25 to 10 % of its interval."""
-    x = _unknown("x")
+    x = unknown("x")
     symbols = sp.symbols("k a b c")[: draw.randint(1, 4)]
-    width = float(_logarithmic(draw, 0.0025, 0.1))
+    width = float(logarithmic(draw, 0.0025, 0.1))
     shape, place, name = _feature(draw, symbols[0], width)
-    rest = sum((_number(draw, 0.2, 0.6) * s for s in symbols[1:]), start=sp.Integer(1))
+    rest = sum((number(draw, 0.2, 0.6) * s for s in symbols[1:]), start=sp.Integer(1))
     where = draw.randrange(3)
     rate = -x * (1 + shape) + rest if where == 0 else -x + shape + rest
     rate = -x * rest + shape if where == 2 else rate
-    return _alone(
+    return alone(
         f"{name} {100 * width:.2g} % of {len(symbols)}",
         rate,
         x,
@@ -160,19 +167,19 @@ def features(draw: random.Random) -> Case:
 
 
 def _time_factor(draw: random.Random, end: float) -> tuple[sp.Expr, list[float]]:
-    at = _number(draw, 0.1 * end, 0.9 * end)
+    at = number(draw, 0.1 * end, 0.9 * end)
     match draw.randrange(8):
         case 0:
-            return sp.sin(_number(draw, 0.5, 12) * t + _number(draw, 0, 3)), []
+            return sp.sin(number(draw, 0.5, 12) * t + number(draw, 0, 3)), []
         case 1:
-            return sp.exp(-_number(draw, 0.1, 2) * t), []
+            return sp.exp(-number(draw, 0.1, 2) * t), []
         case 2:
             return sp.Heaviside(t - at), [float(at)]
         case 3:
             return sp.Abs(t - at), [float(at)]
         case 4:
             later = sp.Float(f"{draw.uniform(float(at), end):.4g}")
-            values = [(1, t < at), (_number(draw, -1, 2), t < later), (0, True)]
+            values = [(1, t < at), (number(draw, -1, 2), t < later), (0, True)]
             return sp.Piecewise(*values), [float(at), float(later)]
         case 5:
             shape, cuts, _ = _pulse(draw, end, end * 10 ** draw.uniform(-7, -1.5))
@@ -189,7 +196,7 @@ def _parameter_factor(
 ) -> tuple[sp.Expr, list[tuple[sp.Symbol, float, float]]]:
     lower, upper = interval
     unit = (k - lower) / (upper - lower)
-    at = _number(draw, 0.1, 0.9)
+    at = number(draw, 0.1, 0.9)
     width = 10 ** draw.uniform(-2.5, -0.5)
     w = sp.Float(f"{width:.3g}")
     place = [(k, lower + float(at) * (upper - lower), 3 * width * (upper - lower))]
@@ -199,7 +206,7 @@ def _parameter_factor(
         case 1:
             return 1 / (1 + unit), []
         case 2:
-            return sp.sqrt(unit + _number(draw, 0.01, 1)), []
+            return sp.sqrt(unit + number(draw, 0.01, 1)), []
         case 3:
             return sp.Abs(unit - at), place
         case 4:
@@ -210,21 +217,21 @@ def _parameter_factor(
             return k, []
 
 
-@_kind
+@kind
 def systems(draw: random.Random) -> Case:
     """One to six states, one to six parameters, degree up to four, factors of all sorts."""
     count, d = draw.randint(1, 6), draw.randint(1, 6)
-    unknowns = [_unknown(f"u{i}") for i in range(count)]
+    unknowns = [unknown(f"u{i}") for i in range(count)]
     symbols = sp.symbols(f"p0:{d}")
     box = {}
     for symbol in symbols:
         middle = draw.uniform(0.5, 2.0)
         wide = middle * draw.choice([1e-3, 0.1, 0.4, 0.9])
         box[symbol] = (round(middle - wide, 6), round(middle + wide, 6))
-    end = float(_logarithmic(draw, 0.3, 10.0))
+    end = float(logarithmic(draw, 0.3, 10.0))
     cuts: list[float] = []
     places: list[tuple[sp.Symbol, float, float]] = []
-    rates = [-_number(draw, 0.3, 2) * u for u in unknowns]
+    rates = [-number(draw, 0.3, 2) * u for u in unknowns]
     size = 1.0 / count
     for _ in range(draw.randint(1, 2 * count)):
         i = draw.randrange(count)
@@ -235,9 +242,9 @@ def systems(draw: random.Random) -> Case:
             known, where = _parameter_factor(draw, symbol, box[symbol])
             factor *= known
             places += where
-        rates[i] += _number(draw, -size, size) * factor * monomial
+        rates[i] += number(draw, -size, size) * factor * monomial
     used = set().union(*(rate.free_symbols for rate in rates))
-    initial = [_number(draw, 0.2, 1.5) for _ in unknowns]
+    initial = [number(draw, 0.2, 1.5) for _ in unknowns]
     for symbol in symbols:
         if symbol not in used:
             initial[draw.randrange(count)] *= symbol
@@ -249,10 +256,10 @@ def systems(draw: random.Random) -> Case:
     return Case(name, unknowns, rates, initial, box, end, rtol, sorted(cuts), where)
 
 
-@_kind
+@kind
 def steep(draw: random.Random) -> Case:
     """Bistable equations, thresholds, corners that blow up, and rates over decades."""
-    x, y = _unknown("x"), _unknown("y")
+    x, y = unknown("x"), unknown("y")
     k, a, b, c = sp.symbols("k a b c")
     rtol = 10.0 ** -draw.uniform(2, 5)
     sides = {k: (-draw.uniform(0.2, 1.0), draw.uniform(0.2, 1.0))}
@@ -260,75 +267,75 @@ def steep(draw: random.Random) -> Case:
     end = draw.uniform(1.0, 8.0)
     match draw.randrange(8):
         case 0:
-            return _alone("bistable", x - x**3, x, k, sides, end=end, rtol=rtol)
+            return alone("bistable", x - x**3, x, k, sides, end=end, rtol=rtol)
         case 1:
             wide = draw.uniform(0.02, 0.3)
             box = {**sides, a: (-wide, wide)}
-            return _alone("bistable, shifted", x - x**3 + a, x, k, box, end=end, rtol=rtol)
+            return alone("bistable, shifted", x - x**3 + a, x, k, box, end=end, rtol=rtol)
         case 2:
-            start = a + b + c - _number(draw, 0.5, 2.5)
-            return _alone("bistable, sum", x - x**3, x, start, more, end=end, rtol=rtol)
+            start = a + b + c - number(draw, 0.5, 2.5)
+            return alone("bistable, sum", x - x**3, x, start, more, end=end, rtol=rtol)
         case 3:
-            start = a * b * c * _number(draw, 0.5, 1.3)
-            return _alone("blow-up in a corner", x**2 - x, x, start, more, end=end, rtol=rtol)
+            start = a * b * c * number(draw, 0.5, 1.3)
+            return alone("blow-up in a corner", x**2 - x, x, start, more, end=end, rtol=rtol)
         case 4:
-            steepness = _logarithmic(draw, 5, 500)
-            rate = -x + sp.tanh(steepness * (a + b - _number(draw, 0.2, 1.8)))
-            return _alone("front of a sum", rate, x, 0, {a: (0, 1), b: (0, 1)}, end=end, rtol=rtol)
+            steepness = logarithmic(draw, 5, 500)
+            rate = -x + sp.tanh(steepness * (a + b - number(draw, 0.2, 1.8)))
+            return alone("front of a sum", rate, x, 0, {a: (0, 1), b: (0, 1)}, end=end, rtol=rtol)
         case 5:
-            power, factor = draw.randint(2, 8), _logarithmic(draw, 5, 300)
+            power, factor = draw.randint(2, 8), logarithmic(draw, 5, 300)
             rate = -x * (1 + factor * (a * b * c) ** power) + 1
-            return _alone("product of powers", rate, x, 1, more, end=end, rtol=rtol)
+            return alone("product of powers", rate, x, 1, more, end=end, rtol=rtol)
         case 6:
-            box = {k: (1.0, float(_logarithmic(draw, 10, 300))), a: (0.5, 1.5)}
+            box = {k: (1.0, float(logarithmic(draw, 10, 300))), a: (0.5, 1.5)}
             rate = -k * (x - sp.cos(a * t))
-            return _alone("rates over decades", rate, x, 0, box, end=end, rtol=rtol)
+            return alone("rates over decades", rate, x, 0, box, end=end, rtol=rtol)
         case _:
             rates = [-k * x * y, k * x * y - a * y]
             box = {k: (0.5, 6.0), a: (0.5, 1.5), b: (1e-4, 1e-2)}
             return Case("epidemic", [x, y], rates, [1 - b, b], box, end * 3, rtol, [], [])
 
 
-@_kind
+@kind
 def products(draw: random.Random) -> Case:
     """Products of three to six parameters, large in a corner of the box that few points see."""
-    x, y = _unknown("x"), _unknown("y")
+    x, y = unknown("x"), unknown("y")
     symbols = sp.symbols("a b c d e f")[: draw.randint(3, 6)]
     sides = [draw.choice([s, s, 1 - s]) for s in symbols]
     product = sp.Mul(*sides) ** draw.choice([1, 1, 2, 4])
-    strength, box = _logarithmic(draw, 1, 100), dict.fromkeys(symbols, (0.0, 1.0))
+    strength, box = logarithmic(draw, 1, 100), dict.fromkeys(symbols, (0.0, 1.0))
     end, rtol = draw.uniform(0.5, 3), 10.0 ** -draw.uniform(2, 6)
     match draw.randrange(6):
         case 0:
             rate = -strength * product * x
         case 1:
-            rate = -strength * product * (x - sp.cos(_number(draw, 1, 5) * t))
+            rate = -strength * product * (x - sp.cos(number(draw, 1, 5) * t))
         case 2:
             rate = strength * product - x**3
         case 3:
-            rate = -x + 1 + strength * sp.Max(0, sum(sides) - _number(draw, 0.6, 0.95) * len(sides))
+            rate = -x + 1 + strength * sp.Max(0, sum(sides) - number(draw, 0.6, 0.95) * len(sides))
         case 4:
             rates = [y, -(1 + strength * product) * x]
             return Case("oscillator", [x, y], rates, [1, sp.S.Zero], box, end, rtol, [], [])
         case _:
-            rate = _number(draw, 0.1, 1.5) * product * (x**2 + symbols[0]) / end
-    return _alone(f"product of {len(symbols)}", rate, x, 1, box, end=end, rtol=rtol)
+            rate = number(draw, 0.1, 1.5) * product * (x**2 + symbols[0]) / end
+    return alone(f"product of {len(symbols)}", rate, x, 1, box, end=end, rtol=rtol)
 
 
-@_kind
+@kind
 def general(draw: random.Random) -> Case:
     """Rates that do not separate, with what is narrow, kinked or steep inside."""
-    x = _unknown("x")
+    x = unknown("x")
     symbols = sp.symbols("a b c")[: draw.randint(1, 3)]
     total = sum(symbols, start=sp.Integer(0))
-    at = _number(draw, 0.2, 0.8) * len(symbols)
-    width = _logarithmic(draw, 0.01, 0.5)
+    at = number(draw, 0.2, 0.8) * len(symbols)
+    width = logarithmic(draw, 0.01, 0.5)
     rate = draw.choice(
         [
             -x + sp.Max(0, total - at),
             -x * (1 + total) + sp.exp(-(((total - at) / width) ** 2)),
             -x / (width + sp.Abs(x)) + total,
-            -sp.sin(x * (1 + total)) + _number(draw, 0.1, 0.9),
+            -sp.sin(x * (1 + total)) + number(draw, 0.1, 0.9),
             -x + sp.tanh((total * x - at) / width),
             -sp.Abs(x - at) * total + sp.cos(t * (1 + total)),
             -x + sp.Piecewise((1, x < at), (total, True)),
@@ -336,11 +343,11 @@ def general(draw: random.Random) -> Case:
             -x + 1 / (1 + ((sp.Mul(*symbols) - at / 2) / width) ** 2),
         ]
     )
-    return _alone(
+    return alone(
         "general",
         rate,
         x,
-        _number(draw, 0.1, 1),
+        number(draw, 0.1, 1),
         dict.fromkeys(symbols, (0.0, 1.0)),
         end=draw.uniform(0.5, 6),
         rtol=10.0 ** -draw.uniform(2, 5),

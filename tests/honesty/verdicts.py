@@ -6,15 +6,17 @@ import itertools
 import time
 import warnings
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.integrate
 import sympy as sp
 
 import rankone as ro
+from tests.honesty import narrow  # registers its kinds
 from tests.honesty.cases import Case, case, t
 
-__all__ = ["Verdict", "judged", "tried"]
+__all__ = ["Verdict", "judged", "narrow", "tried"]
 
 WITHIN = 5.0
 """Errors of a success, over rtol, from which it is wrong."""
@@ -22,6 +24,8 @@ POINTS, TIMES = 500, 21
 LONGEST = 30.0
 """Seconds after which a solve is slow."""
 _ACCURACY, _STEPS = 1e-9, 20_000
+_APART = 1e-13
+"""Cuts closer to the ends, in horizons, are the ends."""
 
 
 @dataclass(frozen=True)
@@ -84,23 +88,54 @@ def sampled(case: Case) -> np.ndarray:
     points = bounds[:, :1] + np.diff(bounds, axis=1) * generator.random((len(bounds), POINTS))
     names = list(case.box)
     for i, (symbol, place, half) in enumerate(case.places):
-        j = names.index(symbol)
-        near = points[j, i :: 3 * len(case.places)]
-        near[:] = np.clip(place + half * generator.uniform(-1, 1, near.size), *bounds[j])
+        j, some = names.index(symbol), slice(i, None, 3 * len(case.places))
+        middle, width = (_at(case, value, points[:, some]) for value in (place, half))
+        near = middle + width * generator.uniform(-1, 1, middle.size)
+        points[j, some] = np.where(np.isfinite(near), np.clip(near, *bounds[j]), points[j, some])
     return points
+
+
+def _at(case: Case, value: object, points: np.ndarray) -> np.ndarray:
+    """An expression of the parameters at points (d, m)."""
+    with np.errstate(all="ignore"):
+        found = sp.lambdify([list(case.box)], value, ["numpy", "scipy"])(points)
+    return np.broadcast_to(np.asarray(found, dtype=float), points.shape[1])
+
+
+def _passing(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Trajectories (1, points, times) from the times at which values are passed: by bisection."""
+    (x,) = case.unknowns
+    name = sp.Dummy()
+    passed = case.passed.xreplace({x: name})
+    when = sp.lambdify([name, list(case.box)], passed, ["numpy", "scipy"])
+    start = _at(case, case.initial[0], points)[:, None] * np.ones(times.size)
+    step = np.ones_like(start)
+    lower, upper = start.copy(), start + step
+    while (short := when(upper, points[:, :, None]) < times).any():
+        upper = np.where(short, upper + step, upper)
+        step *= 2
+    for _ in range(80):
+        middle = 0.5 * (lower + upper)
+        late = when(middle, points[:, :, None]) > times
+        lower, upper = np.where(late, lower, middle), np.where(late, middle, upper)
+    return np.asarray(0.5 * (lower + upper))[None]
 
 
 def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Trajectories (n, points, times); NaN where there are none."""
+    if case.passed is not None:
+        return _passing(case, points, times)
     n, m = len(case.unknowns), points.shape[1]
     names = [sp.Dummy() for _ in case.unknowns]
     plain = [rate.xreplace(dict(zip(case.unknowns, names, strict=True))) for rate in case.rates]
-    rhs = sp.lambdify([t, names, list(case.box)], plain, ["numpy", "scipy"])
+    rhs = sp.lambdify([t, names, list(case.box)], plain, [_tables(case), "numpy", "scipy"])
     start = sp.lambdify([list(case.box)], case.initial, ["numpy", "scipy"])
     state = np.stack([np.broadcast_to(v, m) for v in start(points)]).astype(float)
     values = np.full((n, m, times.size), np.nan)
     values[:, :, 0] = state
-    edges = np.unique([0.0, *(c for c in case.cuts if 0.0 < c < case.end), case.end])
+    cuts = np.concatenate([[0.0], *(_at(case, cut, points) for cut in case.cuts)])
+    inside = cuts[(cuts > _APART * case.end) & (cuts < (1.0 - _APART) * case.end)]
+    edges = np.unique([0.0, *inside, case.end])
     scale = np.maximum(np.abs(state).max(axis=1, keepdims=True), 1e-3)
     for a, b in itertools.pairwise(edges):
         inset = min(max(1e-9 * (b - a), 8 * np.spacing(b)), 0.25 * (b - a))
@@ -122,6 +157,13 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
             raise TimeoutError
         state = solver.y.reshape(n, m)
     return values
+
+
+def _tables(case: Case) -> dict[str, object]:
+    """Functions of data in the rates, by name."""
+    found = set().union(*(rate.atoms(sp.Function) for rate in case.rates))
+    made = {type(part) for part in found if hasattr(type(part), "points")}
+    return {f.__name__: partial(np.interp, xp=f.points, fp=f.values) for f in made}
 
 
 def _stepper(rate, a, y, b, scale, m):

@@ -7,7 +7,7 @@ closely. The kernels of the separated form are missing; ``SEPARATED`` says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Protocol
 
@@ -16,12 +16,12 @@ from sympy.core.function import AppliedUndef
 
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.derivatives import Differentiator
+from rankone.codegen.events import event_functions, moving_switches
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import opening
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import Index, mask, shape_line
-from rankone.codegen.printer import common_subexpressions, numpy_text, readable_text
-from rankone.codegen.switching import moving_switches
+from rankone.codegen.printer import common_subexpressions, numpy_text, readable_text, representable
 from rankone.codegen.text import assignment, docstring, paragraph, unpacking
 from rankone.errors import ProblemError, SeparationError
 from rankone.ir import Coordinate, State
@@ -75,7 +75,7 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     """
     writer = _Writer(system)
     functions = [writer.rhs(), writer.jacobian(), writer.initial(), _with_products(writer.n)]
-    functions.append(writer.moving_cuts())
+    functions += [writer.moving_cuts(), writer.events()]
     known = known_functions(system.coordinates, [*system.rhs, *system.initial])
     factors = [(sp.S.One, *found) for found in known]
     blocks = [
@@ -86,6 +86,8 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     names = [state.name for state in system.states]
     tables = constants(False, names, len(names), (), system.coordinates)
     tables += cut_table(system.coordinates, [*system.rhs, *system.initial])
+    if writer.peaks is not None:
+        tables += [f"PEAKS = {writer.peaks}"]
     return module_source(partial(_header, system, writer.operations, title), tables, blocks)
 
 
@@ -119,6 +121,10 @@ def _with_products(n: int) -> list[str]:
     ]
 
 
+_OF_P = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
+"""The shape of values at p."""
+
+
 class _Writer:
     """Writes the pointwise functions over real symbols, which SymPy differentiates as such."""
 
@@ -137,6 +143,7 @@ class _Writer:
             for i, value in enumerate(system.initial)
         ]
         self.slopes: list[sp.Expr] = []
+        self.peaks: int | None = None
 
     def _name(self, i: int) -> str:
         return self.system.states[i].name
@@ -146,7 +153,7 @@ class _Writer:
         for applied in sorted(expression.atoms(AppliedUndef), key=sp.default_sort_key):
             if applied not in self.real:
                 raise ProblemError(f"{applied} in {what} is unknown", equation=origin, term=applied)
-        real = expression.xreplace(self.real)
+        real = representable(expression.xreplace(self.real))
         try:
             numpy_text(real, {})
         except SeparationError as error:
@@ -162,10 +169,11 @@ class _Writer:
 
     def rhs(self) -> list[str]:
         n = self.n
+        entries: dict[Index, sp.Expr] = {(i,): f for i, f in enumerate(self.f)}
         return [
             "def rhs(t, u, p):",
             *docstring([f"Right-hand side f(t, u, p) at u ({n}, ...): shape ({n}, ...)."]),
-            *self._body("rhs", f"np.empty(({n}, *shape))", {(i,): f for i, f in enumerate(self.f)}),
+            *self._body("rhs", f"np.empty(({n}, *shape))", entries, self._derivative),
         ]
 
     def jacobian(self) -> list[str]:
@@ -188,37 +196,59 @@ class _Writer:
         return [
             "def jacobian(t, u, p):",
             *docstring([f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."]),
-            *self._body("jacobian", f"np.zeros(({n}, {n}, *shape))", entries),
+            *self._body("jacobian", f"np.zeros(({n}, {n}, *shape))", entries, self._derivative),
         ]
 
     def initial(self) -> list[str]:
         entries: dict[Index, sp.Expr] = {(i,): value for i, value in enumerate(self.start)}
-        shape = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
         return [
             "def initial(p):",
             *docstring([f"Initial values at p (d, ...): shape ({self.n}, ...)."]),
-            *self._body("initial", f"np.empty(({self.n}, *shape))", entries, shape),
+            *self._body("initial", f"np.empty(({self.n}, *shape))", entries, self._name, _OF_P),
         ]
 
     def moving_cuts(self) -> list[str]:
         """Where functions of time and parameters switch; nothing if there are none."""
-        times = moving_switches(self.system.coordinates, [*self.system.rhs])
-        if not times:
+        entries = self._entries(moving_switches(self.system.coordinates, self.system.rhs))
+        if not entries:
             return []
-        entries: dict[Index, sp.Expr] = {(i,): s.xreplace(self.real) for i, s in enumerate(times)}
-        shape = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
-        about = f"Times at which functions of time and of p (d, ...) switch: ({len(times)}, ...)."
+        about = f"Times at which functions of time and of p (d, ...) switch: ({len(entries)}, ...)."
+        allocation = f"np.empty(({len(entries)}, *shape))"
         return [
             "def moving_cuts(p):",
             *docstring([about]),
-            *self._body("moving_cuts", f"np.empty(({len(times)}, *shape))", entries, shape),
+            *self._body("moving_cuts", allocation, entries, shape=_OF_P),
         ]
+
+    def events(self) -> list[str]:
+        """Where functions of the states switch or are narrow; nothing if there are none."""
+        peaks, switches = event_functions(self.system.rhs)
+        entries = self._entries([*peaks, *switches])
+        if not entries:
+            return []
+        self.peaks = len(peaks)
+        about = f"Zero where functions of u ({self.n}, ...) switch or peak: ({len(entries)}, ...)."
+        return [
+            "def events(t, u, p):",
+            *docstring([about]),
+            *self._body("events", f"np.empty(({len(entries)}, *shape))", entries),
+        ]
+
+    def _entries(self, expressions: Sequence[sp.Expr]) -> dict[Index, sp.Expr]:
+        """Expressions of the system, in real symbols, as the entries of a vector."""
+        return {(i,): representable(e.xreplace(self.real)) for i, e in enumerate(expressions)}
+
+    def _derivative(self, row: int, *column: int) -> str:
+        """What an entry of the rates, or of their Jacobian, means."""
+        rate = f"{self._name(row)}'"
+        return f"d({rate})/d{self._name(column[0])}" if column else rate
 
     def _body(
         self,
         function: str,
         allocation: str,
         entries: Mapping[Index, sp.Expr],
+        meaning: Callable[..., str] | None = None,
         shape: str | None = None,
     ) -> list[str]:
         """Statements that compute the entries of an array, from the arguments to the return."""
@@ -242,14 +272,9 @@ class _Writer:
         for name, text in shared:
             lines += assignment(name, [text])
         lines.append(f"    out = {allocation}")
-        for (row, *column), text in zip(entries, texts, strict=True):
-            target = f"out[{', '.join(map(str, (row, *column)))}]"
-            meaning = ""
-            if function != "moving_cuts":
-                meaning = self._name(row) if function == "initial" else f"{self._name(row)}'"
-            if column:
-                meaning = f"d({meaning})/d{self._name(column[0])}"
-            lines += assignment(target, [_as_float(text)], meaning)
+        for index, text in zip(entries, texts, strict=True):
+            target = f"out[{', '.join(map(str, index))}]"
+            lines += assignment(target, [_as_float(text)], meaning(*index) if meaning else "")
         return [*lines, "    return out"]
 
 

@@ -5,6 +5,7 @@ The only user of ``sympy.printing``.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -15,10 +16,12 @@ from sympy.printing.printer import Printer
 from sympy.printing.str import sstr
 
 from rankone.codegen.text import literal
-from rankone.errors import SeparationError
+from rankone.errors import ProblemError, SeparationError
 
-__all__ = ["common_subexpressions", "numpy_text", "plain_text", "readable_text"]
+__all__ = ["common_subexpressions", "numpy_text", "plain_text", "readable_text", "representable"]
 
+_LONGEST = 10**15
+"""Integers up to which every one is a floating-point number."""
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
 _INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
 _SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")
@@ -279,3 +282,29 @@ def common_subexpressions(
     written = {**names, **{symbol: symbol.name for symbol, _ in replacements}}
     shared = [(symbol.name, numpy_text(value, written)) for symbol, value in replacements]
     return shared, [numpy_text(value, written) for value in reduced]
+
+
+def representable(expression: sp.Expr) -> sp.Expr:
+    """Write integers and fractions of more digits than a floating-point number has as such.
+
+    Raises
+    ------
+    ProblemError
+        If one of them is too large, or too small to be told from zero.
+    """
+    long: dict[sp.Rational, sp.Expr] = {}
+    for number in expression.atoms(sp.Rational):
+        if max(abs(number.p), number.q) > _LONGEST:
+            try:
+                value = float(number)
+            except OverflowError:
+                value = math.inf
+            if value == 0.0 or math.isinf(value):
+                size = "large" if value else "small"
+                raise ProblemError(
+                    f"the number {sp.Float(number, 6)} is too {size}",
+                    term=number,
+                    remedy="change the units",
+                )
+            long[number] = sp.Float(value)
+    return expression.xreplace(long) if long else expression

@@ -22,10 +22,11 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from rankone.arrays import Array
+from rankone.codegen.narrow import narrow_places
 from rankone.functions import Table
 from rankone.ir import Coordinate
 
-__all__ = ["Switches", "moving_switches", "switches"]
+__all__ = ["CONTINUOUS", "JUMPS", "Switches", "boundaries", "switches"]
 
 _HIGHEST_DEGREE = 12
 """Degree of polynomials whose roots are isolated exactly."""
@@ -34,10 +35,6 @@ _SAMPLES = 4096
 _MOST_LEVELS = 1000
 """Most values of a ``floor`` of a nonlinear function that are looked for."""
 _DIGITS = 25
-_SHARP = 3e3
-"""Steepness over the interval from which a smooth function may be missed by samples of it."""
-_NARROW = 1e4
-"""Curvature of an exponent, over the horizon squared, from which its peak may be stepped over."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +54,10 @@ class Switches:
     periodic: set[tuple[float, float]] = field(default_factory=set)
 
 
-_NOT_SMOOTH = (
-    *(Relational, sp.Heaviside, sp.sign, sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.frac),
-    *(sp.Mod, sp.asin, sp.acos, sp.Pow, Table),
-)
-"""Functions that are not smooth everywhere."""
-
-
-_SMOOTH = (sp.exp, sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech, sp.Pow)
-"""Functions that may be narrow or steep all the same."""
+CONTINUOUS = (sp.Abs, sp.Max, sp.Min, sp.asin, sp.acos, sp.Pow)
+"""Functions that are continuous, but not smooth everywhere."""
+JUMPS = (Relational, sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.frac, sp.Mod, Table)
+"""Functions that may jump."""
 
 
 class _Unsolved(Exception):
@@ -79,81 +71,25 @@ def switches(
     expressions = list(expressions)
     found = {c.symbol: Switches() for c in coordinates}
     places = {c.symbol: c for c in coordinates}
-    for boundary, levels in _boundaries(expressions):
+    for boundary, levels in boundaries(expressions):
         symbols = boundary.free_symbols
         if len(symbols) == 1 and not boundary.has(AppliedUndef) and symbols <= places.keys():
             (symbol,) = symbols
             _solve(boundary, levels, places[symbol], found[symbol])
-    for part in {part for expression in expressions for part in expression.atoms(*_SMOOTH)}:
-        symbols = part.free_symbols
-        if len(symbols) == 1 and symbols <= places.keys() and not part.has(AppliedUndef):
-            (symbol,) = symbols
-            found[symbol].points.update(_narrow_places(part, places[symbol]))
+    for symbol, coordinate in places.items():
+        found[symbol].points.update(narrow_places(coordinate, expressions))
     return tuple(found.values())
 
 
-def _narrow_places(part: sp.Expr, coordinate: Coordinate) -> Iterator[float]:
-    """Where a smooth function is so narrow that samples may miss it: a peak, or a step.
-
-    Functions of a linear argument, and exponentials and reciprocals of a square.
-    """
-    x, width = coordinate.symbol, coordinate.upper - coordinate.lower
-    base, exponent = part.as_base_exp() if part.is_Pow else (part, sp.S.One)
-    argument = part.exp if isinstance(part, sp.exp) else base if part.is_Pow else part.args[0]
-    slope, curve = argument.diff(x), argument.diff(x, 2)
-    if slope.is_number and slope != 0 and not part.is_Pow:
-        if abs(float(slope)) * width > _SHARP:
-            yield -float(argument.subs(x, 0)) / float(slope)
-    elif curve.is_number and curve != 0:
-        middle = -float(slope.subs(x, 0)) / float(curve)
-        size = 1.0 if not part.is_Pow else abs(float(argument.subs(x, middle)))
-        sharp = abs(float(curve)) * width**2 > _SHARP**2 * size
-        if sharp and (not part.is_Pow or (exponent.is_number and exponent < 0)):
-            yield middle
-
-
-def moving_switches(
-    coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]
-) -> tuple[sp.Expr, ...]:
-    """Times, as functions of the parameters, at which functions of both switch or are narrow.
-
-    Boundaries that are linear in time, and the middles of narrow exponentials of squares.
-    """
-    clock, *parameters = coordinates
-    t, known = clock.symbol, {c.symbol for c in coordinates}
-    expressions = list(expressions)
-    found: set[sp.Expr] = set()
-    for boundary, levels in _boundaries(expressions):
-        slope = boundary.diff(t)
-        if _couples(boundary, t, known) and slope != 0 and not slope.has(t):
-            found.update((sp.Rational(v) - boundary.subs(t, 0)) / slope for v in levels or ())
-    middle = {p.symbol: sp.Float(0.5 * (p.lower + p.upper)) for p in parameters}
-    for part in {part for expression in expressions for part in expression.atoms(sp.exp)}:
-        curve = part.exp.diff(t, 2)
-        if _couples(part.exp, t, known) and curve != 0 and not curve.has(t):
-            size = abs(curve.subs(middle)) * (clock.upper - clock.lower) ** 2
-            if size.is_number and size > _NARROW:
-                found.add(-part.exp.diff(t).subs(t, 0) / curve)
-    return tuple(sorted(found, key=sp.default_sort_key))
-
-
-def _couples(expression: sp.Expr, time: sp.Symbol, known: set[sp.Symbol]) -> bool:
-    """Whether an expression is one of time and of parameters, and of nothing else."""
-    symbols = expression.free_symbols
-    return (
-        time in symbols
-        and len(symbols) > 1
-        and symbols <= known
-        and not expression.has(AppliedUndef)
-    )
-
-
-def _boundaries(
-    expressions: Iterable[sp.Basic],
+def boundaries(
+    expressions: Iterable[sp.Basic], kinds: tuple[type, ...] = (*CONTINUOUS, *JUMPS)
 ) -> Iterator[tuple[sp.Expr, Sequence[float] | None]]:
-    """Expressions, and the values at which they are boundaries; None for all integers."""
+    """Where functions of some kinds are not smooth: expressions, and values of them.
+
+    The values are None for all integers.
+    """
     zero = (0.0,)
-    for part in {part for expression in expressions for part in expression.atoms(*_NOT_SMOOTH)}:
+    for part in {part for expression in expressions for part in expression.atoms(*kinds)}:
         if isinstance(part, Relational):
             yield part.lhs - part.rhs, zero
         elif isinstance(part, sp.Heaviside | sp.sign | sp.Abs):

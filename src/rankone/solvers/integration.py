@@ -13,12 +13,12 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-import scipy.integrate
-import scipy.sparse
 
 from rankone.arrays import Array
 from rankone.deadline import check_time
 from rankone.discretization.radau import inset
+from rankone.solvers.steppers import StackedDOP853, StackedRadau
+from rankone.solvers.watch import Watch
 from rankone.system import System
 
 __all__ = ["Recorder", "Stack", "initial_values", "quickest"]
@@ -31,13 +31,6 @@ _STUCK, _LEAST = 1000, 1e-9
 """So many steps one after the other below this part of the horizon are the end of a trajectory."""
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
-
-_STATE = ("t", "y", "f", "h_abs", "h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
-"""What a step of Radau changes beside its factorisations."""
-_BETWEEN = (0.4, 0.85)
-"""Where between the nodes of Radau, in steps, its interpolant is looked at."""
-_INTERPOLATED = 10.0
-"""Largest error of the interpolant, in units of the tolerance."""
 _IMPLICIT = 1.7
 """Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
 _LOW_DEGREE = 4
@@ -52,105 +45,6 @@ class Recorder(Protocol):
 
     def add(self, solver: Any) -> None:
         """A step was made."""
-
-
-class StackedDOP853(scipy.integrate.DOP853):  # type: ignore[misc]
-    """Steps that suit every trajectory: the error is the largest of all, not their mean.
-
-    Parameters
-    ----------
-    states : int
-        States of one trajectory; the stacked vector is in the order (state, trajectory).
-    """
-
-    def __init__(self, *arguments: Any, states: int, **options: Any) -> None:
-        self._states, self._weights = states, np.stack([self.E5, self.E3])
-        super().__init__(*arguments, **options)
-
-    def _estimate_error_norm(self, K: Array, h: float, scale: Array) -> float:
-        """As SciPy's (Hairer, Nørsett & Wanner, II.10), for each trajectory."""
-        errors = np.square(self._weights @ K / scale)
-        fifth, third = errors.reshape(2, self._states, -1).sum(axis=1)
-        below = np.sqrt((fifth + 0.01 * third) * self._states)
-        return float(abs(h) * np.max(fifth / np.where(below > 0.0, below, 1.0)))
-
-
-class StackedRadau(scipy.integrate.Radau):  # type: ignore[misc]
-    """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
-
-    Parameters
-    ----------
-    blocks : callable
-        Jacobians (m, n, n) at a time and a stacked state.
-    between : sequence of float
-        Shares of a step at which the interpolant is looked at.
-    """
-
-    def __init__(
-        self,
-        *arguments: Any,
-        blocks: Callable[[float, Array], Array],
-        between: Sequence[float] = _BETWEEN,
-        **options: Any,
-    ) -> None:
-        self._blocks, self._between = blocks, between
-        self._newton: Any = None
-        super().__init__(*arguments, **options)
-        self.J = blocks(self.t, self.y)
-        self.I = np.eye(self.J.shape[1])
-        self.lu, self.solve_lu = self._inverted, self._solve
-
-    def _inverted(self, matrix: Any) -> Any:
-        """Inverses; those of the real matrix of the Newton iteration are kept for the check."""
-        inverse = np.asarray(np.linalg.inv(matrix))
-        if np.isrealobj(inverse):
-            self._newton = inverse
-        return inverse
-
-    def _validate_jac(self, *_: Any) -> Any:
-        """The Jacobian as a function; what stands in for its first value is not used."""
-        return lambda t, y, f=None: self._blocks(t, y), scipy.sparse.csc_matrix((self.n, self.n))
-
-    def _step_impl(self) -> tuple[bool, str | None]:
-        """A step as SciPy's, made again and shorter while its interpolant is off between nodes.
-
-        With h far above a stiff time scale the estimate of the error sees the nodes only. The
-        defect of the interpolant, divided by the matrix of the Newton iteration, is its error.
-        """
-        if not self._between:
-            return super()._step_impl()  # type: ignore[no-any-return]
-        before = {name: getattr(self, name) for name in _STATE}
-        while True:
-            done, message = super()._step_impl()
-            if not done:
-                return done, message
-            h = self.t - before["t"]
-            error = max(self._interpolation_error(share) for share in self._between)
-            if error <= _INTERPOLATED or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
-                return done, message
-            check_time()
-            wanted = h * max(0.1, 0.8 * (_INTERPOLATED / error) ** 0.25)
-            for name, value in before.items():
-                setattr(self, name, value)
-            self.h_abs, self.LU_real, self.LU_complex = wanted, None, None
-
-    def _interpolation_error(self, share: float) -> float:
-        """Largest error of a trajectory at a share of the step, in units of the tolerance."""
-        interpolant = self.sol
-        h = interpolant.h
-        t = interpolant.t_old + share * h
-        powers = share ** np.arange(interpolant.order + 1)
-        state = interpolant.y_old + interpolant.Q @ (share * powers)
-        defect = interpolant.Q @ (powers * np.arange(1, powers.size + 1)) / h - self.fun(t, state)
-        scaled = self._solve(self._newton, defect) / (self.atol + np.abs(state) * self.rtol)
-        square = np.square(scaled).reshape(len(self.I), -1).mean(axis=0).max()
-        return math.sqrt(square) if math.isfinite(square) else math.inf
-
-    @staticmethod
-    def _solve(inverses: Array, right: Array) -> Array:
-        m, n, _ = inverses.shape
-        solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
-        return np.ascontiguousarray(solved.T).ravel()
 
 
 @dataclass(frozen=True)
@@ -193,6 +87,7 @@ class Stack:
         stiff: bool = False,
         max_step: float = math.inf,
         bearable: int = 0,
+        watched: bool = False,
     ) -> tuple[Array, float]:
         """Integrate until the end or a failure.
 
@@ -208,6 +103,9 @@ class Stack:
         bearable : int
             So many steps of DOP853 are made although stability limits them; in between they are
             less accurate then.
+        watched : bool
+            Whether steps are looked at in between for what may be narrow over the states;
+            otherwise where that is known alone. Systems that separate have nothing narrow.
 
         Returns
         -------
@@ -218,18 +116,24 @@ class Stack:
         """
         n, m = self.shape
         absolute = np.broadcast_to(atol, (n, m)).ravel()
-        steps = {"max_step": max_step}
+        watch = None if self.system.SEPARATED else Watch(self.system, self.points, watched)
+        steps: dict[str, Any] = {"max_step": max_step, "states": n, "watch": watch}
         left = math.inf
         with np.errstate(all="ignore"):
             if not stiff:
-                explicit = partial(StackedDOP853, states=n, rtol=rtol, atol=absolute, **steps)
+                explicit = partial(StackedDOP853, rtol=rtol, atol=absolute, **steps)
                 met = partial(self._met_stiffness, bearable=bearable)
                 state, left = self._steps(explicit, recorder, met)
                 if not left:
                     return state, left
-            loose = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
-            between = () if self.polynomial else _BETWEEN
-            implicit = partial(StackedRadau, blocks=self._blocks, between=between, **loose, **steps)
+            loose: dict[str, Any] = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
+            implicit = partial(
+                StackedRadau,
+                blocks=self._blocks,
+                looks_between=not self.polynomial,
+                **loose,
+                **steps,
+            )
             state, _ = self._steps(implicit, recorder, lambda solver, count: 0.0)
         return state, left
 

@@ -167,7 +167,9 @@ def integrate_reference(
         steps = _Steps()
         atol = rtol * _NEGLIGIBLE * size
         try:
-            state, avoided = stack.run(steps, rtol, atol, max_step=longest)
+            state, avoided = stack.run(
+                steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
+            )
         except OutOfTimeError as out:
             raise OutOfTimeError(steps.times[-1], len(steps.pieces)) from out
         largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
