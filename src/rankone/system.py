@@ -98,6 +98,11 @@ class System(Protocol):
         only where nothing separates and there are some."""
 
     @staticmethod
+    def surfaces(p: Sequence[Any] | Array) -> Array:
+        """Functions that vanish where others of several parameters are narrow, kink or switch, at
+        p (d, ...), shape (surfaces, ...); only where nothing separates and there are some."""
+
+    @staticmethod
     def events(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
         """Functions that vanish where the right-hand side peaks, the first PEAKS, or switches over
         the states, shape (events, ...); only where nothing separates and there are some."""

@@ -1,8 +1,8 @@
-"""What integrations of single trajectories must not step over: times and functions of the states.
+"""What is narrow or switches, and depends on more than one coordinate or on the unknowns.
 
-Switches that move with parameters are cuts of each trajectory; functions of the unknowns, such as
-a pulse ``Piecewise((1, (x > 2) & (x < 2.001)), (0, True))``, are looked at where a step crosses
-them.
+Switches whose times move with parameters are cuts of each trajectory; functions of the unknowns,
+such as a pulse ``Piecewise((1, (x > 2) & (x < 2.001)), (0, True))``, are looked at where a step
+crosses them; ridges over several parameters are where further trajectories are checked.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from collections.abc import Iterable, Iterator, Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.codegen.narrow import moving_middles, peaks_over_states, steps_over_states
+from rankone.codegen.narrow import moving_middles, peaks, steps
 from rankone.codegen.switching import CONTINUOUS, JUMPS, boundaries
 from rankone.ir import Coordinate
 
-__all__ = ["event_functions", "moving_switches"]
+__all__ = ["event_functions", "moving_switches", "parameter_surfaces"]
 
 _MOST = 64
-"""Most event functions of a system."""
+"""Most functions of a kind."""
 
 
 def moving_switches(
@@ -51,13 +51,36 @@ def event_functions(expressions: Iterable[sp.Basic]) -> tuple[list[sp.Expr], lis
         Those at peaks, or kinks, which may be those of peaks; and where there is a step.
     """
     expressions = list(expressions)
-    smooth = peaks_over_states(expressions), steps_over_states(expressions)
-    peaks, steps = (
-        _distinct(itertools.chain(found, _zeros(expressions, kinds)))
-        for found, kinds in zip(smooth, (CONTINUOUS, JUMPS), strict=True)
+    narrow = peaks(expressions, _unknowns), steps(expressions, _unknowns)
+    kinks, others = (
+        _distinct(filter(_unknowns, itertools.chain(found, _zeros(expressions, kinds))))
+        for found, kinds in zip(narrow, (CONTINUOUS, JUMPS), strict=True)
     )
-    peaks = peaks[:_MOST]
-    return peaks, [f for f in steps if f not in peaks and -f not in peaks][: _MOST - len(peaks)]
+    kinks = kinks[:_MOST]
+    return kinks, [f for f in others if f not in kinks and -f not in kinks][: _MOST - len(kinks)]
+
+
+def parameter_surfaces(
+    coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]
+) -> list[sp.Expr]:
+    """Functions of several parameters that vanish where others are narrow, kink or switch."""
+    parameters = {coordinate.symbol for coordinate in coordinates[1:]}
+    expressions = list(expressions)
+
+    def variables(expression: sp.Basic) -> list[sp.Expr]:
+        return sorted(expression.free_symbols & parameters, key=str)
+
+    found = itertools.chain(
+        peaks(expressions, variables),
+        steps(expressions, variables),
+        _zeros(expressions, (*CONTINUOUS, *JUMPS)),
+    )
+    known = (f for f in found if f.free_symbols <= parameters and not f.has(AppliedUndef))
+    return _distinct(f for f in known if len(f.free_symbols) > 1)[:_MOST]
+
+
+def _unknowns(expression: sp.Basic) -> set[sp.Expr]:
+    return set(expression.atoms(AppliedUndef))
 
 
 def _zeros(expressions: Iterable[sp.Basic], kinds: tuple[type, ...]) -> Iterator[sp.Expr]:
@@ -65,10 +88,10 @@ def _zeros(expressions: Iterable[sp.Basic], kinds: tuple[type, ...]) -> Iterator
     return (boundary for boundary, levels in boundaries(expressions, kinds) if levels == (0.0,))
 
 
-def _distinct(events: Iterable[sp.Expr]) -> list[sp.Expr]:
-    """Those of unknowns, each once up to its sign, in an order of their own."""
+def _distinct(functions: Iterable[sp.Expr]) -> list[sp.Expr]:
+    """Each once up to its sign, in an order of their own."""
     kept: dict[sp.Expr, None] = {}
-    for event in sorted(set(events), key=sp.default_sort_key):
-        if event.has(AppliedUndef) and -event not in kept:
-            kept[event] = None
+    for function in sorted(set(functions), key=sp.default_sort_key):
+        if -function not in kept:
+            kept[function] = None
     return list(kept)

@@ -16,7 +16,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.derivatives import Differentiator
-from rankone.codegen.events import event_functions, moving_switches
+from rankone.codegen.events import event_functions, moving_switches, parameter_surfaces
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import opening
 from rankone.codegen.names import Names
@@ -75,7 +75,7 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     """
     writer = _Writer(system)
     functions = [writer.rhs(), writer.jacobian(), writer.initial(), _with_products(writer.n)]
-    functions += [writer.moving_cuts(), writer.events()]
+    functions += [writer.moving_cuts(), writer.surfaces(), writer.events()]
     known = known_functions(system.coordinates, [*system.rhs, *system.initial])
     factors = [(sp.S.One, *found) for found in known]
     blocks = [
@@ -209,34 +209,45 @@ class _Writer:
 
     def moving_cuts(self) -> list[str]:
         """Where functions of time and parameters switch; nothing if there are none."""
-        entries = self._entries(moving_switches(self.system.coordinates, self.system.rhs))
-        if not entries:
-            return []
-        about = f"Times at which functions of time and of p (d, ...) switch: ({len(entries)}, ...)."
-        allocation = f"np.empty(({len(entries)}, *shape))"
-        return [
-            "def moving_cuts(p):",
-            *docstring([about]),
-            *self._body("moving_cuts", allocation, entries, shape=_OF_P),
-        ]
+        found = moving_switches(self.system.coordinates, self.system.rhs)
+        about = "Times at which functions of time and of p (d, ...) switch: ({}, ...)."
+        return self._vector("moving_cuts", "p", found, about, _OF_P)
+
+    def surfaces(self) -> list[str]:
+        """Where functions of several parameters are narrow; nothing if there are none."""
+        found = parameter_surfaces(
+            self.system.coordinates, [*self.system.rhs, *self.system.initial]
+        )
+        about = "Zero where functions of p (d, ...) switch or peak: ({}, ...)."
+        return self._vector("surfaces", "p", found, about, _OF_P)
 
     def events(self) -> list[str]:
         """Where functions of the states switch or are narrow; nothing if there are none."""
         peaks, switches = event_functions(self.system.rhs)
-        entries = self._entries([*peaks, *switches])
+        self.peaks = len(peaks) if peaks or switches else None
+        about = f"Zero where functions of u ({self.n}, ...) switch or peak: ({{}}, ...)."
+        return self._vector("events", "t, u, p", [*peaks, *switches], about)
+
+    def _vector(
+        self,
+        function: str,
+        arguments: str,
+        expressions: Sequence[sp.Expr],
+        about: str,
+        shape: str | None = None,
+    ) -> list[str]:
+        """A function with expressions as the entries of its value; nothing if there are none."""
+        entries: dict[Index, sp.Expr] = {
+            (i,): representable(e.xreplace(self.real)) for i, e in enumerate(expressions)
+        }
         if not entries:
             return []
-        self.peaks = len(peaks)
-        about = f"Zero where functions of u ({self.n}, ...) switch or peak: ({len(entries)}, ...)."
+        allocation = f"np.empty(({len(entries)}, *shape))"
         return [
-            "def events(t, u, p):",
-            *docstring([about]),
-            *self._body("events", f"np.empty(({len(entries)}, *shape))", entries),
+            f"def {function}({arguments}):",
+            *docstring([about.format(len(entries))]),
+            *self._body(function, allocation, entries, shape=shape),
         ]
-
-    def _entries(self, expressions: Sequence[sp.Expr]) -> dict[Index, sp.Expr]:
-        """Expressions of the system, in real symbols, as the entries of a vector."""
-        return {(i,): representable(e.xreplace(self.real)) for i, e in enumerate(expressions)}
 
     def _derivative(self, row: int, *column: int) -> str:
         """What an entry of the rates, or of their Jacobian, means."""

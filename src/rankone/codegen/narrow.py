@@ -6,15 +6,17 @@ the steep steps ``tanh``, ``erf``, ``atan`` and ``1/(1 + exp(...))``, two of whi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.ir import Coordinate
 
-__all__ = ["moving_middles", "narrow_places", "peaks_over_states", "steps_over_states"]
+__all__ = ["Variables", "moving_middles", "narrow_places", "peaks", "steps"]
 
+Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
+"""The variables of an expression that count."""
 _SHARP = 3e3
 """Steepness over the interval from which a smooth function may be missed by samples of it."""
 _NARROW = 1e4
@@ -62,56 +64,59 @@ def moving_middles(
                 yield -part.exp.diff(t).subs(t, 0) / curve
 
 
-def peaks_over_states(expressions: Iterable[sp.Basic]) -> Iterator[sp.Expr]:
-    """Functions of the unknowns that vanish in the middle of peaks over them.
+def peaks(expressions: Iterable[sp.Basic], variables: Variables) -> Iterator[sp.Expr]:
+    """Functions that vanish in the middle of peaks; ``variables`` are those of an expression.
 
-    How narrow they are is not known before the unknowns are.
+    How narrow they are is not known as long as the variables, such as the unknowns, are not.
     """
     for part in _parts(expressions, sp.exp, sp.Pow, sp.cosh, sp.sech):
         if isinstance(part, sp.exp):
-            yield from _bottoms(part.exp)
+            yield from _bottoms(part.exp, variables)
         elif not part.is_Pow:
             yield part.args[0]
         elif part.exp.is_number and part.exp.is_negative:
-            yield from _bottoms(part.base)
+            yield from _bottoms(part.base, variables)
 
 
-def steps_over_states(expressions: Iterable[sp.Basic]) -> Iterator[sp.Expr]:
-    """Functions of the unknowns that vanish in the middle of smooth steps over them."""
+def steps(expressions: Iterable[sp.Basic], variables: Variables) -> Iterator[sp.Expr]:
+    """Functions that vanish in the middle of smooth steps."""
     for part in _parts(expressions, sp.Pow, *_STEEP):
         if not part.is_Pow:
             yield part.args[0]
         elif part.exp.is_number and part.exp.is_negative:
-            yield from _thresholds(part.base)
+            yield from _thresholds(part.base, variables)
 
 
-def _thresholds(base: sp.Expr) -> Iterator[sp.Expr]:
+def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
     """What vanishes where one of two addends is an exponential as large as the other."""
     for term in base.args if base.is_Add and len(base.args) == 2 else ():
         rest = base - term
         for step in term.atoms(sp.exp):
             ratio = term / step / rest
-            if not ratio.has(AppliedUndef) and not _squares(step.exp):
+            if not variables(ratio) and not _squares(step.exp, variables):
                 yield step.exp + sp.log(sp.Abs(ratio))
 
 
-def _bottoms(expression: sp.Expr) -> Iterator[sp.Expr]:
+def _bottoms(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
     """What vanishes where an expression is least or largest: what is squared, or its slope.
 
     Sums of several squares have no middle that is a zero of one function.
     """
-    squares = _squares(expression)
+    squares = _squares(expression, variables)
     yield from squares if len(squares) == 1 else ()
-    for unknown in expression.atoms(AppliedUndef) if not squares else ():
-        slope = expression.diff(unknown)
-        if slope.has(unknown) and not slope.diff(unknown).has(unknown):
+    for variable in variables(expression) if not squares else ():
+        slope = expression.diff(variable)
+        if slope.has(variable) and not slope.diff(variable).has(variable):
             yield slope
 
 
-def _squares(expression: sp.Expr) -> list[sp.Expr]:
-    """What is raised to an even power in an expression."""
-    powers = (power for power in expression.atoms(sp.Pow) if power.exp.is_even)
-    return [power.base for power in powers if power.exp.is_positive and power.has(AppliedUndef)]
+def _squares(expression: sp.Basic, variables: Variables) -> list[sp.Expr]:
+    """What is raised to an even power, and is not inside of another such power."""
+    if not variables(expression):
+        return []
+    if expression.is_Pow and expression.exp.is_even and expression.exp.is_positive:
+        return [expression.base]
+    return [square for part in expression.args for square in _squares(part, variables)]
 
 
 def _parts(expressions: Iterable[sp.Basic], *kinds: type) -> list[sp.Expr]:

@@ -13,7 +13,7 @@ from rankone.domain import Domain
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["active_points", "steepest_point", "suspects"]
+__all__ = ["active_points", "steepest_point", "surface_points", "suspects"]
 
 _SMOOTH, _SMOOTH_ALONE = 3.0, 9.0
 """Nodes in one parameter, over those of a smooth dependence, from which a solution is steep, with
@@ -28,6 +28,8 @@ _GRID = 1025
 """Samples of a factor over its interval."""
 _RARE, _TERMS = 0.2, 4
 """Share of the box below which a term is rarely active, and the number of such terms at most."""
+_ON_SURFACES, _LEAST, _HALVED = 32, 4, 50
+"""Points on all surfaces, on each at least, and halvings of the distance to them."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
 
@@ -60,6 +62,33 @@ def active_points(system: System, domain: Domain) -> Array:
             sums = np.cumsum(sizes[j][row])
             drawn[:, j] = np.interp(generator.random(len(drawn)), sums / sums[-1], grids[j])
         found.append(drawn)
+    return np.concatenate(found)
+
+
+def surface_points(system: System, domain: Domain) -> Array:
+    """Points (m, d) at which functions of several parameters are narrow, kink or switch.
+
+    On lines between random points on either side of such a surface.
+    """
+    surfaces, d = getattr(system, "surfaces", None), len(domain.box)
+    if surfaces is None:
+        return np.zeros((0, d))
+    lower, upper = domain.bounds.T
+    generator = np.random.default_rng(20143)
+    points = lower + (upper - lower) * generator.random((_CANDIDATES, d))
+    with np.errstate(all="ignore"):
+        values = surfaces(np.ascontiguousarray(points.T))
+        each = max(_LEAST, _ON_SURFACES // len(values))
+        found = []
+        for i, row in enumerate(values):
+            below, above = np.flatnonzero(row < 0.0)[:each], np.flatnonzero(row > 0.0)[:each]
+            pairs = min(below.size, above.size)
+            a, b = points[below[:pairs]], points[above[:pairs]]
+            for _ in range(_HALVED):
+                middle = 0.5 * (a + b)
+                left = surfaces(np.ascontiguousarray(middle.T))[i][:, None] < 0.0
+                a, b = np.where(left, middle, a), np.where(left, b, middle)
+            found.append(0.5 * (a + b))
     return np.concatenate(found)
 
 

@@ -13,7 +13,7 @@ from rankone.domain import Domain
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
 from rankone.solvers.outcome import Measured
 from rankone.solvers.reference import FEW, Reference, check_points, integrate_reference, measure
-from rankone.solvers.suspects import active_points
+from rankone.solvers.suspects import active_points, surface_points
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
@@ -82,7 +82,8 @@ class Yardstick:
         every = whole_box or len(domain.box) <= FEW
         points = check_points(domain.bounds, check, special=few, every_corner=every)
         points = _off_switches(points, system, domain)
-        active = active_points(system, domain) if check else points[:0]
+        given = [active_points(system, domain), surface_points(system, domain)] if check else []
+        active = np.concatenate([points[:0], *given])
         points = np.concatenate([points, active])
         accuracy = max(_ACCURACY * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
