@@ -44,7 +44,9 @@ _MOST_REPEATED = 10_000
 _COINCIDE = 1e-14
 """Points that are closer, relative to the largest value of the coordinate, are the same."""
 _POLE = 1e9
-"""A factor that is so many times larger at a breakpoint than at samples has a pole there."""
+"""A factor that is so many times larger at a breakpoint than at samples may have a pole there."""
+_TOWARDS, _GROWTH = (1e-11, 1e-14), 10.0
+"""It has if it grows by so much between two distances, in widths of the interval."""
 
 
 class TooManyBreakpoints(Exception):
@@ -98,9 +100,19 @@ def system_breakpoints(system: System, domain: Domain) -> tuple[Breakpoints, ...
                 ) from None
             points = np.array([*interval, *found[-1].points])
             samples = np.abs(factors(np.linspace(*interval, _SEEN))).max()
-            if np.abs(factors(points)).max() > _POLE * samples:
+            if np.abs(factors(points)).max() > _POLE * samples and _grows(factors, points):
                 raise factors.not_finite()
     return tuple(found)
+
+
+def _grows(factors: KnownFactors, points: Array) -> bool:
+    """Whether factors grow without end towards one of the points, as a narrow peak does not."""
+    lower, upper = factors.interval
+    near, nearer = (
+        np.abs(factors(np.clip(points + share * (upper - lower), lower, upper)))
+        for share in _TOWARDS
+    )
+    return bool((nearer > _GROWTH * near).any())
 
 
 def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) -> list[float]:

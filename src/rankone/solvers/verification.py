@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -139,12 +140,19 @@ class Yardstick:
 def _off_switches(points: Array, system: System, domain: Domain) -> Array:
     """Points (m, d) with corners moved a little inside where a function jumps at the very end."""
     moved = points.copy()
-    for j, cuts in enumerate(getattr(system, "CUTS", ((),))[1:]):
+    none = ((),) * (1 + len(domain.box))
+    tables = [getattr(system, name, none)[1:] for name in ("CUTS", "PERIODIC_CUTS")]
+    for j, (cuts, repeated) in enumerate(zip(*tables, strict=True)):
         lower, upper = domain.box[j]
         near = _INSET * (upper - lower)
-        for cut in cuts:
-            if min(abs(cut - lower), abs(cut - upper)) < near:
-                moved[:, j] = np.clip(moved[:, j], lower + near, upper - near)
+        to_ends = [abs(cut - end) for cut in cuts for end in (lower, upper)]
+        to_ends += [
+            abs(math.remainder(end - first, period))
+            for first, period in repeated
+            for end in (lower, upper)
+        ]
+        if min(to_ends, default=math.inf) < near:
+            moved[:, j] = np.clip(moved[:, j], lower + near, upper - near)
     return moved
 
 

@@ -21,6 +21,9 @@ __all__ = ["defect", "located_defect", "sign", "zero"]
 _SAMPLES = 501
 _ZOOMS = 6
 _VANISHES = 1e-13
+_NEAR, _FLAT = 1e-12, 0.5
+"""Distance from a zero, in widths of the interval, and the largest part of the value there that is
+left at it."""
 
 
 def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
@@ -83,7 +86,9 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
         point, smallest = _zoom_in(function, points, int(i))
         nearby = np.abs(values[max(int(i) - 1, 0) : int(i) + 2])
         if smallest <= _VANISHES * float(np.nanmax(nearby)):  # beside, it is far larger
-            return point
+            flat = np.abs(function(point + _NEAR * (points[-1] - points[0]) * np.array([-1, 1])))
+            if smallest < _FLAT * float(np.nanmax(flat)):  # a minimum above zero is flat
+                return point
     return None
 
 
