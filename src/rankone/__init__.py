@@ -9,39 +9,43 @@
 True
 """
 
-from rankone.codegen import generate_source, load_module
-from rankone.compiled import CompiledProblem
-from rankone.compiled import compile_problem as compile
-from rankone.compiled import solve_problem as solve
-from rankone.errors import (
-    BlowUpError,
-    ConvergenceError,
-    EvaluationError,
-    ExportError,
-    OptionError,
-    ProblemError,
-    RankoneError,
-    RankoneWarning,
-    SeparationError,
-    StorageError,
-)
-from rankone.functions import function, table
-from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
-from rankone.lowering import quadratic_system
-from rankone.solution import Solution, load
-from rankone.solvers.cross import CrossOptions
-from rankone.solvers.greedy import GreedyOptions
-from rankone.solvers.outcome import Status
-from rankone.solvers.train import TrainOptions
-from rankone.symbolic import (
-    FirstOrderSystem,
-    Problem,
-    WeakForm,
-    first_order,
-    separate,
-    weak_form,
-)
-from rankone.version import __version__
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rankone.codegen import generate_source, load_module
+    from rankone.compiled import CompiledProblem
+    from rankone.compiled import compile_problem as compile
+    from rankone.compiled import solve_problem as solve
+    from rankone.errors import (
+        BlowUpError,
+        ConvergenceError,
+        EvaluationError,
+        ExportError,
+        OptionError,
+        ProblemError,
+        RankoneError,
+        RankoneWarning,
+        SeparationError,
+        StorageError,
+    )
+    from rankone.functions import function, table
+    from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
+    from rankone.lowering import quadratic_system
+    from rankone.solution import Solution, load
+    from rankone.solvers.cross import CrossOptions
+    from rankone.solvers.greedy import GreedyOptions
+    from rankone.solvers.outcome import Status
+    from rankone.solvers.train import TrainOptions
+    from rankone.symbolic import (
+        FirstOrderSystem,
+        Problem,
+        WeakForm,
+        first_order,
+        separate,
+        weak_form,
+    )
+    from rankone.version import __version__
 
 __all__ = [
     "BlowUpError",
@@ -79,3 +83,55 @@ __all__ = [
     "table",
     "weak_form",
 ]
+
+_HOMES = {
+    "BlowUpError": ("errors", "BlowUpError"),
+    "CompiledProblem": ("compiled", "CompiledProblem"),
+    "ConvergenceError": ("errors", "ConvergenceError"),
+    "CrossOptions": ("solvers.cross", "CrossOptions"),
+    "EvaluationError": ("errors", "EvaluationError"),
+    "ExportError": ("errors", "ExportError"),
+    "FirstOrderSystem": ("symbolic", "FirstOrderSystem"),
+    "GeneralTerm": ("ir", "GeneralTerm"),
+    "GreedyOptions": ("solvers.greedy", "GreedyOptions"),
+    "OptionError": ("errors", "OptionError"),
+    "Problem": ("symbolic", "Problem"),
+    "ProblemError": ("errors", "ProblemError"),
+    "QuadraticSystem": ("ir", "QuadraticSystem"),
+    "RankoneError": ("errors", "RankoneError"),
+    "RankoneWarning": ("errors", "RankoneWarning"),
+    "SeparatedForm": ("ir", "SeparatedForm"),
+    "SeparationError": ("errors", "SeparationError"),
+    "Solution": ("solution", "Solution"),
+    "Status": ("solvers.outcome", "Status"),
+    "StorageError": ("errors", "StorageError"),
+    "TrainOptions": ("solvers.train", "TrainOptions"),
+    "WeakForm": ("symbolic", "WeakForm"),
+    "__version__": ("version", "__version__"),
+    "compile": ("compiled", "compile_problem"),
+    "first_order": ("symbolic", "first_order"),
+    "function": ("functions", "function"),
+    "generate_source": ("codegen", "generate_source"),
+    "load": ("solution", "load"),
+    "load_module": ("codegen", "load_module"),
+    "quadratic_system": ("lowering", "quadratic_system"),
+    "separate": ("symbolic", "separate"),
+    "solve": ("compiled", "solve_problem"),
+    "table": ("functions", "table"),
+    "weak_form": ("symbolic", "weak_form"),
+}
+"""For each public name the module and its name there: imported when it is first asked for, so that
+``import rankone`` and the command line begin at once."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, own = _HOMES[name]
+    value = getattr(importlib.import_module(f"{__name__}.{module}"), own)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

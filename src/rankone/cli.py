@@ -60,12 +60,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         arguments = _parser().parse_args(argv)
-    except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else _BAD_INPUT
-    try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
             return int(arguments.run(arguments))
+    except SystemExit as stop:  # of argparse
+        return stop.code if isinstance(stop.code, int) else _BAD_INPUT
     except KeyboardInterrupt:
         _complain("interrupted")
         return _INTERRUPTED

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from rankone.deadline import seconds_left, time_limit
 from rankone.domain import Domain, check_factors
 from rankone.metadata import SolutionMetadata
@@ -99,7 +101,7 @@ class Task:
             If a known factor is not finite somewhere on the domain.
         """
         check_factors(self.system, self.domain)
-        with time_limit(self.max_seconds):
+        with time_limit(self.max_seconds), np.errstate(all="ignore"):  # results are checked
             outcome, method = self._outcome(report)
         box, horizon, rtol = self.domain.box, self.domain.horizon, self.requests[0].rtol
         return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
