@@ -114,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
         "--check",
         metavar="N",
         type=_count,
-        help="number of random check points; 0 leaves the error unknown (status 1)",
+        help="number of check points in the interior; 0 leaves the error unknown (status 1)",
     )
     solve.add_argument(
         "--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)"
@@ -204,6 +204,7 @@ def _count(text: str) -> int:
 def _solve(arguments: argparse.Namespace) -> int:
     """Run ``rankone solve``."""
     import rankone
+    from rankone.deadline import preparing
     from rankone.errors import ConvergenceError
     from rankone.export.program import box_of, options_of
     from rankone.problem_files import load_problem
@@ -213,7 +214,8 @@ def _solve(arguments: argparse.Namespace) -> int:
     if arguments.save is not None:  # find out before the solve, not after it
         target(arguments.save, arguments.overwrite)
 
-    compiled = rankone.compile(load_problem(arguments.file))
+    with preparing(arguments.max_seconds):
+        compiled = rankone.compile(load_problem(arguments.file))
     check = True if arguments.check is None else arguments.check or False
     bar = sys.stderr.isatty() and not arguments.quiet
     try:

@@ -38,6 +38,7 @@ from rankone.codegen import (
     generate_source,
 )
 from rankone.codegen.recipe import Recipe
+from rankone.deadline import preparing
 from rankone.errors import ConvergenceError, OptionError, check_kind
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
@@ -173,11 +174,10 @@ class CompiledProblem:
             True shows a bar on stderr; a callable gets a
             :class:`~rankone.progress.ProgressEvent` after each slab (cross: after each attempt).
         check : bool or int
-            Number of random check points (24 for True, at most 100000), four times as many where
-            terms do not separate. False skips the check; the solution then does not count as a
-            success.
+            Number of check points in the interior, spread evenly (96 for True, at most 100000).
+            False skips the check; the solution then does not count as a success.
         cover : {"interior", "box"}, optional
-            What success covers: random points of the interior, or corners of the box as well. By
+            What success covers: points of the interior, or corners of the box as well. By
             default "box" up to three parameters; beyond, corners are measured and stated.
         max_seconds : float, optional
             Time limit; the best solution so far is returned, with ``success`` False. Without one it
@@ -307,9 +307,10 @@ def solve_problem(
 ) -> Solution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 
-    See :meth:`CompiledProblem.solve` for the options.
+    See :meth:`CompiledProblem.solve` for the options; ``max_seconds`` includes compiling.
     """
-    return compile_problem(problem).solve(rtol, *arguments, **options)
+    with preparing(options.get("max_seconds")):
+        return compile_problem(problem).solve(rtol, *arguments, **options)
 
 
 @contextmanager

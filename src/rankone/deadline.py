@@ -7,8 +7,11 @@ import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
 
-__all__ = ["OutOfTimeError", "check_time", "seconds_left", "time_limit"]
+from rankone.errors import ConvergenceError
+
+__all__ = ["OutOfTimeError", "check_time", "preparing", "seconds_left", "time_limit"]
 
 _END: ContextVar[float] = ContextVar("rankone_deadline", default=math.inf)
 
@@ -26,6 +29,23 @@ def time_limit(seconds: float | None) -> Iterator[None]:
         yield
     finally:
         _END.reset(token)
+
+
+@contextmanager
+def preparing(seconds: Any) -> Iterator[None]:
+    """Limit what comes before a solve, and the solve; a ConvergenceError if that takes too long.
+
+    Anything but a positive number is no limit: the solve refuses it.
+    """
+    limits = isinstance(seconds, int | float) and seconds > 0.0
+    try:
+        with time_limit(seconds if limits else None):
+            yield
+    except OutOfTimeError:
+        raise ConvergenceError(
+            "the time limit was reached before the problem was compiled",
+            remedy="give more time by max_seconds",
+        ) from None
 
 
 def check_time() -> None:

@@ -65,7 +65,7 @@ def test_an_engine_solves_on_the_domain_it_is_given(name: str) -> None:
 @pytest.mark.parametrize("name", ENGINES)
 def test_requests_are_checked(name: str) -> None:
     engine = ENGINES[name]
-    assert engine.request(1e-3, True, {}).points == 24
+    assert engine.request(1e-3, True, {}).points == 96
     assert engine.request(1e-3, False, {}).points == 0
     for rtol, check, options in [(0.5, True, {}), (1e-3, -1, {}), (1e-3, True, {"max_slab": 1})]:
         with pytest.raises(OptionError):

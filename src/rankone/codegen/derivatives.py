@@ -9,6 +9,7 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import ArgumentIndexError
 
+from rankone.deadline import check_time
 from rankone.errors import ProblemError
 from rankone.wording import quote
 
@@ -41,6 +42,7 @@ class Differentiator:
         if self.symbol not in expression.free_symbols:
             return sp.S.Zero
         if expression not in self._known:
+            check_time()
             self._known[expression] = self._derived(expression)
         return self._known[expression]
 

@@ -23,6 +23,7 @@ from sympy.core.relational import Relational
 
 from rankone.arrays import Array
 from rankone.codegen.narrow import narrow_places
+from rankone.deadline import check_time
 from rankone.functions import Table
 from rankone.ir import Coordinate
 
@@ -112,6 +113,7 @@ def _solve(
     boundary: sp.Expr, levels: Sequence[float] | None, coordinate: Coordinate, found: Switches
 ) -> None:
     """Add the points at which a boundary expression takes one of the levels."""
+    check_time()
     x = coordinate.symbol
     slope = boundary.diff(x)
     if slope.is_number:  # linear

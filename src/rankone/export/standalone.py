@@ -250,8 +250,7 @@ def solve(
     t_final : float, optional
         Another end of the horizon.
     check : bool or int
-        Number of random check points, 24 for True, four times as many where terms do not
-        separate; without any the error is not known.
+        Number of check points in the interior, 96 for True; without any the error is not known.
     cover : {{"interior", "box"}}, optional
         Whether success covers the corners of the box too; by default up to three parameters.
     max_seconds : float, optional

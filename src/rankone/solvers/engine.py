@@ -16,7 +16,7 @@ from rankone.system import System
 __all__ = ["Engine", "Report", "Request"]
 
 _TIGHTEST, _LOOSEST = 1e-10, 0.1
-_CHECK_POINTS = 24
+_CHECK_POINTS = 96
 _COVERS = ("interior", "box")
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
@@ -65,7 +65,7 @@ class Engine(Generic[AnyOptions]):
         keywords: Sequence[str] = (),
         cover: str | None = None,
     ) -> Request[AnyOptions]:
-        """What is asked, or an OptionError: 24 points for ``check=True``, none for False.
+        """What is asked, or an OptionError: 96 points for ``check=True``, none for False.
 
         ``keywords`` are what the caller takes beside options.
         """

@@ -28,9 +28,6 @@ _INSET = 4e-9
 """By how much, in widths of the interval, corners are moved inside where functions jump."""
 _BESIDE = 16
 """Most breakpoints of a parameter that are checked on either side."""
-_GENERAL = 4
-"""Check points of a system that does not separate, over those asked for: it may kink or jump where
-no factor of one coordinate tells."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Yardstick:
     def of(
         cls, system: System, domain: Domain, rtol: float, check: int, cover: str | None = None
     ) -> Yardstick:
-        """Integrate the reference for a solve to ``rtol`` with ``check`` random points.
+        """Integrate the reference for a solve to ``rtol`` with ``check`` interior points.
 
         ``cover`` says whether corners count, "box", or not, "interior"; they do by default where
         there are few parameters.
@@ -77,7 +74,6 @@ class Yardstick:
         whole_box = len(domain.box) <= FEW if cover is None else cover == "box"
         in_time, *special = system_breakpoints(system, domain)
         cuts = in_time.points
-        check *= 1 if system.SEPARATED else _GENERAL
         beside = [_few(each.points) for each in special]
         few = beside if check else ()
         every = whole_box or len(domain.box) <= FEW

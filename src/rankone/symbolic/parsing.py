@@ -18,6 +18,7 @@ from typing import Any
 
 import sympy as sp
 
+from rankone.deadline import check_time
 from rankone.errors import ProblemError
 from rankone.wording import did_you_mean, quote
 
@@ -111,6 +112,10 @@ def _protect_keywords(text: str) -> str:
 
 class _Translator(ast.NodeVisitor):
     """Translate the few kinds of nodes a formula consists of; refuse all others."""
+
+    def visit(self, node: ast.AST) -> Any:
+        check_time()
+        return super().visit(node)
 
     def __init__(
         self, text: str, names: Mapping[str, sp.Expr], where: str, equation: int | None

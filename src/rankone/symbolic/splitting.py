@@ -14,6 +14,7 @@ from functools import reduce
 
 import sympy as sp
 
+from rankone.deadline import check_time
 from rankone.ir import Coordinate
 from rankone.symbolic.admissible import sign
 from rankone.symbolic.monomials import Monomial, MonomialSum
@@ -92,6 +93,7 @@ class Splitter:
 
     def _split(self, expression: sp.Expr) -> MonomialSum:
         """Tell the kinds of expressions apart."""
+        check_time()
         if expression.is_Symbol:
             if expression in self._state:
                 state = Monomial(self._one.factors, ((self._state[expression], 1),))

@@ -1,0 +1,103 @@
+"""What each part of the check finds: ``python -m tests.honesty.parts --count 40``.
+
+Solves random and hostile systems with one part of the check after the other left out, and prints
+how many of the successes are wrong then.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+import argparse
+import contextlib
+import functools
+import multiprocessing
+import sys
+from collections.abc import Callable
+from unittest import mock
+
+import numpy as np
+
+from tests.honesty.cases import KINDS, case
+from tests.honesty.verdicts import judged
+
+
+def _nothing(*_: object) -> None:
+    """No points."""
+
+
+def _no_points(system: object, domain: object) -> np.ndarray:
+    return np.zeros((0, len(domain.box)))  # type: ignore[attr-defined]
+
+
+def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> np.ndarray:
+    """A quarter of the points, and nothing beside special values."""
+    from rankone.solvers.reference import check_points
+
+    options.pop("special", None)
+    return check_points(box, count // 4, *arguments, **options)  # type: ignore[arg-type]
+
+
+_SECONDS = 8.0
+"""Time limit of each solve."""
+_SOLVERS = "rankone.solvers"
+PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
+    "nothing": None,
+    "switches and narrow functions of one coordinate": (
+        f"{_SOLVERS}.verification.system_breakpoints",
+        lambda system, domain: _no_breakpoints(domain),
+    ),
+    "three quarters of the evenly spread points": (f"{_SOLVERS}.verification.check_points", _few),
+    "points where products are active": (f"{_SOLVERS}.verification.active_points", _no_points),
+    "points on surfaces of several parameters": (
+        f"{_SOLVERS}.verification.surface_points",
+        _no_points,
+    ),
+    "points of the residual": (f"{_SOLVERS}.attempts.doubtful_points", _nothing),
+    "steep points and narrow elements": (f"{_SOLVERS}.cross.engine.suspects", _nothing),
+    "steps made again": (f"{_SOLVERS}.watch.Watch.missed", lambda *_: False),
+}
+"""For each part what it is, and what stands in for it."""
+
+
+def _no_breakpoints(domain: object) -> tuple[object, ...]:
+    from rankone.solvers.breakpoints import Breakpoints
+
+    return (Breakpoints(),) * (1 + len(domain.box))  # type: ignore[attr-defined]
+
+
+def without(part: str, made: tuple[str, int]) -> str:
+    """The verdict on a case with a part left out."""
+    import rankone.solvers.cross.engine  # what is replaced must be there
+    import rankone.solvers.watch  # noqa: F401
+
+    replaced = PARTS[part]
+    with mock.patch(*replaced) if replaced else contextlib.nullcontext():
+        return judged(case(*made), max_seconds=_SECONDS).verdict
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m tests.honesty.parts", description=__doc__)
+    parser.add_argument("--kind", choices=KINDS, nargs="*", default=list(KINDS))
+    parser.add_argument("--count", type=int, default=40, help="cases of each kind")
+    parser.add_argument("--seed", type=int, default=0, help="the first seed")
+    parser.add_argument("--processes", type=int, default=1)
+    given = parser.parse_args()
+    print(f"| left out | {' | '.join(given.kind)} |\n| --- |{' ---: |' * len(given.kind)}")
+    with multiprocessing.get_context("spawn").Pool(given.processes) as pool:
+        for part in PARTS:
+            wrong = []
+            for kind in given.kind:
+                made = [(kind, given.seed + i) for i in range(given.count)]
+                found = pool.map(functools.partial(without, part), made, chunksize=1)
+                bad, good = found.count("wrong"), found.count("ok")
+                wrong.append(f"{bad} of {bad + good}")
+            print(f"| {part} | {' | '.join(wrong)} |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

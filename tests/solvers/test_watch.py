@@ -1,0 +1,88 @@
+"""Trajectories are not carried past what is narrow over the states."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.codegen.events import event_functions, parameter_surfaces
+from rankone.ir import Coordinate
+from rankone.solvers.reference import check_points, integrate_reference
+from rankone.solvers.suspects import surface_points
+from tests.honesty.cases import t, unknown
+
+SHAPES = {
+    "peak": ("exp(-Z**2)", np.sqrt(np.pi)),
+    "rational": ("1/(1 + Z**2)", np.pi),
+    "reciprocal": ("1/cosh(Z)**2", 2.0),
+    "pulse": ("Piecewise((1, (Z > 0) & (Z < 1)), (0, True))", 1.0),
+    "hat": ("Max(0, 1 - Abs(Z))", 1.0),
+    "steps": ("(tanh(9*Z) - tanh(9*Z - 9))/2", 1.0),
+}
+"""Narrow functions of Z = (x - 0.5)/width, and their areas."""
+
+
+def compiled(rate, box=None, start="0", end=3):
+    return ro.compile(ro.Problem.from_strings({"x": rate}, {"x": start}, box or {}, (0, end)))
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-7])
+@pytest.mark.parametrize(("shape", "area"), SHAPES.values(), ids=SHAPES)
+def test_nothing_narrow_is_stepped_over(shape, area, width):
+    rates = {"x": "1", "y": shape.replace("Z", f"((x - 0.5)*{1 / width:.0f})") + f"/{width}"}
+    starts = {"x": "0", "y": "1"}
+    system = ro.compile(ro.Problem.from_strings(rates, starts, {}, (0, 3))).system
+    reference = integrate_reference(system, np.zeros((1, 0)), 0.0, 3.0, 1e-6)
+    tails = width * (1 / 0.5 + 1 / 2.5) if shape == SHAPES["rational"][0] else 0.0
+    assert reference(np.array([3.0]))[1, 0, 0] == pytest.approx(1.0 + area - tails, abs=1e-4)
+
+
+def test_what_no_event_tells_is_met_at_random_places():
+    """A power of a cosine is narrow around the places where it is one."""
+    rate = "1/(1 + 50*k*(0.5 + 0.5*cos(pi*(x - 0.5)/2))**50000)"
+    problem = compiled(rate, {"k": (0.5, 1.5)})
+    points = check_points(np.array([[0.5, 1.5]]), 96)
+    reference = integrate_reference(problem.system, points, 0.0, 3.0, 3e-6)
+    delay = 50 * points[:, 0] * np.sqrt(np.pi / (50000 * np.pi**2 / 16))
+    ends = reference(np.array([3.0]))[0, :, 0]
+    assert np.abs(ends - (3.0 - delay)).min() < 1e-3
+    solution = problem.solve(1e-3, max_seconds=5)
+    assert not solution.success or solution(t=3, k=1)[0] == pytest.approx(
+        3.0 - 50 * np.sqrt(16 / (50000 * np.pi)), abs=5e-3
+    )
+
+
+def test_events_are_middles_and_borders():
+    x = unknown("x")
+    found = event_functions([ro.Problem.from_strings(
+        {"x": "exp(-(x - 2)**2) + Abs(x - 1) + Heaviside(x - 3) + tanh(x - 4) + exp(-x)"},
+        {"x": "1"}, {}, (0, 1),
+    ).equations[0].rhs])  # fmt: skip
+    peaks, switches = ([str(f) for f in part] for part in found)
+    assert sorted(peaks) == ["x(t) - 1", "x(t) - 2"]
+    assert sorted(switches) == ["x(t) - 3", "x(t) - 4"]
+    assert str(x) == "x(t)"
+
+
+def test_surfaces_are_those_of_several_parameters():
+    problem = compiled(
+        "-x + exp(-((a*b - 0.3)/0.001)**2) + Abs(a - 0.2) + Max(0, a + b - 1) + Abs(x - a)",
+        {"a": (0, 1), "b": (0, 1)},
+    )
+    a, b = problem.problem.parameters
+    coordinates = [Coordinate("t", t, 0, 1), Coordinate("a", a, 0, 1), Coordinate("b", b, 0, 1)]
+    found = parameter_surfaces(coordinates, problem.first_order.rhs)
+    assert len(found) == 2
+    points = surface_points(problem.system, ro.solvers.task.Domain.of(problem.system))
+    assert len(points) == 32
+    on_ridge = np.abs(points[:, 0] * points[:, 1] - 0.3) < 1e-12
+    on_kink = np.abs(points.sum(axis=1) - 1) < 1e-12
+    assert on_ridge.sum() == on_kink.sum() == 16
+
+
+def test_a_ridge_is_refused_or_right():
+    rate = "-x*(1 + 1/(1 + ((a*b - 0.41)/1e-4)**2)) + 1"
+    problem = compiled(rate, {"a": (0, 1), "b": (0, 1)}, end=5)
+    solution = problem.solve(1e-3, max_seconds=5)
+    a = np.linspace(0.5, 1.0, 11)
+    exact = (1 - np.exp(-10.0)) / 2  # on the ridge
+    assert not solution.success or np.abs(solution(t=5, a=a, b=0.41 / a)[0] - exact).max() < 5e-3
