@@ -287,7 +287,7 @@ def _show(arguments: argparse.Namespace) -> int:
         print("# methods\n")
         for method, reason in compiled.methods.items():
             print(f"{method:6} {'applies' if reason is None else f'does not apply: {reason}'}")
-        print()
+        print(f"auto   tries {', then '.join(compiled.automatic)}\n")
     asked = [stage for stage in _STAGES if chosen[stage.replace("-", "_")]] or list(_STAGES)
     for number, stage in enumerate(asked):
         title, attribute = _STAGES[stage]

@@ -122,6 +122,13 @@ class CompiledProblem:
         reason = general[0].reason if general else None
         return {name: None if name in _ANY_SYSTEM else reason for name in ENGINES}
 
+    @property
+    def automatic(self) -> tuple[str, ...]:
+        """The methods that ``method="auto"`` tries one after the other."""
+        parameters, separated = len(self.problem.parameters), self.quadratic is not None
+        tried = engines_for(AUTO, parameters=parameters, separated=separated)
+        return tuple(engine.name for engine in tried)
+
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "system"}
 

@@ -45,6 +45,7 @@ def solver(monkeypatch: pytest.MonkeyPatch) -> Callable[[Solver], None]:
         compiled = SimpleNamespace(
             first_order="<the system>",
             methods={"train": "<the reason>", "cross": None},
+            automatic=("cross",),
             quadratic="<the groups>",
             solve=solve,
             weak_form="<the weak form>",
@@ -350,6 +351,7 @@ def test_show_everything(
     shown = (
         "train  does not apply: <the reason>",
         "cross  applies",
+        "auto   tries cross",
         "<the system>",
         "<the weak form>",
         "<the terms>",

@@ -144,7 +144,8 @@ def solve_in_attempts(
     status = best.status(yardstick, request.rtol)
     if out_of_time and status is not Status.CONVERGED:
         status = Status.TIME_LIMIT
-    status, cause = marcher.explained(status, best)
+    with _timed(timings, "check"):
+        status, cause = marcher.explained(status, best)
     message = best.message(status, request.rtol, cause)
     remedies = {Status.TIME_LIMIT: _MORE_TIME, Status.MEMORY_LIMIT: _LESS, **marcher.remedies}
     if status in remedies:

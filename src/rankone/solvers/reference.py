@@ -86,9 +86,9 @@ def spread(count: int, d: int, generator: np.random.Generator) -> Array:
     """Points (count, d) of the unit cube, more even than random ones.
 
     Shifted multiples of powers of 1/φ, the real root of φ^(d + 1) = φ + 1 (additive recurrence;
-    M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). A box of 6 % of the
-    cube has one of 24 points in it with 99, 89 and 80 % for d = 1, 2, 3; of random points with 77,
-    72 and 65 %.
+    M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). A box of 6 % of
+    the cube has one of 24 points in it with 99, 89 and 80 % for d = 1, 2, 3; of random points with
+    77, 72 and 65 %.
     """
     phi = 2.0
     for _ in range(_ITERATIONS):
