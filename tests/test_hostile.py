@@ -134,3 +134,54 @@ ODD = [3, "x", b"x", np.zeros((2, 2)), object(), {1: 2}, "\ud800", 10**400, floa
 def test_odd_values_are_named(call, value):
     with pytest.raises(ro.RankoneError):
         call(value)
+
+
+@pytest.mark.parametrize(
+    ("rate", "said"),
+    [
+        ("exp(" * 100 + "x" + ")" * 100, "nested more than 24 deep"),
+        ("floor(10**400*t)*x", "too large a number"),
+        ("Mod(t, 0)*x", "has no value"),
+        ("x + 2**2000*k", "too large a number"),
+    ],
+)
+def test_formulas_that_are_hopeless(rate, said):
+    with pytest.raises(ro.ProblemError, match=said):
+        ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (1, 2)}, (0, 1))
+
+
+def test_names_that_python_reads_alike():
+    box = {"\N{MICRO SIGN}": (1, 2), "\N{GREEK SMALL LETTER MU}": (3, 4)}
+    with pytest.raises(ro.ProblemError, match="two names that Python reads as"):
+        ro.Problem.from_strings({"x": "-x"}, {"x": "1"}, box, (0, 1))
+    box.popitem()
+    problem = ro.Problem.from_strings({"x": "-\N{MICRO SIGN}*x"}, {"x": "1"}, box, (0, 1))
+    assert ro.solve(problem, 1e-3).success
+
+
+@pytest.mark.parametrize(("start", "width"), [(100, 1e-13), (1000, 1e-12)])
+def test_a_pulse_of_few_floating_point_numbers_is_refused(start, width):
+    rate = f"-k*x + Piecewise((1/{width}, (t > {start}) & (t < {start} + {width})), (0, True))"
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.01, 0.02)}, (0, 2 * start))
+    with pytest.raises(ro.OptionError, match=r"a pulse for time .* is too short"):
+        ro.solve(problem, 1e-5)
+
+
+def test_a_default_limit_is_named(monkeypatch):
+    monkeypatch.setattr("rankone.solvers.task._LONGEST", 0.2)
+    rate = "-x + abs(a + b + c - 1.5)"
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, dict.fromkeys("abc", (0, 1)), (0, 2))
+    solution = ro.solve(problem, 1e-8)
+    assert solution.status is ro.Status.TIME_LIMIT
+    assert "the default time limit of 0.2 s was reached" in solution.message
+
+
+def test_what_ends_a_solve_is_named_though_an_earlier_attempt_is_better():
+    """The limit of trajectories, not the error."""
+    problem = ro.Problem.from_strings(
+        {"x": "-x + abs(a + b + c - 1.5)"}, {"x": "1"}, dict.fromkeys("abc", (0, 1)), (0, 2)
+    )
+    solution = ro.solve(problem, 1e-6, max_trajectories=20_000)
+    assert solution.status is ro.Status.TRAJECTORY_LIMIT
+    assert "raise max_trajectories" in solution.message
+    assert solution.error < 0.1

@@ -14,7 +14,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
     from rankone.solution import Solution
@@ -81,13 +81,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _FAILURE if isinstance(error, ConvergenceError) else _BAD_INPUT
 
 
+class _Parser(argparse.ArgumentParser):
+    """Errors in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(_BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
 def _parser() -> argparse.ArgumentParser:
     from rankone.problem_files import TOML_LAYOUT
 
     layout = "layout of a TOML file:\n" + "".join(
         f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()
     )
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="rankone",
         description="Solve a parametric ODE system once, for every parameter value of a box.",
     )
@@ -142,7 +149,10 @@ def _parser() -> argparse.ArgumentParser:
         help="whether success covers the corners of the box; by default up to three parameters",
     )
     solve.add_argument(
-        "--max-seconds", metavar="S", type=float, help="time limit; the best so far is kept"
+        "--max-seconds",
+        metavar="S",
+        type=float,
+        help="time limit, 25 by default; the best so far is kept",
     )
     solve.add_argument("--json", action="store_true", help="print the summary as JSON")
     solve.add_argument(
@@ -259,6 +269,7 @@ def _summary(solution: Solution, arguments: argparse.Namespace) -> dict[str, Any
         "error": _number(solution.error),
         "errors": {name: _number(error) for name, error in solution.errors.items()},
         "corner_error": _number(solution.corner_error),
+        "checked": _checked(solution),
         "unknowns": list(solution.unknowns),
         "time": list(solution.time),
         "parameters": {name: list(interval) for name, interval in solution.parameters.items()},
@@ -268,6 +279,19 @@ def _summary(solution: Solution, arguments: argparse.Namespace) -> dict[str, Any
         "timings": solution.timings,
         "version": solution.metadata.version,
         "saved": None if arguments.save is None else str(arguments.save),
+    }
+
+
+def _checked(solution: Solution) -> dict[str, Any] | None:
+    """On what the error was measured, and what success covers."""
+    measured = solution.outcome.measured
+    if measured is None:
+        return None
+    return {
+        "trajectories": measured.points,
+        "cover": measured.cover,
+        "quantile95": measured.quantile,
+        "worst": dict(zip(solution.parameters, measured.worst, strict=False)),
     }
 
 

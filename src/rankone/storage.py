@@ -9,6 +9,7 @@ entries they do not know; the version grows when an old reader could misundersta
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import math
@@ -102,6 +103,8 @@ def read(
         rankone wrote it, or its method is none of these.
     """
     given = as_path(path, StorageError)
+    if given.exists() and not given.is_file():
+        raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
     try:
         with given.open("rb") as stream:
             if not is_zipfile(stream):
@@ -118,7 +121,8 @@ def read(
                         remedy=f"methods that can be read: {', '.join(records)}",
                     )
                 outcome = _outcome(header, records[metadata.method], arrays)
-        _check(outcome, metadata)
+                _check(outcome, metadata)
+                _check_digest(arrays)
     except StorageError:
         raise
     except FileNotFoundError:
@@ -165,7 +169,17 @@ def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
     for i, slab in enumerate(outcome.slabs):
         for j, core in enumerate(slab.cores):
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
+    arrays["digest"] = np.array(_digest(arrays))
     return arrays
+
+
+def _digest(arrays: Mapping[str, Any]) -> str:
+    """SHA-256 of the header and of all cores, in the order of their names."""
+    digest = hashlib.sha256(str(arrays["header"][()]).encode())
+    for name in sorted(name for name in arrays if name.startswith("core_")):
+        digest.update(f"{name} {arrays[name].shape} ".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()
 
 
 def _plain_basis(basis: Basis1D) -> dict[str, Any]:
@@ -185,6 +199,8 @@ def _header(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise _not_a_solution(path)
     version = header["format_version"]
+    if type(version) is not int or version < 1:
+        raise ValueError(f"format_version is {version!r}")
     if version > FORMAT_VERSION:
         raise StorageError(
             f"`{path}` has version {version} of the format; this rankone reads up to "
@@ -246,6 +262,12 @@ def _slab(
     return SlabTrain(rebuilt(float, fields["start"]), rebuilt(float, fields["end"]), cores, bases)
 
 
+def _check_digest(arrays: Mapping[str, Any]) -> None:
+    """What is in a file has to be what was written; the first files had no digest."""
+    if "digest" in arrays and str(arrays["digest"][()]) != _digest(arrays):
+        raise ValueError("its contents do not fit their digest: it was changed after it was saved")
+
+
 def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     """The names have to fit the cores and what was measured."""
     states, parameters = len(metadata.states), len(metadata.parameters)
@@ -263,13 +285,18 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
         if not _ascending(interval):
             raise ValueError(f"{what} is {interval}, not two finite ascending numbers")
     _check_slabs(outcome.slabs, metadata)
+    end = metadata.horizon[1]
+    if outcome.status is Status.CONVERGED and not outcome.slabs[-1].end >= end - _near(metadata):
+        raise ValueError(
+            f"the status is CONVERGED, but the last slab ends at {outcome.slabs[-1].end}, not {end}"
+        )
     _check_error(outcome, metadata.rtol)
 
 
 def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None:
     """Slabs follow each other from the start of the horizon; bases cover the box."""
     begin, end = metadata.horizon
-    near = _NEAR * (end - begin)
+    near = _near(metadata)
     for i, slab in enumerate(slabs):
         if not _ascending((slab.start, slab.end)):
             raise ValueError(f"slab {i} is ({slab.start}, {slab.end}), which does not ascend")
@@ -283,6 +310,12 @@ def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None
                 raise ValueError(f"a basis of slab {i} is not one on {interval}")
         if not all(np.isfinite(core).all() for core in slab.cores):
             raise ValueError(f"the cores of slab {i} are not finite")
+
+
+def _near(metadata: SolutionMetadata) -> float:
+    """By how much the ends of slabs may miss each other."""
+    begin, end = metadata.horizon
+    return _NEAR * (end - begin)
 
 
 def _check_error(outcome: Outcome, rtol: float) -> None:

@@ -304,7 +304,10 @@ def test_warnings_are_one_line(
 )
 def test_usage_errors(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
-    assert capsys.readouterr().err.startswith("usage: rankone")
+    error = capsys.readouterr().err
+    assert error.startswith("rankone")
+    assert error.count("\n") == 1
+    assert "error: " in error
 
 
 def test_help_documents_the_toml_layout_and_the_status(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,8 +6,17 @@ from tests.honesty.cases import KINDS, case
 from tests.honesty.verdicts import judged
 
 COUNTS = {
-    **{"pulses": 12, "features": 12, "systems": 8, "products": 8, "steep": 4, "general": 4},
-    **{"passages": 3, "ridges": 8, "peaks": 4, "moving": 2, "data": 6},
+    "pulses": 12,
+    "features": 12,
+    "systems": 8,
+    "products": 8,
+    "steep": 4,
+    "general": 4,
+    "passages": 3,
+    "ridges": 8,
+    "peaks": 4,
+    "moving": 2,
+    "data": 6,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")

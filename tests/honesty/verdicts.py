@@ -167,7 +167,7 @@ def _tables(case: Case) -> dict[str, object]:
 
 
 def _stepper(rate, a, y, b, scale, m):
-    """An integrator of a stack: implicit where the rates are fast."""
+    """An integrator of a stack."""
     atol = np.repeat(_ACCURACY * 1e-3 * scale, m, axis=1).ravel()
     longest = (b - a) / 25
     return scipy.integrate.DOP853(rate, a, y, b, rtol=_ACCURACY, atol=atol, max_step=longest)

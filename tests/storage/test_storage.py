@@ -211,6 +211,42 @@ def test_missing_file(tmp_path: Path) -> None:
         load(tmp_path)
 
 
+def test_what_was_changed_is_refused(tmp_path: Path) -> None:
+    """A border of slabs or a digit of a core that was moved would be a wrong value."""
+    path = SOLUTION.save(tmp_path / "solution.npz")
+
+    def digit(_: dict[str, Any], arrays: dict[str, Any]) -> None:
+        arrays["core_0_0"] = arrays["core_0_0"] * (1.0 + 1e-9)
+
+    edited(path, digit)
+    with pytest.raises(StorageError, match="do not fit their digest"):
+        load(path)
+    SOLUTION.save(path, overwrite=True)
+    edited(path, lambda header, _: header["metadata"].update(version="0.0.1"))
+    with pytest.raises(StorageError, match="do not fit their digest"):
+        load(path)
+
+
+def test_a_success_ends_at_the_horizon(tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "solution.npz")
+
+    def longer(header: dict[str, Any], arrays: dict[str, Any]) -> None:
+        header["metadata"]["horizon"][1] *= 2.0
+
+    edited(path, longer)
+    with pytest.raises(StorageError, match="the last slab ends at"):
+        load(path)
+
+
+@pytest.mark.parametrize("name", ["fifo", "/dev/zero"])
+def test_only_regular_files_are_read(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if name == "fifo":
+        os.mkfifo(path)
+    with pytest.raises(StorageError, match="no regular file"):
+        load(path)
+
+
 @pytest.mark.parametrize("content", [b"", b"text", b"\x80\x04pickle", b"PK\x03\x04broken"])
 def test_foreign_file(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "foreign.npz"
@@ -405,7 +441,7 @@ def test_history_is_loaded_as_it_was(method: str, tmp_path: Path) -> None:
 def test_files_without_roles(tmp_path: Path) -> None:
     """Earlier versions wrote none: states behind the unknowns are derivatives."""
     path = oscillator().solution.save(tmp_path / "solution.npz")
-    edited(path, lambda header, _: header["metadata"].pop("roles"))
+    edited(path, lambda header, arrays: (header["metadata"].pop("roles"), arrays.pop("digest")))
     assert load(path).metadata.roles == ("unknown", "derivative")
     assert load(path).metadata == oscillator().solution.metadata
 

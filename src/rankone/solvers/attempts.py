@@ -32,6 +32,8 @@ _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 """Limits in the order in which they explain a failure."""
+_OF_ALL = (Status.TIME_LIMIT, Status.TRAJECTORY_LIMIT, Status.MEMORY_LIMIT)
+"""Limits that a later attempt may meet, although an earlier one is the best."""
 
 
 @dataclass(frozen=True)
@@ -139,11 +141,11 @@ def solve_in_attempts(
             if out.args:
                 message += ", at t = {:.6g} after {} steps".format(*out.args)
             return Outcome((), Status.TIME_LIMIT, f"{message}; {_MORE_TIME}", None, (), timings)
-        best, records, out_of_time = _attempts(marcher, request, report, timings)
+        best, records, met = _attempts(marcher, request, report, timings)
     yardstick = marcher.yardstick
     status = best.status(yardstick, request.rtol)
-    if out_of_time and status is not Status.CONVERGED:
-        status = Status.TIME_LIMIT
+    if met is not None and status is not Status.CONVERGED:
+        status = met
     with _timed(timings, "check"):
         status, cause = marcher.explained(status, best)
     message = best.message(status, request.rtol, cause)
@@ -156,11 +158,11 @@ def solve_in_attempts(
 
 def _attempts(
     marcher: Marcher, request: Request[Any], report: Report, timings: dict[str, float]
-) -> tuple[Attempt, list[SlabRecord], bool]:
-    """The best attempt, the records of all, and whether they ended because of the time."""
+) -> tuple[Attempt, list[SlabRecord], Status | None]:
+    """The best attempt, the records of all, and the limit of the whole solve that ended them."""
     records: list[SlabRecord] = []
     best: Attempt | None = None
-    stalls, out_of_time = 0, False
+    stalls, met = 0, None
     for index in range(request.options.max_attempts):
         with _timed(timings, "march"):
             try:
@@ -185,13 +187,13 @@ def _attempts(
             continue
         stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
         best = attempt if attempt.better_than(best) else best
-        out_of_time = result.stopped is Status.TIME_LIMIT
+        met = result.stopped if result.stopped in _OF_ALL else None
         done = result.stopped or not before.checked or attempt.error <= request.rtol
         if done or not marcher.refine(attempt, stalls):
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    return _restated(best, marcher.yardstick, request.rtol), records, out_of_time
+    return _restated(best, marcher.yardstick, request.rtol), records, met
 
 
 def _restated(best: Attempt, yardstick: Yardstick, rtol: float) -> Attempt:

@@ -43,6 +43,9 @@ _MOST_REPEATED = 10_000
 """Most points that repeat with a period."""
 _COINCIDE = 1e-14
 """Points that are closer, relative to the largest value of the coordinate, are the same."""
+_MOST_CLOSE, _COUNTS = 100, 1e-9
+"""Most pairs of such points that are looked at, and the share of a pulse between them in the whole
+that counts."""
 _POLE = 1e9
 """A factor that is so many times larger at a breakpoint than at samples may have a pole there."""
 _TOWARDS, _GROWTH = (1e-11, 1e-14), 10.0
@@ -89,6 +92,7 @@ def system_breakpoints(system: System, domain: Domain) -> tuple[Breakpoints, ...
         interval = factors.interval
         cuts = [*alone, *_repeated(factors, repeated)]
         found.append(Breakpoints())
+        _check_pulses(factors, cuts)
         if len(factors(np.array(interval))) > 1:
             try:
                 found[-1] = breakpoints(factors, *interval, cuts)
@@ -103,6 +107,26 @@ def system_breakpoints(system: System, domain: Domain) -> tuple[Breakpoints, ...
             if np.abs(factors(points)).max() > _POLE * samples and _grows(factors, points):
                 raise factors.not_finite()
     return tuple(found)
+
+
+def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:
+    """Raise an OptionError for a pulse between two cuts that are the same but for rounding."""
+    lower, upper = factors.interval
+    least = _COINCIDE * max(abs(lower), abs(upper))
+    close = [
+        (a, b)
+        for a, b in itertools.pairwise(sorted({x for x in cuts if lower < x < upper}))
+        if b - a <= least
+    ]
+    for a, b in close[:_MOST_CLOSE]:
+        inside, *around = factors(np.array([0.5 * (a + b), a - 2.0 * least, b + 2.0 * least])).T
+        other = np.maximum(*np.abs(around))
+        if ((np.abs(inside) - other) * (b - a) > _COUNTS * (other + 1.0) * (upper - lower)).any():
+            raise OptionError(
+                f"a pulse for {factors.what} from {a!r} to {b!r} is too short: floating-point "
+                f"numbers are not much closer",
+                remedy="give what it does as a whole, such as a step",
+            )
 
 
 def _grows(factors: KnownFactors, points: Array) -> bool:
@@ -121,7 +145,7 @@ def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) ->
     counted = sum((upper - lower) / period for _, period in periodic)
     if counted > _MOST_REPEATED:
         raise OptionError(
-            f"a coefficient switches {counted:.0f} times for {factors.what} in "
+            f"a coefficient switches {counted:.7g} times for {factors.what} in "
             f"[{lower:g}, {upper:g}]",
             remedy="choose a shorter range, or replace what switches by its mean",
         )

@@ -60,6 +60,8 @@ class Task:
         One for each engine.
     max_seconds : float
         For all of them together.
+    by_default : bool
+        Whether nobody asked for that limit.
     """
 
     engines: Sequence[Engine[Any]]
@@ -67,6 +69,7 @@ class Task:
     system: System
     domain: Domain
     max_seconds: float
+    by_default: bool = False
 
     @classmethod
     def of(
@@ -88,7 +91,7 @@ class Task:
             seconds = _LONGEST * (_SLOW if slow else 1.0)
         else:
             seconds = checked_number("max_seconds", asked.max_seconds, 0.0, kind=float)
-        return cls(engines, requests, system, domain, seconds)
+        return cls(engines, requests, system, domain, seconds, asked.max_seconds is None)
 
     def run(
         self, metadata: SolutionMetadata, report: Report = quiet
@@ -103,6 +106,10 @@ class Task:
         check_factors(self.system, self.domain)
         with time_limit(self.max_seconds), np.errstate(all="ignore"):  # results are checked
             outcome, method = self._outcome(report)
+        if self.by_default and outcome.status is Status.TIME_LIMIT:
+            said = f"the default time limit of {self.max_seconds:g} s was reached"
+            message = outcome.message.replace(Status.TIME_LIMIT.value, said)
+            outcome = replace(outcome, message=message)
         box, horizon, rtol = self.domain.box, self.domain.horizon, self.requests[0].rtol
         return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
 

@@ -40,7 +40,7 @@ def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
                 return f"is not finite at {coordinate.name} = {pole:.6g}"
         points = _points(coordinate)
         values = _numeric(expression, coordinate)(points)
-    except (NameError, TypeError, ValueError, AttributeError):
+    except (NameError, TypeError, ValueError, AttributeError, ArithmeticError):
         return "cannot be evaluated numerically"
     bad = points[~np.isfinite(values)]
     if not bad.size:

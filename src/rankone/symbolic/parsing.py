@@ -59,6 +59,8 @@ _LOGIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {ast.BitAnd: sp.An
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LONGEST_POWER_BITS = 4096
+_LARGEST = 10**300
+_DEEPEST = 24
 _LARGEST_GAMMA = 172
 """Beyond, the gamma function is larger than any floating-point number."""
 _MOST_ARGUMENTS = 20
@@ -98,6 +100,12 @@ def parse_expression(
             remedy="write it as in Python, for example `-k*x**2 + sin(t)`",
         ) from None
     return value
+
+
+def _depth(expression: sp.Basic) -> int:
+    """How deep functions are nested in an expression."""
+    inner = max(map(_depth, expression.args), default=0)
+    return inner + (1 if isinstance(expression, sp.Function) else 0)
 
 
 def _protect_keywords(text: str) -> str:
@@ -183,7 +191,7 @@ class _Translator(ast.NodeVisitor):
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
         if base.is_Rational and exponent.is_Integer:
             bits = max(int(base.p).bit_length(), int(base.q).bit_length())
-            if bits * abs(int(exponent)) > _LONGEST_POWER_BITS:
+            if bits * abs(int(exponent)) > _LONGEST_POWER_BITS or (abs(base**exponent) > _LARGEST):
                 raise self.error(f"{quote(f'{base}**{exponent}')} is too large a number")
         return base**exponent
 
@@ -210,7 +218,17 @@ class _Translator(ast.NodeVisitor):
             raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
         if name == "gamma" and arguments[0].is_number and not abs(arguments[0]) < _LARGEST_GAMMA:
             raise self.error(f"{quote(f'gamma({arguments[0]})')} is too large a number")
-        return FUNCTIONS[name](*arguments)
+        return self._value(name, arguments)
+
+    def _value(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
+        """A function of arguments; SymPy takes exponentially long where functions are nested."""
+        if max(map(_depth, arguments)) >= _DEEPEST:
+            raise self.error(f"functions are nested more than {_DEEPEST} deep")
+        try:
+            return FUNCTIONS[name](*arguments)
+        except (ArithmeticError, TypeError):
+            called = f"{name}({', '.join(map(str, arguments))})"
+            raise self.error(f"{quote(called)} has no value") from None
 
     def _piecewise(self, branches: list[ast.expr]) -> sp.Expr:
         """``Piecewise((value, condition), ..., (value, True))``."""

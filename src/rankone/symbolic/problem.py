@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -175,6 +176,10 @@ class Problem:
                     term=state,
                     remedy="remove it, or give its derivative in `rhs`",
                 )
+        rhs, initial, parameters = (
+            _normalised(what, mapping)
+            for what, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters))
+        )
         unknowns = {state: sp.Function(state)(t) for state in rhs}
         symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
         check_names(list(unknowns.items()), symbols.values(), t)
@@ -253,3 +258,18 @@ def _formula(
     raise ProblemError(
         f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
     )
+
+
+def _normalised(what: str, mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with names as Python reads them: NFKC, so that a micro sign is a Greek mu."""
+    found: dict[str, Any] = {}
+    for name, value in mapping.items():
+        same = unicodedata.normalize("NFKC", name)
+        if same in found:
+            raise ProblemError(
+                f"{what} has two names that Python reads as {quote(same)}",
+                term=name,
+                remedy="rename one of them",
+            )
+        found[same] = value
+    return found

@@ -48,7 +48,10 @@ _FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
 
-_MOVING = " (the rates switch, or are narrow, at times that depend on parameters)"
+_MOVING = (
+    " (the rates switch, or are narrow, at times that depend on parameters: with time in units of "
+    "such a time, or parts of the horizon in units of their own, they stand still)"
+)
 _UNRESOLVED = (
     Status.TOLERANCE,
     Status.RANK_LIMIT,

@@ -109,8 +109,13 @@ class Trajectories:
 
     @property
     def tolerance(self) -> float:
-        """Tolerance of the integration and of the basis."""
+        """Tolerance of the integration."""
         return max(self.tightness * self.wanted, _TIGHTEST)
+
+    @property
+    def lost(self) -> float:
+        """What the basis may miss: steps may be more accurate than their tolerance, not it."""
+        return max(min(self.tightness, 1.0) * self.wanted, _TIGHTEST)
 
     def values(self, points: Array) -> Array:
         """Trajectories at points (m, d) in units of the sizes: shape (n, T, m); not counted."""
@@ -179,12 +184,12 @@ class Trajectories:
             return found
         rest = trajectories - self.basis @ found
         sizes = np.linalg.norm(rest, axis=0)
-        if sizes.max(initial=0.0) <= self.tolerance and self.basis.shape[1]:
+        if sizes.max(initial=0.0) <= self.lost and self.basis.shape[1]:
             return found
-        large = sizes > _LOST * self.tolerance
+        large = sizes > _LOST * self.lost
         if not large.any():  # so far all are negligible
             large = sizes == sizes.max(initial=0.0)
-        new = _span(rest[:, large], _LOST * self.tolerance)
+        new = _span(rest[:, large], _LOST * self.lost)
         new, _ = np.linalg.qr(new - self.basis @ (self.basis.T @ new))
         self.basis = np.concatenate([self.basis, new], axis=1)
         return np.concatenate([found, new.T @ rest])
