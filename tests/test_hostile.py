@@ -184,4 +184,4 @@ def test_what_ends_a_solve_is_named_though_an_earlier_attempt_is_better():
     solution = ro.solve(problem, 1e-6, max_trajectories=20_000)
     assert solution.status is ro.Status.TRAJECTORY_LIMIT
     assert "raise max_trajectories" in solution.message
-    assert solution.error < 0.1
+    assert solution.error < 0.5  # and not that of the trajectory at the centre
