@@ -31,7 +31,7 @@ class Request(Generic[AnyOptions]):
     rtol : float
         Largest measured error asked for, relative to the size of each unknown.
     points : int
-        Number of random interior check points; 0 skips the check.
+        Number of interior check points; 0 skips the check.
     options : Options
         Limits and discretisation, those of the engine.
     cover : {"interior", "box"} or None

@@ -104,8 +104,9 @@ class Stack:
             So many steps of DOP853 are made although stability limits them; in between they are
             less accurate then.
         watched : bool
-            Whether steps are looked at in between for what may be narrow over the states;
-            otherwise where that is known alone. Systems that separate have nothing narrow.
+            Whether steps are looked at at random places too for what may be narrow over the
+            states, and not only where that is known. Systems that separate are polynomials in
+            their states, of limited degree: there is nothing narrow over them.
 
         Returns
         -------

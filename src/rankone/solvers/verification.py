@@ -39,13 +39,13 @@ class Yardstick:
     accuracy : float
         Relative tolerance of the trajectories.
     reference : Reference
-        Trajectories at the centre, at corners and at random interior points.
+        Trajectories at the centre, at corners and at interior points.
     corners : int
         Number of check points, after the centre, that are corners.
     whole_box : bool
         Whether they count like the other points.
     checked : bool
-        Whether there are random points, so that an error can be stated.
+        Whether there are interior points, so that an error can be stated.
     cuts : tuple of float
         Times at which the time factors jump, kink or are narrow.
     special : tuple of Breakpoints
@@ -105,7 +105,7 @@ class Yardstick:
     def sizes(self) -> Array:
         """Largest absolute value of each state, products included; one for a vanishing state.
 
-        Over the centre and the random interior points: values at corners of a box of many
+        Over the centre and the interior points: values at corners of a box of many
         parameters may be larger by orders of magnitude and are seen by nobody.
         """
         times = np.linspace(self.reference.start, self.end, 201)

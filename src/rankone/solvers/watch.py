@@ -22,8 +22,8 @@ _AT_CROSSINGS, _ANYWHERE = 100.0, 300.0
 narrow it comes to 40."""
 _DIFFERENT = 0.5
 """Defect over the rates from which the rates are others than the step knows."""
-_SECANTS, _EXACT = 12, 1e-9
-"""Steps of the secant method for the time of a crossing, and its accuracy, in steps."""
+_NARROWED, _EXACT = 12, 1e-9
+"""Iterations for the time of a crossing, and its accuracy, in steps."""
 _LEAST, _PLACES = 2, 512
 """Random places on each trajectory at least, and on all together, in every step."""
 
@@ -106,7 +106,7 @@ class Watch:
             defect = np.where(narrow & differs, (solver.t_bound - before) / h * defect, defect)
             return _largest(defect / tolerated)
 
-        shares = _secants(event, start[which, columns], end[which, columns])
+        shares = _zeros(event, start[which, columns], end[which, columns])
         worst = largest(shares, which < self.peaks)
         again = np.diff(columns, prepend=-1) == 0
         if again.any():
@@ -120,10 +120,10 @@ def _largest(errors: Array) -> float:
     return float(np.nan_to_num(errors, nan=np.inf).max())
 
 
-def _secants(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
+def _zeros(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
     """Zeros on [0, 1] of functions with values of two signs at its ends (Illinois algorithm)."""
     a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
-    for _ in range(_SECANTS):
+    for _ in range(_NARROWED):
         before, x = x, np.clip((a * end - b * start) / (end - start), a, b)
         if np.all(np.abs(x - before) <= _EXACT):
             break
