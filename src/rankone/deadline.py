@@ -37,7 +37,7 @@ def preparing(seconds: Any) -> Iterator[None]:
 
     Anything but a positive number is no limit: the solve refuses it.
     """
-    limits = isinstance(seconds, int | float) and seconds > 0.0
+    limits = isinstance(seconds, int | float) and 0.0 < seconds < 1e18
     try:
         with time_limit(seconds if limits else None):
             yield
@@ -48,9 +48,9 @@ def preparing(seconds: Any) -> Iterator[None]:
         ) from None
 
 
-def check_time() -> None:
-    """Raise OutOfTimeError when the limit has passed."""
-    if clock.perf_counter() > _END.get():
+def check_time(seconds: float = 0.0) -> None:
+    """Raise OutOfTimeError when the limit has passed, or will have in so many seconds."""
+    if clock.perf_counter() + seconds > _END.get():
         raise OutOfTimeError
 
 

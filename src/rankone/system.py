@@ -99,8 +99,9 @@ class System(Protocol):
 
     @staticmethod
     def surfaces(p: Sequence[Any] | Array) -> Array:
-        """Functions that vanish where others of several parameters are narrow, kink or switch, at
-        p (d, ...), shape (surfaces, ...); only where nothing separates and there are some."""
+        """Functions that vanish, or are least, where others of several parameters are narrow, kink
+        or switch, at p (d, ...), shape (surfaces, ...); only where nothing separates and there are
+        some."""
 
     @staticmethod
     def events(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:

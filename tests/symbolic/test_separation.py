@@ -16,6 +16,7 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import rankone as ro
 from rankone.errors import ProblemError, SeparationError
 from rankone.ir import SeparatedForm
 from rankone.symbolic import Problem, separate
@@ -452,3 +453,19 @@ def test_pickling(reference_problem):
     again = pickle.loads(pickle.dumps(reference_problem))
     assert again.equations == reference_problem.equations
     assert separate(again) == separate(reference_problem)
+
+
+@pytest.mark.parametrize(
+    ("rate", "at", "exact"),
+    [
+        ("-x + exp(1000.0*(a - 1.0))", 1.0, 1 - math.exp(-1)),
+        ("-x + 1 + exp((cos(a - 0.9137) - 1)*1000.0)", 0.9137, 2 * (1 - math.exp(-1))),
+        ("-x + 1/(1 + exp(-(t - 0.61234567)/0.001))", 0.95, 1 - math.exp(-1 + 0.61234567)),
+    ],
+)
+def test_numbers_that_sympy_takes_out_of_exponentials(rate, at, exact):
+    """No floating-point number is as small as exp(-1000)."""
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "0"}, {"a": (0.9, 1)}, (0, 1))
+    solution = ro.solve(problem, 1e-4)
+    assert solution.success
+    assert solution(t=1, a=at)[0] == pytest.approx(exact, rel=5e-4)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.codegen.narrow import moving_middles, peaks, steps
+from rankone.codegen.narrow import moving_middles, peaks, steps, valleys
 from rankone.codegen.switching import CONTINUOUS, JUMPS, boundaries
 from rankone.ir import Coordinate
 
@@ -42,8 +42,10 @@ def moving_switches(
     return tuple(sorted(found, key=sp.default_sort_key))
 
 
-def event_functions(expressions: Iterable[sp.Basic]) -> tuple[list[sp.Expr], list[sp.Expr]]:
-    """Functions of the unknowns that vanish where the right-hand side is narrow or switches.
+def event_functions(
+    time: sp.Symbol, expressions: Iterable[sp.Basic]
+) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    """Functions of the unknowns, or of time, that vanish where rates are narrow or switch.
 
     Returns
     -------
@@ -51,9 +53,14 @@ def event_functions(expressions: Iterable[sp.Basic]) -> tuple[list[sp.Expr], lis
         Those at peaks, or kinks, which may be those of peaks; and where there is a step.
     """
     expressions = list(expressions)
-    narrow = peaks(expressions, _unknowns), steps(expressions, _unknowns)
+
+    def moving(expression: sp.Basic) -> set[sp.Expr]:
+        unknowns = set(expression.atoms(AppliedUndef))
+        return unknowns | (expression.free_symbols & {time} if not unknowns else set())
+
+    narrow = peaks(expressions, moving), steps(expressions, moving)
     kinks, others = (
-        _distinct(filter(_unknowns, itertools.chain(found, _zeros(expressions, kinds))))
+        _distinct(filter(moving, [*(middle for _, middle in found), *_zeros(expressions, kinds)]))
         for found, kinds in zip(narrow, (CONTINUOUS, JUMPS), strict=True)
     )
     kinks = kinks[:_MOST]
@@ -63,29 +70,30 @@ def event_functions(expressions: Iterable[sp.Basic]) -> tuple[list[sp.Expr], lis
 def parameter_surfaces(
     coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]
 ) -> list[sp.Expr]:
-    """Functions of several parameters that vanish where others are narrow, kink or switch."""
+    """Functions of several parameters that vanish, or are least, where others are narrow."""
     parameters = {coordinate.symbol for coordinate in coordinates[1:]}
     expressions = list(expressions)
 
     def variables(expression: sp.Basic) -> list[sp.Expr]:
         return sorted(expression.free_symbols & parameters, key=str)
 
+    narrow = itertools.chain(peaks(expressions, variables), steps(expressions, variables))
     found = itertools.chain(
-        peaks(expressions, variables),
-        steps(expressions, variables),
+        (middle for _, middle in narrow),
+        valleys(expressions),
         _zeros(expressions, (*CONTINUOUS, *JUMPS)),
     )
     known = (f for f in found if f.free_symbols <= parameters and not f.has(AppliedUndef))
     return _distinct(f for f in known if len(f.free_symbols) > 1)[:_MOST]
 
 
-def _unknowns(expression: sp.Basic) -> set[sp.Expr]:
-    return set(expression.atoms(AppliedUndef))
-
-
 def _zeros(expressions: Iterable[sp.Basic], kinds: tuple[type, ...]) -> Iterator[sp.Expr]:
     """Functions whose zeros are where others are not smooth."""
-    return (boundary for boundary, levels in boundaries(expressions, kinds) if levels == (0.0,))
+    for boundary, levels in boundaries(expressions, kinds):
+        if levels is None:
+            yield sp.sin(sp.pi * boundary)
+        elif len(levels) <= _MOST:
+            yield from (boundary - sp.Rational(level) for level in levels)
 
 
 def _distinct(functions: Iterable[sp.Expr]) -> list[sp.Expr]:

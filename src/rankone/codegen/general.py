@@ -223,7 +223,8 @@ class _Writer:
 
     def events(self) -> list[str]:
         """Where functions of the states switch or are narrow; nothing if there are none."""
-        peaks, switches = event_functions(self.system.rhs)
+        time = self.system.coordinates[0].symbol
+        peaks, switches = event_functions(time, self.system.rhs)
         self.peaks = len(peaks) if peaks or switches else None
         about = f"Zero where functions of u ({self.n}, ...) switch or peak: ({{}}, ...)."
         return self._vector("events", "t, u, p", [*peaks, *switches], about)

@@ -13,39 +13,14 @@ from sympy.core.function import AppliedUndef
 
 from rankone.ir import Coordinate
 
-__all__ = ["Variables", "moving_middles", "narrow_places", "peaks", "steps"]
+__all__ = ["Variables", "moving_middles", "peaks", "steps", "valleys"]
 
 Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 """The variables of an expression that count."""
-_SHARP = 3e3
-"""Steepness over the interval from which a smooth function may be missed by samples of it."""
 _NARROW = 1e4
 """Curvature of an exponent, over the horizon squared, from which its peak may be stepped over."""
 _STEEP = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
 """Functions that change most where their argument vanishes."""
-
-
-def narrow_places(coordinate: Coordinate, expressions: Iterable[sp.Basic]) -> Iterator[float]:
-    """Where functions of one coordinate are so narrow that samples may miss them.
-
-    Functions of a linear argument, and exponentials and reciprocals of a square.
-    """
-    x, width = coordinate.symbol, coordinate.upper - coordinate.lower
-    for part in _parts(expressions, sp.exp, sp.Pow, *_STEEP):
-        if part.free_symbols != {x} or part.has(AppliedUndef):
-            continue
-        base, exponent = part.as_base_exp() if part.is_Pow else (part, sp.S.One)
-        argument = part.exp if isinstance(part, sp.exp) else base if part.is_Pow else part.args[0]
-        slope, curve = argument.diff(x), argument.diff(x, 2)
-        if slope.is_number and slope != 0 and not part.is_Pow:
-            if abs(float(slope)) * width > _SHARP:
-                yield -float(argument.subs(x, 0)) / float(slope)
-        elif curve.is_number and curve != 0:
-            middle = -float(slope.subs(x, 0)) / float(curve)
-            size = 1.0 if not part.is_Pow else abs(float(argument.subs(x, middle)))
-            sharp = abs(float(curve)) * width**2 > _SHARP**2 * size
-            if sharp and (not part.is_Pow or (exponent.is_number and exponent < 0)):
-                yield middle
 
 
 def moving_middles(
@@ -64,27 +39,45 @@ def moving_middles(
                 yield -part.exp.diff(t).subs(t, 0) / curve
 
 
-def peaks(expressions: Iterable[sp.Basic], variables: Variables) -> Iterator[sp.Expr]:
-    """Functions that vanish in the middle of peaks; ``variables`` are those of an expression.
+def peaks(
+    expressions: Iterable[sp.Basic], variables: Variables
+) -> Iterator[tuple[sp.Expr, sp.Expr]]:
+    """Functions that may be peaks, and what vanishes in the middle of each.
 
     How narrow they are is not known as long as the variables, such as the unknowns, are not.
+    ``variables`` gives those of an expression.
     """
-    for part in _parts(expressions, sp.exp, sp.Pow, sp.cosh, sp.sech):
+    for part in _parts(expressions, sp.exp, sp.Pow, *_STEEP):
         if isinstance(part, sp.exp):
-            yield from _bottoms(part.exp, variables)
+            middles = list(_bottoms(part.exp, variables))
         elif not part.is_Pow:
-            yield part.args[0]
+            middles = list(_bottoms(part.args[0], variables))
+            middles += [part.args[0]] if isinstance(part, sp.cosh | sp.sech) else []
         elif part.exp.is_number and part.exp.is_negative:
-            yield from _bottoms(part.base, variables)
+            middles = list(_bottoms(part.base, variables))
+        else:
+            continue
+        yield from ((part, middle) for middle in middles)
 
 
-def steps(expressions: Iterable[sp.Basic], variables: Variables) -> Iterator[sp.Expr]:
-    """Functions that vanish in the middle of smooth steps."""
+def steps(
+    expressions: Iterable[sp.Basic], variables: Variables
+) -> Iterator[tuple[sp.Expr, sp.Expr]]:
+    """Functions that may be steep steps, and what vanishes in the middle of each."""
     for part in _parts(expressions, sp.Pow, *_STEEP):
         if not part.is_Pow:
-            yield part.args[0]
+            yield part, part.args[0]
         elif part.exp.is_number and part.exp.is_negative:
-            yield from _thresholds(part.base, variables)
+            yield from ((part, middle) for middle in _thresholds(part.base, variables))
+
+
+def valleys(expressions: Iterable[sp.Basic]) -> Iterator[sp.Expr]:
+    """Functions that are least where an exponential or a reciprocal is largest."""
+    for part in _parts(expressions, sp.exp, sp.Pow):
+        if isinstance(part, sp.exp):
+            yield -part.exp
+        elif part.exp.is_number and part.exp.is_negative:
+            yield part.base
 
 
 def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
@@ -94,7 +87,8 @@ def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
         for step in term.atoms(sp.exp):
             ratio = term / step / rest
             if not variables(ratio) and not _squares(step.exp, variables):
-                yield step.exp + sp.log(sp.Abs(ratio))
+                shift = sp.log(sp.Abs(ratio))
+                yield step.exp + (sp.N(shift) if shift.is_number else shift)
 
 
 def _bottoms(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:

@@ -22,7 +22,7 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from rankone.arrays import Array
-from rankone.codegen.narrow import narrow_places
+from rankone.codegen.narrow import peaks, steps
 from rankone.deadline import check_time
 from rankone.functions import Table
 from rankone.ir import Coordinate
@@ -36,6 +36,9 @@ _SAMPLES = 4096
 _MOST_LEVELS = 1000
 """Most values of a ``floor`` of a nonlinear function that are looked for."""
 _DIGITS = 25
+_SHARP, _CHANGED, _HUGE = 3e4, 0.01, 1e300
+"""Part of the interval over which a smooth function is too narrow for samples, if it changes by so
+much."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,43 @@ def switches(
             (symbol,) = symbols
             _solve(boundary, levels, places[symbol], found[symbol])
     for symbol, coordinate in places.items():
-        found[symbol].points.update(narrow_places(coordinate, expressions))
+        _add_narrow(expressions, coordinate, found[symbol])
     return tuple(found.values())
+
+
+def _add_narrow(expressions: Sequence[sp.Basic], coordinate: Coordinate, found: Switches) -> None:
+    """Add the middles of peaks and steps that are too narrow for samples."""
+    x = coordinate.symbol
+
+    def own(expression: sp.Basic) -> set[sp.Basic]:
+        alone = expression.free_symbols == {x} and not expression.has(AppliedUndef)
+        return {x} if alone else set()
+
+    for part, middle in itertools.chain(peaks(expressions, own), steps(expressions, own)):
+        if not own(part) or not own(middle):
+            continue
+        try:
+            points, periodic = _roots(middle, x)
+        except (_Unsolved, NotImplementedError, ValueError, TypeError, sp.PolynomialError):
+            points, periodic = _sampled(middle, coordinate), set()
+        function = _numeric(part, x)
+        found.points.update(at for at in points if _is_narrow(function, coordinate, at))
+        for first, period in periodic:
+            inside = first + period * math.ceil((coordinate.lower - first) / period)
+            if _is_narrow(function, coordinate, inside):
+                found.periodic.add((first, period))
+
+
+def _is_narrow(function: Callable[[Any], Array], coordinate: Coordinate, at: float) -> bool:
+    """Whether a function changes over a distance that samples would not see."""
+    near = (coordinate.upper - coordinate.lower) / _SHARP
+    if not coordinate.lower <= at <= coordinate.upper:
+        return False
+    values = function(np.array([at - near, at, at + near]))
+    if not np.isfinite(values[1]):
+        return False
+    values = np.nan_to_num(values, nan=_HUGE, posinf=_HUGE, neginf=-_HUGE)
+    return bool(np.ptp(values) > _CHANGED * np.abs(values).max())
 
 
 def boundaries(

@@ -167,11 +167,14 @@ class Stack:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""
         rhs, shape = self.system.rhs, self.shape
         parameters = np.ascontiguousarray(self.points.T)
-        if len(self.edges) == 2:
-            return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
-        near = inset(a, b)
+        near = inset(a, b) if len(self.edges) > 2 else 0.0
         least, most = a + near, b - near
-        return lambda t, y: rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
+
+        def rates(t: float, y: Array) -> Array:
+            check_time()
+            return rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
+
+        return rates
 
     def _met_stiffness(self, solver: Any, count: int, bearable: int) -> float:
         """The steps left, if they are more than bearable and stability limits them; or 0.

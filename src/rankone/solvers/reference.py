@@ -38,7 +38,10 @@ _COINCIDENT = 1e-14
 """Times that are closer, relative to the ends of the horizon, are the same."""
 _RUNAWAY, _LATER = 1e6, 1.0001
 """Growth in a horizon, at the last rate, that tells the same, and a state a little later."""
-_INTEGRATIONS = 3
+_EARLY, _LINGERS = 4, 1e-3
+"""Steps after which a state that is below what is resolved lingers there, and the part of its size
+then that is resolved instead."""
+_INTEGRATIONS = 4
 """Integrations at most, where states that start from zero turn out to be small."""
 
 
@@ -113,6 +116,9 @@ class Reference:
         The point whose trajectory blows up at ``end``, or leaves where its rates are finite.
     large : bool
         Whether it has grown by then.
+    floor : ndarray (n,)
+        Values of each state below which its relative accuracy ends, where that is lower than usual
+        since it is amplified later; else infinite.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
     """
@@ -125,6 +131,7 @@ class Reference:
     batches: tuple[tuple[int, Any], ...]
     states: int
     large: bool = False
+    floor: Any = np.inf
 
     @property
     def stiff(self) -> bool:
@@ -144,7 +151,7 @@ class Reference:
         points = np.concatenate([self.points, other.points])
         batches, avoided = self.batches + other.batches, max(self.avoided, other.avoided)
         ends = first.end, avoided, blown, batches, self.states, first.large
-        return Reference(points, self.start, *ends)
+        return Reference(points, self.start, *ends, floor=np.minimum(self.floor, other.floor))
 
 
 def integrate_reference(
@@ -177,23 +184,32 @@ def integrate_reference(
     between = _with_moving(system, points, start, end, cuts)
     stack = Stack(system, points, [start, *between, end])
     initial = initial_values(system, np.ascontiguousarray(points.T))
+    _check_start(system, start, initial, points)
+    floor = np.full((len(initial), 1), np.inf)
     size = np.abs(initial).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
     longest = math.inf if stack.polynomial else _LONGEST * (end - start)
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
-        atol = rtol * _NEGLIGIBLE * size
+        atol = rtol * np.minimum(_NEGLIGIBLE * size, floor)
         try:
             state, avoided = stack.run(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
             )
         except OutOfTimeError as out:
             raise OutOfTimeError(steps.times[-1], len(steps.pieces)) from out
-        largest = steps.largest.reshape(initial.shape).max(axis=1, keepdims=True)
+        if not steps.pieces:
+            break
+        largest, early = (
+            values.reshape(initial.shape).max(axis=1, keepdims=True)
+            for values in (steps.largest, steps.early)
+        )
         small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
-        if not small.any():
+        lingers = ~small & (early > 0.0) & (early < np.minimum(_NEGLIGIBLE * size, floor))
+        if not (small | lingers).any():
             break
         size = np.where(small, largest, size)
+        floor = np.where(lingers, _LINGERS * early, floor)
     if not steps.pieces:
         values = points[quickest(system, start, state, points, rtol * _NEGLIGIBLE * size)]
         where = [f"{n} = {v:.6g}" for n, v in zip(system.PARAMETERS, values, strict=True)]
@@ -204,15 +220,32 @@ def integrate_reference(
             remedy="check the initial values and the coefficients",
         )
     blown, large = None, False
-    floor = rtol * _NEGLIGIBLE * size
+    negligible = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
     if reached < end:
-        blown = quickest(system, reached, state, points, floor)
+        blown = quickest(system, reached, state, points, negligible)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
         large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
     batches = ((len(points), dense),)
-    return Reference(points, start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large)
+    ends = start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large
+    return Reference(points, *ends, floor=floor[:, 0])
+
+
+def _check_start(system: System, start: float, initial: Array, points: Array) -> None:
+    """Raise a ConvergenceError where the initial values, or their rates, are not finite."""
+    with np.errstate(all="ignore"):
+        rates = system.rhs(start, initial, np.ascontiguousarray(points.T))
+    for what, values in (("initial value", initial), ("derivative at the start", rates)):
+        state, index = np.nonzero(~np.isfinite(np.broadcast_to(values, initial.shape)))
+        if state.size:
+            pairs = zip(system.PARAMETERS, points[index[0]], strict=True)
+            where = ", ".join(f"{name} = {x:.6g}" for name, x in pairs)
+            raise ConvergenceError(
+                f"the {what} of `{system.STATES[state[0]]}` is not finite"
+                + (f" at {where}" if where else ""),
+                remedy="check the initial values and the coefficients",
+            )
 
 
 def _with_moving(
@@ -244,16 +277,21 @@ class _Steps:
     times: list[float]
     pieces: list[Any]
     largest: Array
+    early: Array
+    """Largest after so many steps."""
 
     def begin(self, start: float) -> None:
         """Forget what was, and start."""
         self.times, self.pieces, self.largest = [start], [], np.zeros(1)
+        self.early = np.zeros(1)
 
     def add(self, solver: Any) -> None:
         """Keep a step."""
         self.times.append(solver.t)
         self.pieces.append(solver.dense_output())
         self.largest = np.maximum(self.largest, np.abs(solver.y))
+        if len(self.pieces) <= _EARLY:
+            self.early = self.largest
 
 
 def measure(

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
+from rankone.solvers.integration import initial_values
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["active_points", "steepest_point", "surface_points", "suspects"]
+__all__ = ["active_points", "cell_points", "steepest_point", "surface_points", "suspects"]
 
 _SMOOTH, _SMOOTH_ALONE = 3.0, 9.0
 """Nodes in one parameter, over those of a smooth dependence, from which a solution is steep, with
@@ -30,6 +31,10 @@ _RARE, _TERMS = 0.2, 4
 """Share of the box below which a term is rarely active, and the number of such terms at most."""
 _ON_SURFACES, _LEAST, _HALVED = 32, 4, 50
 """Points on all surfaces, on each at least, and halvings of the distance to them."""
+_CELLS = 2
+"""Parameters with special values from which their cells are looked at."""
+_FIRST_STEP, _SHRINK, _TRIED, _DESCENT = 0.2, 0.6, 64, 60
+"""Steps towards a least value: the first, how much they shrink, how many are tried, how often."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
 
@@ -68,28 +73,105 @@ def active_points(system: System, domain: Domain) -> Array:
 def surface_points(system: System, domain: Domain) -> Array:
     """Points (m, d) at which functions of several parameters are narrow, kink or switch.
 
-    On lines between random points on either side of such a surface.
+    On lines between random points on either side of such a surface; where all are on one side, the
+    point at which the function is least, or largest, and between it and a random point.
     """
-    surfaces, d = getattr(system, "surfaces", None), len(domain.box)
-    if surfaces is None:
+    (functions, several), d = _surfaces(system, domain), len(domain.box)
+    if functions is None:
         return np.zeros((0, d))
-    lower, upper = domain.bounds.T
     generator = np.random.default_rng(20143)
-    points = lower + (upper - lower) * generator.random((_CANDIDATES, d))
+    points = generator.random((_CANDIDATES, d))
     with np.errstate(all="ignore"):
-        values = surfaces(np.ascontiguousarray(points.T))
+        values = functions(points)
         each = max(_LEAST, _ON_SURFACES // len(values))
-        found = []
+        found = [np.zeros((0, d))]
         for i, row in enumerate(values):
-            below, above = np.flatnonzero(row < 0.0)[:each], np.flatnonzero(row > 0.0)[:each]
-            pairs = min(below.size, above.size)
-            a, b = points[below[:pairs]], points[above[:pairs]]
-            for _ in range(_HALVED):
-                middle = 0.5 * (a + b)
-                left = surfaces(np.ascontiguousarray(middle.T))[i][:, None] < 0.0
-                a, b = np.where(left, middle, a), np.where(left, b, middle)
-            found.append(0.5 * (a + b))
-    return np.concatenate(found)
+            if not np.isfinite(row).all() or np.ptp(row) == 0.0:
+                continue
+            below, above = points[row < 0.0][:each], points[row > 0.0][:each]
+            if i < several and not (len(below) and len(above)):
+                side = 1.0 if len(above) else -1.0
+                best = _least(functions, i, side, points, side * row)
+                found.append(best)
+                ends = np.broadcast_to(best[0], (each, d))
+                below, above = (ends, above) if len(above) else (below, ends)
+            pairs = min(len(below), len(above))
+            if pairs and functions(below[:1])[i, 0] < 0.0 < functions(above[:1])[i, 0]:
+                found.append(_between(functions, i, below[:pairs], above[:pairs]))
+    lower, upper = domain.bounds.T
+    return np.asarray(lower + (upper - lower) * np.concatenate(found))
+
+
+def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] | None, int]:
+    """Functions of points (m, d) of the unit cube: of parameters, and events at the start.
+
+    Also how many of them, the first, are those of parameters.
+    """
+    known, events = getattr(system, "surfaces", None), getattr(system, "events", None)
+    if not domain.box or (known is None and events is None):
+        return None, 0
+    lower, upper = domain.bounds.T
+    several = 0 if known is None else len(known(lower[:, None]))
+
+    def evaluate(points: Array) -> Array:
+        p = np.ascontiguousarray((lower + (upper - lower) * points).T)
+        rows = [] if known is None else [known(p)]
+        if events is not None:
+            rows.append(events(domain.horizon[0], initial_values(system, p), p))
+        wide = [np.broadcast_to(row, (len(row), len(points))) for row in rows]
+        return np.concatenate(wide)
+
+    return evaluate, several
+
+
+def _between(functions: Callable[[Array], Array], i: int, a: Array, b: Array) -> Array:
+    """Zeros of a function between points where it is negative and points where it is not."""
+    for _ in range(_HALVED):
+        middle = 0.5 * (a + b)
+        left = functions(middle)[i][:, None] < 0.0
+        a, b = np.where(left, middle, a), np.where(left, b, middle)
+    return np.asarray(0.5 * (a + b))
+
+
+def _least(
+    functions: Callable[[Array], Array], i: int, sign: float, points: Array, values: Array
+) -> Array:
+    """Where a function times a sign is least on the unit cube, (1, d): by random, shorter steps.
+
+    ``values`` are those at ``points``.
+    """
+    generator = np.random.default_rng(20144)
+    best, lowest = points[np.argmin(values)], float(values.min())
+    length = _FIRST_STEP
+    for _ in range(_DESCENT):
+        near = best + length * generator.standard_normal((_TRIED, best.size))
+        near = np.clip(near, 0.0, 1.0)
+        found = sign * functions(near)[i]
+        j = int(np.argmin(np.where(np.isfinite(found), found, np.inf)))
+        if found[j] < lowest:
+            best, lowest = near[j], float(found[j])
+        else:
+            length *= _SHRINK
+    return np.asarray(best[None, :])
+
+
+def cell_points(domain: Domain, special: Sequence[Sequence[float]]) -> Array:
+    """Points (m, d) in narrow cells between special values of several parameters at once.
+
+    Each coordinate is drawn from the intervals between its special values, all alike but for their
+    length: what is switched on in a small box of several parameters is seen there.
+    """
+    d = len(domain.box)
+    if sum(len(values) > 1 for values in special) < _CELLS:
+        return np.zeros((0, d))
+    generator = np.random.default_rng(20145)
+    points = np.empty((_ON_SURFACES, d))
+    for j, ((lower, upper), values) in enumerate(zip(domain.box, special, strict=True)):
+        edges = np.array([lower, *values, upper])
+        lengths = np.diff(edges)
+        chosen = generator.choice(lengths.size, len(points), p=(1 / lengths) / (1 / lengths).sum())
+        points[:, j] = edges[chosen] + lengths[chosen] * generator.random(len(points))
+    return points
 
 
 def suspects(slabs: Sequence[SlabTrain], sizes: Array, number: int, rtol: float) -> Array | None:

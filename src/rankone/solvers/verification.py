@@ -14,7 +14,7 @@ from rankone.domain import Domain
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
 from rankone.solvers.outcome import Measured
 from rankone.solvers.reference import FEW, Reference, check_points, integrate_reference, measure
-from rankone.solvers.suspects import active_points, surface_points
+from rankone.solvers.suspects import active_points, cell_points, surface_points
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
@@ -79,8 +79,11 @@ class Yardstick:
         every = whole_box or len(domain.box) <= FEW
         points = check_points(domain.bounds, check, special=few, every_corner=every)
         points = _off_switches(points, system, domain)
-        given = [active_points(system, domain), surface_points(system, domain)] if check else []
-        active = np.concatenate([points[:0], *given])
+        active = points[:0]
+        if check:
+            cells = cell_points(domain, [each.points for each in special])
+            given = active_points(system, domain), surface_points(system, domain), cells
+            active = np.concatenate(given)
         points = np.concatenate([points, active])
         accuracy = max(_ACCURACY * rtol, 3e-13)
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)

@@ -22,7 +22,7 @@ _AT_CROSSINGS, _ANYWHERE = 100.0, 300.0
 narrow it comes to 40."""
 _DIFFERENT = 0.5
 """Defect over the rates from which the rates are others than the step knows."""
-_NARROWED, _EXACT = 12, 1e-9
+_NARROWED, _EXACT = 30, 1e-14
 """Iterations for the time of a crossing, and its accuracy, in steps."""
 _LEAST, _PLACES = 2, 512
 """Random places on each trajectory at least, and on all together, in every step."""

@@ -9,6 +9,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
+from rankone.symbolic.numbers import rejoined
 from rankone.wording import count, did_you_mean, is_text, listing, quote
 
 __all__ = [
@@ -90,7 +91,7 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
         raise error(f"{quote(equation)} has complex coefficients", equation, "write real equations")
     if residual.has(*_NOT_FINITE):
         raise error(f"{quote(equation)} is not finite", equation, "check the coefficients")
-    return residual
+    return rejoined(residual)
 
 
 def _carry_out_derivatives(

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.linalg
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 
 __all__ = ["independent", "truncated_svd"]
 
@@ -13,6 +14,9 @@ _DIRECT = 48
 """Smaller sides than this are decomposed directly."""
 _EXTRA = 12
 """Random directions added to the expected row space."""
+_SVD_SECONDS, _PRODUCT_SECONDS = 5e-10, 3e-10
+"""Of a singular value decomposition, for each m n min(m, n), and of a few products of matrices, for
+each m n r: about."""
 
 
 def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
@@ -80,6 +84,7 @@ def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, 
     extra = generator.standard_normal((matrix.shape[1], _EXTRA))
     sample = matrix @ np.hstack([rows.T, extra])
     while True:
+        check_time(_PRODUCT_SECONDS * matrix.size * sample.shape[1])
         for _ in range(2 if basis.size else 1):  # once more against cancellation
             sample, _ = np.linalg.qr(sample - basis @ (basis.T @ sample))
         basis = np.hstack([basis, sample])
@@ -97,6 +102,7 @@ def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
     """Thin SVD; a QR first where the matrix is far from square."""
     m, n = matrix.shape
+    check_time(_SVD_SECONDS * max(m, n) * min(m, n) ** 2)
     if n > 2 * m:
         q, r = np.linalg.qr(matrix.T)
         left, values, right = _svd(r.T)

@@ -164,7 +164,8 @@ class Trajectories:
             *(cut for cut in yardstick.cuts if cut < end),
             end,
         ]
-        given = edges, self.grid.times, yardstick.states, self.tolerance, self.stiff
+        floor = np.minimum(_ABSOLUTE * yardstick.states, yardstick.reference.floor)
+        given = edges, self.grid.times, yardstick.states, floor, self.tolerance, self.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
         return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
@@ -201,12 +202,16 @@ def _integrated(
     edges: list[float],
     times: Array,
     sizes: Array,
+    floor: Array,
     tolerance: float,
     stiff: bool,
 ) -> Array:
-    """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
+    """Trajectories at points (m, d) in units of the states' sizes, (n T, m).
+
+    Below ``floor`` (n,) their relative accuracy ends.
+    """
     record = _AtNodes(times, sizes.size, len(points))
-    atol = _ABSOLUTE * tolerance * sizes[:, None]
+    atol = tolerance * floor[:, None]
     stack = Stack(system, points, edges)
     state, _ = stack.run(record, tolerance, atol, stiff, bearable=_BEARABLE)
     if record.reached < times.size or not np.isfinite(record.values).all():
