@@ -130,7 +130,7 @@ class Stack:
             loose: dict[str, Any] = {"rtol": _IMPLICIT * rtol, "atol": _IMPLICIT * absolute}
             implicit = partial(
                 StackedRadau,
-                blocks=self._blocks,
+                blocks=self.jacobians,
                 looks_between=not self.polynomial,
                 **loose,
                 **steps,
@@ -184,14 +184,14 @@ class Stack:
         if count not in _FIRST_PROBES and count % _PROBE_STEPS:
             return 0.0
         left = (self.edges[-1] - solver.t) / solver.step_size
-        blocks = self._blocks(solver.t, solver.y)
+        blocks = self.jacobians(solver.t, solver.y)
         if left <= bearable or not np.isfinite(blocks).all():
             return 0.0
         decay = float(-np.linalg.eigvals(blocks).real.min())
         return left if decay * solver.step_size > _STIFF_PRODUCT else 0.0
 
-    def _blocks(self, t: float, y: Array) -> Array:
-        """Jacobian of each trajectory, (m, n, n)."""
+    def jacobians(self, t: float, y: Array) -> Array:
+        """Jacobian of each trajectory at the states (n m,) or (n, m): shape (m, n, n)."""
         n, m = self.shape
         jacobian = self.system.jacobian(t, y.reshape(n, m), self.points.T)
         return np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)

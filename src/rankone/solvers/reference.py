@@ -41,6 +41,9 @@ _RUNAWAY, _LATER = 1e6, 1.0001
 _EARLY, _LINGERS = 4, 1e-3
 """Steps after which a state that is below what is resolved lingers there, and the part of its size
 then that is resolved instead."""
+_LOOKED, _AMPLIFIED = 8, 5.0
+"""Times at which the growth of small values is looked at, and the growth over the horizon, as a
+power of e, from which it counts."""
 _INTEGRATIONS = 4
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -206,6 +209,8 @@ def integrate_reference(
         )
         small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
         lingers = ~small & (early > 0.0) & (early < np.minimum(_NEGLIGIBLE * size, floor))
+        if lingers.any() and not _amplifies(stack, steps, len(initial)):
+            lingers[:] = False
         if not (small | lingers).any():
             break
         size = np.where(small, largest, size)
@@ -261,6 +266,18 @@ def _with_moving(
     least = _COINCIDENT * max(abs(start), abs(end))
     apart = np.diff(found, prepend=start) > least
     return [float(time) for time in found[apart] if end - time > least]
+
+
+def _amplifies(stack: Stack, steps: _Steps, states: int) -> bool:
+    """Whether some state may grow exponentially along the first trajectory, by a large factor."""
+    pieces = steps.pieces[:: max(1, len(steps.pieces) // _LOOKED)]
+    growth = 0.0
+    for piece in pieces:
+        state = piece(piece.t).reshape(states, -1)
+        blocks = stack.jacobians(piece.t, state)[:1]
+        if np.isfinite(blocks).all():
+            growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
+    return growth * (steps.times[-1] - steps.times[0]) > _AMPLIFIED
 
 
 def _runs_away(system: System, time: float, state: Array, point: Array, horizon: float) -> bool:
