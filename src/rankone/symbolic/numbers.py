@@ -28,7 +28,7 @@ def exact(expression: sp.Expr) -> sp.Expr:
         return expression
     if expression.is_Float:
         value = float(expression)
-        if not math.isfinite(value) or (value == 0.0 and expression != 0):
+        if not math.isfinite(value) or (value == 0.0 and not expression.is_zero):
             raise _out_of_range(expression)
         rounded = f"{value:.{_DIGITS}g}"
         near = abs(float(rounded) - value) <= _ROUNDING * math.ulp(value)
@@ -56,7 +56,7 @@ def rejoined(expression: sp.Expr) -> sp.Expr:
 def _beyond(number: sp.Expr) -> bool:
     """Whether a number may have been taken out of an exponential."""
     size = abs(number)
-    return bool(number.is_Float and size != 0 and not 1 / _TAKEN_OUT < size < _TAKEN_OUT)
+    return bool(number.is_Float and not number.is_zero and not 1 / _TAKEN_OUT < size < _TAKEN_OUT)
 
 
 def _joined(product: sp.Mul) -> sp.Expr:
