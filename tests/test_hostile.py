@@ -1,6 +1,7 @@
 """Hostile input: the right answer or a clear error, soon."""
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -185,3 +186,36 @@ def test_what_ends_a_solve_is_named_though_an_earlier_attempt_is_better():
     assert solution.status is ro.Status.TRAJECTORY_LIMIT
     assert "raise max_trajectories" in solution.message
     assert solution.error < 0.5  # and not that of the trajectory at the centre
+
+
+def test_states_whose_products_are_lost():
+    small = "1e-170"
+    rates = {"x": f"x*(1.5 - y/{small})", "y": f"-y*(3 - x/{small})"}
+    starts = {"x": f"a*{small}", "y": f"b*{small}"}
+    problem = ro.Problem.from_strings(rates, starts, {"a": (8, 12), "b": (4, 6)}, (0, 6))
+    with pytest.raises(ro.ConvergenceError, match="its products are no floating-point numbers"):
+        ro.solve(problem, 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("rate", "start", "said"),
+    [("k*x*1e308", "1", "derivative at the start"), ("-k*x", "1e308*k", "initial value")],
+)
+def test_starts_that_are_not_finite(rate, start, said):
+    problem = ro.Problem.from_strings({"x": rate}, {"x": start}, {"k": (1, 3)}, (0, 1))
+    with pytest.raises(ro.RankoneError, match=f"the {said} of `x` is not finite"):
+        ro.solve(problem, 1e-3)
+
+
+def test_the_time_limit_is_looked_at_in_every_call_of_a_slow_function():
+    calls = []
+
+    def value(u):
+        calls.append(u)
+        time.sleep(0.1)
+        return u
+
+    slow = ro.function("slow", value, np.ones_like)
+    solution = ro.solve(plain(sp.Eq(x.diff(t), -k * slow(x))), 1e-3, max_seconds=1)
+    assert not solution.success
+    assert len(calls) < 40  # a first step alone takes a dozen, and an integration hundreds

@@ -11,6 +11,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.domain import Domain
+from rankone.errors import ConvergenceError
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
 from rankone.solvers.outcome import Measured
 from rankone.solvers.reference import FEW, Reference, check_points, integrate_reference, measure
@@ -26,6 +27,8 @@ _BLOW_UP_FRACTION = 0.9
 """Part of the way to a blow-up that is still solved."""
 _INSET = 4e-9
 """By how much, in widths of the interval, corners are moved inside where functions jump."""
+_SMALLEST = 1e-140
+"""Size of a state below which its square is lost."""
 _BESIDE = 16
 """Most breakpoints of a parameter that are checked on either side."""
 
@@ -90,7 +93,9 @@ class Yardstick:
         interior = 1 + check + 2 * sum(map(len, beside)) + len(active)
         corners = len(points) - interior if check and domain.box else 0
         found = cuts, tuple(special)
-        return cls(system, domain, accuracy, reference, corners, whole_box, bool(check), *found)
+        made = cls(system, domain, accuracy, reference, corners, whole_box, bool(check), *found)
+        _check_sizes(made)
+        return made
 
     def with_points(self, points: Array) -> Yardstick:
         """The same with more interior points (m, d); those of before are not integrated again."""
@@ -134,6 +139,19 @@ class Yardstick:
         if self.reference.blown is None:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
+
+
+def _check_sizes(yardstick: Yardstick) -> None:
+    """Raise a ConvergenceError for states of which products are no floating-point numbers."""
+    system = yardstick.system
+    if system.SEPARATED and max((len(states) for *_, states in system.TERMS), default=0) < 2:
+        return
+    for name, size in zip(system.STATES, yardstick.states, strict=False):
+        if not _SMALLEST < size < 1.0 / _SMALLEST:
+            raise ConvergenceError(
+                f"`{name}` is of the size {size:.1e}: its products are no floating-point numbers",
+                remedy="change its unit",
+            )
 
 
 def _off_switches(points: Array, system: System, domain: Domain) -> Array:

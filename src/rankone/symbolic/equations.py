@@ -61,9 +61,10 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
 
     if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
         raise error(
-            f"{quote(equation)} is a truth value; SymPy has evaluated the equation already",
+            f"{quote(equation)} is a truth value, not an equation",
             equation,
-            "its sides are the same or both numbers: write what was meant",
+            "write sympy.Eq(left, right); `left == right` compares the two as they stand, and of "
+            "sides that are the same, or numbers, SymPy makes a truth value too",
         )
     if isinstance(equation, sp.Eq) and not any(map(_is_matrix, equation.args)):
         residual = equation.lhs - equation.rhs
