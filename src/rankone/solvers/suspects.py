@@ -33,7 +33,7 @@ _ON_SURFACES, _LEAST, _HALVED = 32, 4, 50
 """Points on all surfaces, on each at least, and halvings of the distance to them."""
 _CELLS = 2
 """Parameters with special values from which their cells are looked at."""
-_FIRST_STEP, _SHRINK, _TRIED, _DESCENT = 0.2, 0.6, 64, 60
+_FIRST_STEP, _SHORTENED, _TRIED, _DESCENT = 0.2, 0.6, 64, 60
 """Steps towards a least value: the first, how much they shrink, how many are tried, how often."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
@@ -151,7 +151,7 @@ def _least(
         if found[j] < lowest:
             best, lowest = near[j], float(found[j])
         else:
-            length *= _SHRINK
+            length *= _SHORTENED
     return np.asarray(best[None, :])
 
 
