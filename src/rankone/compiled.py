@@ -42,6 +42,7 @@ from rankone.deadline import preparing
 from rankone.errors import ConvergenceError, OptionError, check_kind
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.lifted import LiftedProblem, lifted_problem
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
 from rankone.options import check_points, refuse_positional
@@ -110,6 +111,17 @@ class CompiledProblem:
         """The generated module; run again from its source after unpickling."""
         return Recipe(self.source, self.problem.name or "system", self.user_functions).load()
 
+    @cached_property
+    def lifted(self) -> LiftedProblem | None:
+        """Functions of the unknowns as further unknowns, for the methods that need separated terms.
+
+        None where all terms separate, or where something cannot be lifted. Printed, it gives for
+        each further unknown its meaning, its equation and its initial value.
+        """
+        if self.quadratic is not None:
+            return None
+        return lifted_problem(self.first_order, self.problem.name or "")
+
     @property
     def user_functions(self) -> Mapping[str, Callable[..., Any]]:
         """The functions of the user that the source calls, by the names it calls them by."""
@@ -118,7 +130,7 @@ class CompiledProblem:
     @property
     def methods(self) -> dict[str, str | None]:
         """For each method None if it applies, else the reason why not."""
-        general = self.separated.general
+        general = self.separated.general if self.lifted is None else ()
         reason = general[0].reason if general else None
         return {name: None if name in _ANY_SYSTEM else reason for name in ENGINES}
 
@@ -130,7 +142,8 @@ class CompiledProblem:
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "system"}
+        made = ("system", "lifted")
+        return {name: value for name, value in self.__dict__.items() if name not in made}
 
     def __repr__(self) -> str:
         clock, *parameters = self.separated.coordinates
@@ -216,11 +229,15 @@ class CompiledProblem:
         separated = not self.separated.general
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=separated)
-        if str(method) not in _ANY_SYSTEM:
+        lifts = str(method) not in _ANY_SYSTEM and self.quadratic is None
+        if lifts and self.lifted is None:
             self.separated.require_separated()
         check_points(check)
         asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)
-        task = Task.of(engines, self.system, asked, "method", "progress", "on_failure")
+        system = self.lifted.system if lifts and self.lifted else self.system
+        task = Task.of(engines, system, asked, "method", "progress", "on_failure")
+        if lifts:
+            task = replace(task, truth=self.system)
         if parameters or t_final is not None:
             check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
         began = time.perf_counter()

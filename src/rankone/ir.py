@@ -177,6 +177,12 @@ class SeparatedForm:
         if self.general:
             raise self.general[0].error
 
+    def require_separated_rates(self) -> None:
+        """The same, but for initial values."""
+        for term in self.general:
+            if not term.initial:
+                raise term.error
+
     def __str__(self) -> str:
         return "\n".join([text_table(*self._table()), *self._general_lines()])
 
@@ -327,6 +333,8 @@ class QuadraticSystem:
         every product.
     initial : tuple of Term
         The initial values of the differential states.
+    coupled : tuple of GeneralTerm
+        Parts of initial values that do not separate.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -336,6 +344,7 @@ class QuadraticSystem:
     products: tuple[tuple[int, int], ...]
     groups: tuple[Group, ...]
     initial: tuple[Term, ...]
+    coupled: tuple[GeneralTerm, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -17,6 +17,8 @@ class Role(StrEnum):
     """A time derivative of an unknown, made a state by the reduction to first order."""
     AUXILIARY = "auxiliary"
     """A product of states, defined by an algebraic equation."""
+    LIFTED = "lifted"
+    """A function of other states, made a state so that the system separates."""
 
 
 @dataclass(frozen=True, slots=True)

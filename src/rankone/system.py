@@ -85,12 +85,20 @@ class System(Protocol):
     """For each coordinate where functions of it alone jump or kink; only where there are some."""
     PERIODIC_CUTS: tuple[tuple[tuple[float, float], ...], ...]
     """The same for points that repeat: one of them and the period."""
+    LIFTED: int
+    """How many of the differential states, the last, are functions of the others; only where there
+    are some."""
     PEAKS: int
     """How many of the ``events`` vanish in the middle of peaks; only where there are some."""
 
     @staticmethod
     def initial(p: Sequence[Any] | Array) -> Array:
         """Initial values at p (d, ...), shape (N_DIFFERENTIAL, ...); where nothing separates."""
+
+    @staticmethod
+    def coupled_initial(p: Sequence[Any] | Array) -> Array:
+        """What of the initial values couples parameters, at p (d, ...), shape (N_DIFFERENTIAL, ...);
+        only where something does."""
 
     @staticmethod
     def moving_cuts(p: Sequence[Any] | Array) -> Array:

@@ -12,6 +12,7 @@ from typing import Any, cast
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import header, sum_text
+from rankone.codegen.initial import coupled_initial
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
@@ -25,7 +26,9 @@ from rankone.wording import number, quote
 __all__ = ["generate_source", "load_module"]
 
 
-def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = None) -> str:
+def generate_source(
+    form: QuadraticSystem | SeparatedForm, title: str | None = None, lifted: int = 0
+) -> str:
     """Python source of the module for a system.
 
     Parameters
@@ -34,6 +37,8 @@ def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = N
         The system; a separated form is lowered and grouped first.
     title : str, optional
         First line of the module's docstring.
+    lifted : int
+        How many of the differential states, the last, are functions of the others.
 
     Returns
     -------
@@ -60,9 +65,12 @@ def generate_source(form: QuadraticSystem | SeparatedForm, title: str | None = N
         *coordinate_functions(system.coordinates, factors),
         *kernel_functions(system),
         *functions,
+        coupled_initial(system),
     ]
     head = partial(header, system, pointwise.operations, title)
-    return module_source(head, [*tables(system), *cut_table(system.coordinates, known)], blocks)
+    cuts = cut_table(system.coordinates, known)
+    more = [f"LIFTED = {lifted}"] if lifted else []
+    return module_source(head, [*tables(system), *more, *cuts], blocks)
 
 
 def load_module(

@@ -25,14 +25,14 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     Raises
     ------
     SeparationError
-        If the form has general terms, or its derivative terms are anything but one ``u'`` for
+        If its rates have general terms, or its derivative terms are anything but one ``u'`` for
         each state.
     OptionError
         If it is not a separated form.
     """
     remedy = "give separate(problem); what is compiled has `.separated`"
     check_kind("quadratic_system", form, SeparatedForm, remedy=remedy)
-    form.require_separated()
+    form.require_separated_rates()
     f = right_hand_side(form)
     products, terms = lower(f, len(form.states))
     return QuadraticSystem(
@@ -43,4 +43,5 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
         products=products,
         groups=group_terms(terms),
         initial=form.initial,
+        coupled=form.general,
     )

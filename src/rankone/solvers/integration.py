@@ -227,4 +227,5 @@ def initial_values(system: System, parameters: Array) -> Array:
         for row, index in zip(rows, factors, strict=True):
             product = product * row[index]
         values[state] += product
-    return values
+    coupled = getattr(system, "coupled_initial", None)
+    return values if coupled is None else values + coupled(parameters)

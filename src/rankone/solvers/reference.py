@@ -312,7 +312,12 @@ class _Steps:
 
 
 def measure(
-    slabs: Sequence[SlabTrain], reference: Reference, scale: Array, corners: int, whole_box: bool
+    slabs: Sequence[SlabTrain],
+    reference: Reference,
+    scale: Array,
+    corners: int,
+    whole_box: bool,
+    seen: int,
 ) -> Measured:
     """Errors of the slabs against the reference over their whole time span.
 
@@ -325,6 +330,8 @@ def measure(
         Number of check points, after the centre, that are corners of the box.
     whole_box : bool
         Whether they count like the others.
+    seen : int
+        So many states, the first, are measured: those after them are lifted and serve the others.
     """
     m = len(reference.points)
     errors = np.zeros((reference.states, m))
@@ -339,7 +346,8 @@ def measure(
         errors = np.maximum(errors, np.abs(values - exact).max(axis=2))
         at_corners = np.abs(exact[:, 1 : 1 + corners]).max(axis=(1, 2), initial=0.0)
         largest = np.maximum(largest, at_corners)
-    errors = np.where(np.isfinite(errors), errors, np.inf)
+    errors = np.where(np.isfinite(errors), errors, np.inf)[:seen]
+    largest, scale = largest[:seen], scale[:seen]
     errors[:, 1 : 1 + corners] /= largest[:, None]
     errors[:, 0] /= scale
     errors[:, 1 + corners :] /= scale[:, None]

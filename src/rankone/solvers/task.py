@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from rankone.deadline import seconds_left, time_limit
+from rankone.deadline import OutOfTimeError, seconds_left, time_limit
 from rankone.domain import Domain, check_factors
 from rankone.metadata import SolutionMetadata
 from rankone.options import checked_number
 from rankone.progress import Report, quiet
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.outcome import Outcome, Status
+from rankone.solvers.verification import Yardstick
 from rankone.system import Recipe, System
 
 __all__ = ["Asked", "Task"]
@@ -62,6 +63,9 @@ class Task:
         For all of them together.
     by_default : bool
         Whether nobody asked for that limit.
+    truth : System, optional
+        The system as it was before functions of its states were lifted: what is found is measured
+        against its trajectories.
     """
 
     engines: Sequence[Engine[Any]]
@@ -70,6 +74,7 @@ class Task:
     domain: Domain
     max_seconds: float
     by_default: bool = False
+    truth: System | None = None
 
     @classmethod
     def of(
@@ -106,12 +111,36 @@ class Task:
         check_factors(self.system, self.domain)
         with time_limit(self.max_seconds), np.errstate(all="ignore"):  # results are checked
             outcome, method = self._outcome(report)
+            outcome = self._without_lifted(outcome)
         if self.by_default and outcome.status is Status.TIME_LIMIT:
             said = f"the default time limit of {self.max_seconds:g} s was reached"
             message = outcome.message.replace(Status.TIME_LIMIT.value, said)
             outcome = replace(outcome, message=message)
         box, horizon, rtol = self.domain.box, self.domain.horizon, self.requests[0].rtol
         return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
+
+    def _without_lifted(self, outcome: Outcome) -> Outcome:
+        """The outcome for the states that were asked for, measured without lifting."""
+        lifted = getattr(self.system, "LIFTED", 0)
+        if not lifted or not outcome.slabs:
+            return outcome
+        seen = self.system.N_DIFFERENTIAL - lifted
+        outcome = replace(outcome, slabs=tuple(s.first_states(seen) for s in outcome.slabs))
+        if self.truth is None or outcome.status is not Status.CONVERGED:
+            return outcome
+        request = self.requests[0]
+        given = request.rtol, request.points, request.cover
+        try:
+            measured = Yardstick.of(self.truth, self.domain, *given).measured(outcome.slabs)
+        except OutOfTimeError:
+            return replace(outcome, status=Status.TIME_LIMIT, message=Status.TIME_LIMIT.value)
+        assert measured is not None
+        error = max(measured.interior, default=0.0)
+        if error <= request.rtol:
+            return replace(outcome, measured=measured)
+        message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
+        message += " (of the system before functions were lifted)"
+        return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)
 
     def _seconds(self, tried: int) -> float:
         """What the next engine is given: train before cross no more than a try."""

@@ -131,7 +131,8 @@ class Yardstick:
         """Errors of the slabs in units of the sizes; None without check or slabs."""
         if not slabs or not self.checked:
             return None
-        return measure(slabs, self.reference, self.states, self.corners, self.whole_box)
+        seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
+        return measure(slabs, self.reference, self.states, self.corners, self.whole_box, seen)
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

@@ -63,6 +63,10 @@ class SlabTrain:
         in_time = np.tensordot(self.cores[0], self._time_values(times), (1, 1))
         return np.asarray(np.einsum("nrt,rm->nmt", in_time, carry, optimize=True))
 
+    def first_states(self, count: int) -> SlabTrain:
+        """The first states alone."""
+        return replace(self, cores=(self.cores[0][:count], *self.cores[1:]))
+
     def derivative(self) -> SlabTrain:
         """The derivatives of the states with respect to time."""
         first, count = self.cores[0], self.cores[0].shape[1]

@@ -9,7 +9,7 @@ next bond. Since each left point brings a whole trajectory, a few of them serve 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ import scipy.linalg
 from rankone.arrays import Array
 from rankone.deadline import check_time
 from rankone.discretization import Basis1D
-from rankone.solvers.cross.samples import Integers, Samples
+from rankone.solvers.cross.samples import Integers
 from rankone.tensors.train import right_orthonormal
 from rankone.tensors.truncation import truncated_svd
 
@@ -93,7 +93,7 @@ def _weights(left: Integers, sizes: Sequence[int]) -> Array:
 
 
 def interpolate(
-    samples: Samples,
+    samples: Callable[[Integers], Array],
     bases: Sequence[Basis1D],
     left: Sequence[Integers],
     tolerance: float,
@@ -103,7 +103,8 @@ def interpolate(
 
     Parameters
     ----------
-    samples : Samples
+    samples : callable
+        Columns of values at node indices (m, d), such as :class:`Samples`.
     bases : sequence of Basis1D
     left : sequence of ndarray
         Left points of each bond, see :func:`left_points`.

@@ -12,6 +12,7 @@ from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
 from rankone.solvers.train.groups import ParameterOperators
+from rankone.solvers.train.initial import interpolated_initial
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import System
 from rankone.tensors.train import right_orthonormal
@@ -83,6 +84,8 @@ class ParameterNodes:
 
     def initial(self, scale: Array) -> list[Array]:
         """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
+        if hasattr(self.system, "coupled_initial"):
+            return right_orthonormal(interpolated_initial(self.system, self.bases, scale))
         terms = self.system.INITIAL
         rank = max(len(terms), 1)
         first = np.zeros((self.system.N_DIFFERENTIAL, rank))

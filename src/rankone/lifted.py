@@ -1,0 +1,66 @@
+"""The lifted form of a problem, for the methods that need separated terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from rankone.codegen import generate_source
+from rankone.codegen.recipe import Recipe
+from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.lowering import quadratic_system
+from rankone.symbolic import FirstOrderSystem, separate, weak_form
+from rankone.symbolic.lifting import Lifting, NotLiftable, lift
+from rankone.system import System
+
+__all__ = ["LiftedProblem", "lifted_problem"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiftedProblem:
+    """A system with functions of its states as further states, so that its terms separate.
+
+    Attributes
+    ----------
+    lifting : Lifting
+        The lifted states, with their equations and initial values, and invariants.
+    separated : SeparatedForm
+    quadratic : QuadraticSystem
+    name : str
+        Of the problem.
+    """
+
+    lifting: Lifting
+    separated: SeparatedForm
+    quadratic: QuadraticSystem
+    name: str
+
+    @cached_property
+    def source(self) -> str:
+        """Text of the generated module."""
+        return generate_source(self.quadratic, self.name, self.lifting.count)
+
+    @cached_property
+    def system(self) -> System:
+        """The generated module."""
+        return Recipe(self.source, f"{self.name or 'system'} lifted", {}).load()
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "system"}
+
+    def __str__(self) -> str:
+        return str(self.lifting)
+
+    __repr__ = __str__
+
+
+def lifted_problem(system: FirstOrderSystem, name: str) -> LiftedProblem | None:
+    """The lifted form of a first-order system; None if it has none."""
+    try:
+        lifting = lift(system)
+    except NotLiftable:
+        return None
+    separated = separate(weak_form(lifting.system))
+    if any(not term.initial for term in separated.general):
+        return None
+    return LiftedProblem(lifting, separated, quadratic_system(separated), name)
