@@ -8,6 +8,7 @@ weak form        ``.weak_form``         residual times test function, integrated
 separation       ``.separated``         every term factored into functions of one coordinate
 lowering         ``.quadratic``         products of at most two states, terms grouped by factors;
                                         None if there are terms that do not separate
+lifting          ``.lifted``            for those, functions of unknowns as further unknowns
 code generation  ``.source``            kernels, factors and pointwise functions as readable text
 import           ``.system``            the text is run as a module
 solve            a ``Solution``         an engine enriches separated tensors over a domain
@@ -29,6 +30,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
+import sympy as sp
 from threadpoolctl import ThreadpoolController
 
 from rankone.codegen import (
@@ -39,7 +41,7 @@ from rankone.codegen import (
 )
 from rankone.codegen.recipe import Recipe
 from rankone.deadline import preparing
-from rankone.errors import ConvergenceError, OptionError, check_kind
+from rankone.errors import ConvergenceError, OptionError, SeparationError, check_kind
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lifted import LiftedProblem, lifted_problem
@@ -65,7 +67,7 @@ from rankone.symbolic import (
 )
 from rankone.system import System
 from rankone.version import __version__
-from rankone.wording import count
+from rankone.wording import count, quote
 
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
@@ -118,9 +120,33 @@ class CompiledProblem:
         None where all terms separate, or where something cannot be lifted. Printed, it gives for
         each further unknown its meaning, its equation and its initial value.
         """
+        return self._lifting if isinstance(self._lifting, LiftedProblem) else None
+
+    @cached_property
+    def _lifting(self) -> LiftedProblem | sp.Expr | None:
+        """The lifted form, what cannot be lifted, or None where there is nothing to lift."""
         if self.quadratic is not None:
             return None
         return lifted_problem(self.first_order, self.problem.name or "")
+
+    def form_for(self, method: str) -> CompiledProblem | LiftedProblem:
+        """What a method takes: an object with ``separated``, ``source`` and ``system``.
+
+        Raises
+        ------
+        SeparationError
+            If the method needs separated terms, and there is no lifted form.
+        """
+        if method in _ANY_SYSTEM or self.quadratic is not None:
+            return self
+        if self.lifted is None:
+            raise SeparationError(
+                str(self.methods[method]),
+                equation=self.separated.general[0].origin,
+                term=self._lifting,
+                remedy="method='cross', the default, takes it as it is",
+            )
+        return self.lifted
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., Any]]:
@@ -130,8 +156,11 @@ class CompiledProblem:
     @property
     def methods(self) -> dict[str, str | None]:
         """For each method None if it applies, else the reason why not."""
-        general = self.separated.general if self.lifted is None else ()
-        reason = general[0].reason if general else None
+        reason = None
+        if self.quadratic is None and self.lifted is None:
+            reason = (
+                f"{self.separated.general[0].reason}; {quote(self._lifting)} has no lifted form"
+            )
         return {name: None if name in _ANY_SYSTEM else reason for name in ENGINES}
 
     @property
@@ -142,7 +171,7 @@ class CompiledProblem:
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, Any]:
-        made = ("system", "lifted")
+        made = ("system", "_lifting")
         return {name: value for name, value in self.__dict__.items() if name not in made}
 
     def __repr__(self) -> str:
@@ -229,14 +258,11 @@ class CompiledProblem:
         separated = not self.separated.general
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=separated)
-        lifts = str(method) not in _ANY_SYSTEM and self.quadratic is None
-        if lifts and self.lifted is None:
-            self.separated.require_separated()
+        form = self.form_for(str(method))
         check_points(check)
         asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)
-        system = self.lifted.system if lifts and self.lifted else self.system
-        task = Task.of(engines, system, asked, "method", "progress", "on_failure")
-        if lifts:
+        task = Task.of(engines, form.system, asked, "method", "progress", "on_failure")
+        if form is not self:
             task = replace(task, truth=self.system)
         if parameters or t_final is not None:
             check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)

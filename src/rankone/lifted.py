@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import sympy as sp
+
 from rankone.codegen import generate_source
 from rankone.codegen.recipe import Recipe
 from rankone.ir import QuadraticSystem, SeparatedForm
@@ -54,13 +56,14 @@ class LiftedProblem:
     __repr__ = __str__
 
 
-def lifted_problem(system: FirstOrderSystem, name: str) -> LiftedProblem | None:
-    """The lifted form of a first-order system; None if it has none."""
+def lifted_problem(system: FirstOrderSystem, name: str) -> LiftedProblem | sp.Expr:
+    """The lifted form of a first-order system, or the expression that has none."""
     try:
         lifting = lift(system)
-    except NotLiftable:
-        return None
+    except NotLiftable as part:
+        return part.expression
     separated = separate(weak_form(lifting.system))
-    if any(not term.initial for term in separated.general):
-        return None
+    for term in separated.general:
+        if not term.initial:
+            return term.expression
     return LiftedProblem(lifting, separated, quadratic_system(separated), name)

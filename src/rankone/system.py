@@ -97,8 +97,8 @@ class System(Protocol):
 
     @staticmethod
     def coupled_initial(p: Sequence[Any] | Array) -> Array:
-        """What of the initial values couples parameters, at p (d, ...), shape (N_DIFFERENTIAL, ...);
-        only where something does."""
+        """What of the initial values couples parameters, at p (d, ...): (N_DIFFERENTIAL, ...); only
+        where something does."""
 
     @staticmethod
     def moving_cuts(p: Sequence[Any] | Array) -> Array:

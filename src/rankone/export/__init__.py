@@ -48,8 +48,8 @@ def export_solver(
     Parameters
     ----------
     compiled : CompiledProblem
-        Or anything with the ``source`` of a generated module, its ``problem``, its ``separated``
-        form, ``methods``, ``user_functions`` and ``metadata``.
+        Or anything with its ``problem``, ``separated`` form, ``methods``, ``form_for`` a method,
+        ``user_functions`` and ``metadata``.
     path : path-like
         Ends in ``.py``.
     method : {"auto", "train", "cross", "greedy"}
@@ -71,7 +71,8 @@ def export_solver(
         method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
     )
     _check_exportable(compiled, engine.name)
-    given = form, compiled.source, compiled.metadata(method=engine.name)
+    taken = compiled.form_for(engine.name)
+    given = taken.separated, taken.source, compiled.metadata(method=engine.name)
     text = standalone_source(compiled.problem.name, *given)
     write_files({target: text}, overwrite, ExportError)
     return target

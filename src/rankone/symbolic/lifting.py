@@ -30,7 +30,11 @@ _ROOTS = 3
 
 
 class NotLiftable(Exception):
-    """A function has no lifted form; the argument is the function."""
+    """An expression has no lifted form."""
+
+    def __init__(self, expression: sp.Expr) -> None:
+        super().__init__(expression)
+        self.expression = expression
 
 
 @dataclass(frozen=True)
@@ -102,11 +106,14 @@ class _Lifter:
         """Lift until every rate is polynomial."""
         system = self.system
         plain = dict(zip(system.functions, self.before, strict=True))
-        found = [self.polynomial(f.xreplace(plain)) for f in system.rhs]
-        self.rates = [self.reduced(rate) for rate in found]
-        while self.waiting:
-            self.rates.append(self.reduced(self.waiting.pop(0)()))
         functions = {symbol: u for u, symbol in plain.items()}
+        try:
+            found = [self.polynomial(f.xreplace(plain)) for f in system.rhs]
+            self.rates = [self.reduced(rate) for rate in found]
+            while self.waiting:
+                self.rates.append(self.reduced(self.waiting.pop(0)()))
+        except NotLiftable as part:
+            raise NotLiftable(part.expression.xreplace(functions)) from None
         functions |= {s: sp.Function(s.name)(self.time) for s in self.new.values()}
         start = dict(zip(self.before, system.initial, strict=True))
         start[self.time] = exact(sp.Float(system.coordinates[0].lower))

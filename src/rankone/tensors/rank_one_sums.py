@@ -125,6 +125,18 @@ class RankOneSum:
             carry = block
         return float(np.linalg.norm(carry @ self.factors[-1].T))
 
+    @classmethod
+    def of_train(cls, row: Array, cores: Sequence[Array]) -> RankOneSum:
+        """The products of a train: a row (r_1,) of its first core, then (r_j, N_j, r_{j+1})."""
+        factors = [np.tensordot(row, cores[0], 1)]  # (N_1, products)
+        for core in cores[1:]:
+            products, size, rank = core.shape
+            repeated = factors[-1].shape[1] // products
+            factors = [np.repeat(factor, rank, axis=1) for factor in factors]
+            columns = np.moveaxis(core, 1, 0).reshape(size, -1)
+            factors.append(np.tile(columns, (1, repeated)))
+        return cls(tuple(factors))
+
     def merged(self) -> RankOneSum:
         """The same tensor without repeated work: one column if there is one dimension only."""
         if len(self.factors) > 1:

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
 
 from rankone.arrays import Array
 from rankone.deadline import check_time
-from rankone.discretization import Basis1D
 from rankone.solvers.cross.samples import Integers
 from rankone.tensors.train import right_orthonormal
 from rankone.tensors.truncation import truncated_svd
@@ -34,6 +34,18 @@ _CORNER_WEIGHT = 0.5
 """Their weight: what is missed there alone may be larger."""
 _EXTRA = 16
 """Expected rank of a bond: twice that of the next one, and so many more."""
+
+
+class Nodes(Protocol):
+    """What counts of a basis here."""
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+
+    @property
+    def weights(self) -> Array:
+        """Weights of the nodes."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ def _weights(left: Integers, sizes: Sequence[int]) -> Array:
 
 def interpolate(
     samples: Callable[[Integers], Array],
-    bases: Sequence[Basis1D],
+    bases: Sequence[Nodes],
     left: Sequence[Integers],
     tolerance: float,
     max_rank: int,
@@ -106,6 +118,7 @@ def interpolate(
     samples : callable
         Columns of values at node indices (m, d), such as :class:`Samples`.
     bases : sequence of Basis1D
+        Or what has their sizes and weights.
     left : sequence of ndarray
         Left points of each bond, see :func:`left_points`.
     tolerance : float
@@ -172,7 +185,7 @@ def _product(left: Integers, right: Integers) -> Integers:
     )
 
 
-def _scaled(cores: Sequence[Array], bases: Sequence[Basis1D]) -> list[Array]:
+def _scaled(cores: Sequence[Array], bases: Sequence[Nodes]) -> list[Array]:
     """Values at the nodes times the roots of the weights."""
     pairs = zip(cores, bases, strict=True)
     return [core * np.sqrt(basis.weights)[:, None] for core, basis in pairs]

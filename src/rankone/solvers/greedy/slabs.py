@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.domain import Domain
+from rankone.solvers.coupled_initial import interpolated_initial
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import Coupling, LaggedSlab, SlabResult, compressed
 from rankone.solvers.greedy.nodes import Nodes
@@ -106,6 +107,12 @@ class LaggedSlabs:
     def _initial(self) -> list[RankOneSum]:
         """Initial values at the parameter nodes; the factor of time is one row of amplitudes."""
         system = self.coupling.system
+        if hasattr(system, "coupled_initial"):
+            first, *cores = interpolated_initial(system, [b.nodes for b in self.parameters])
+            parts = [RankOneSum.of_train(row, cores) for row in first]
+            tolerance = self.tolerance(self.domain.horizon[0])
+            pairs = zip(parts, self.sizes, strict=True)
+            return [self._compressed(part, _LOST_AT_END * tolerance * size) for part, size in pairs]
         rows = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(self.parameters)]
         sizes = (1, *(basis.size for basis in self.parameters))
         values: list[list[RankOneSum]] = [[] for _ in range(system.N_DIFFERENTIAL)]
@@ -123,6 +130,10 @@ class LaggedSlabs:
         if not self.parameters or total.rank <= 1:
             return total.merged()
         at_end = RankOneSum(total.factors[1:]).scaled(total.factors[0][0]).merged()
+        return self._compressed(at_end, tolerance)
+
+    def _compressed(self, at_end: RankOneSum, tolerance: float) -> RankOneSum:
+        """A function of the parameters at their nodes, in few products, with one row of time."""
         if at_end.rank > 1:
             masses = [(b.values.T * b.weights) @ b.values for b in self.parameters]
             volume = math.prod(basis.upper - basis.lower for basis in self.parameters)

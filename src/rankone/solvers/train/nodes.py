@@ -11,8 +11,8 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
+from rankone.solvers.coupled_initial import interpolated_initial
 from rankone.solvers.train.groups import ParameterOperators
-from rankone.solvers.train.initial import interpolated_initial
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import System
 from rankone.tensors.train import right_orthonormal
@@ -85,7 +85,11 @@ class ParameterNodes:
     def initial(self, scale: Array) -> list[Array]:
         """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
         if hasattr(self.system, "coupled_initial"):
-            return right_orthonormal(interpolated_initial(self.system, self.bases, scale))
+            first, *cores = interpolated_initial(self.system, [b.nodes for b in self.bases])
+            roots = [np.sqrt(basis.weights)[:, None] for basis in self.bases]
+            weighted = [core * root for core, root in zip(cores, roots, strict=True)]
+            units = scale[: self.system.N_DIFFERENTIAL, None]
+            return right_orthonormal([first / units, *weighted])
         terms = self.system.INITIAL
         rank = max(len(terms), 1)
         first = np.zeros((self.system.N_DIFFERENTIAL, rank))
