@@ -86,6 +86,7 @@ FRONT_END = (
     "codegen",
     "functions",
     "compiled",
+    "lifted",
     "problem_files",
     "cli",
     "__main__",

@@ -27,6 +27,7 @@ _STAGES = {
     "first-order": ("first-order system", "first_order"),
     "weak-form": ("weak form", "weak_form"),
     "separated": ("separated form", "separated"),
+    "lifted": ("lifted form", "lifted"),
     "quadratic": ("quadratic system", "quadratic"),
     "source": ("generated module", "source"),
 }
@@ -312,13 +313,15 @@ def _show(arguments: argparse.Namespace) -> int:
         for method, reason in compiled.methods.items():
             print(f"{method:6} {'applies' if reason is None else f'does not apply: {reason}'}")
         print(f"auto   tries {', then '.join(compiled.automatic)}\n")
-    asked = [stage for stage in _STAGES if chosen[stage.replace("-", "_")]] or list(_STAGES)
+    there = [stage for stage in _STAGES if stage != "lifted" or compiled.lifted is not None]
+    asked = [stage for stage in _STAGES if chosen[stage.replace("-", "_")]] or there
     for number, stage in enumerate(asked):
         title, attribute = _STAGES[stage]
         if len(asked) > 1:
             print(f"{'' if number == 0 else chr(10)}# {title}\n")
         shown = getattr(compiled, attribute)
-        print("none: not all terms separate" if shown is None else str(shown).rstrip("\n"))
+        reason = "not all terms separate" if stage == "quadratic" else "there is nothing to lift"
+        print(f"none: {reason}" if shown is None else str(shown).rstrip("\n"))
     sys.stdout.flush()
     return _SUCCESS
 

@@ -46,6 +46,7 @@ def solver(monkeypatch: pytest.MonkeyPatch) -> Callable[[Solver], None]:
             first_order="<the system>",
             methods={"train": "<the reason>", "cross": None},
             automatic=("cross",),
+            lifted=None,
             quadratic="<the groups>",
             solve=solve,
             weak_form="<the weak form>",
@@ -374,11 +375,14 @@ def test_a_problem_that_does_not_separate(
     )
     assert main(["show", str(path)]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("# methods\n\ntrain  does not apply: `sin(theta(t))` in the term")
-    assert "\ncross  applies\n" in out
+    assert out.startswith("# methods\n\ntrain  applies\ncross  applies\n")
+    assert "# lifted form\n\nLifted: 2 further unknowns\n" in out
     assert "# quadratic system\n\nnone: not all terms separate\n" in out
+    assert main(["solve", str(path), "--rtol", "1e-4", "--method", "train"]) == 0
+    capsys.readouterr()
+    path.write_text(path.read_text().replace("sin(theta)", "theta*abs(theta)"))
     assert main(["solve", str(path), "--rtol", "1e-4", "--method", "train"]) == 2
-    assert "method='cross' takes it as it is" in capsys.readouterr().err
+    assert "`Abs(theta(t))` has no lifted form" in capsys.readouterr().err
     assert main(["solve", str(path), "--rtol", "1e-4", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["error"] <= 1e-4

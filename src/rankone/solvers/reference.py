@@ -317,7 +317,7 @@ def measure(
     scale: Array,
     corners: int,
     whole_box: bool,
-    seen: int,
+    seen: int | None = None,
 ) -> Measured:
     """Errors of the slabs against the reference over their whole time span.
 
@@ -330,7 +330,7 @@ def measure(
         Number of check points, after the centre, that are corners of the box.
     whole_box : bool
         Whether they count like the others.
-    seen : int
+    seen : int, optional
         So many states, the first, are measured: those after them are lifted and serve the others.
     """
     m = len(reference.points)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import sympy as sp
+from sympy.core.relational import Relational
 
 from rankone.deadline import check_time
 from rankone.ir import Role, State
@@ -93,7 +94,7 @@ class _Lifter:
         self.system = system
         self.time = system.coordinates[0].symbol
         self.taken = {s.name for s in system.states} | {c.name for c in system.coordinates}
-        self.before = [sp.Symbol(state.name) for state in system.states]
+        self.before = [sp.Symbol(state.name, real=True) for state in system.states]
         self.states = set(self.before)  # lifted ones, too
         self.splitter = Splitter(system.coordinates, self.before)
         self.new: dict[sp.Expr, sp.Symbol] = {}  # meanings and the states that stand for them
@@ -108,7 +109,9 @@ class _Lifter:
         plain = dict(zip(system.functions, self.before, strict=True))
         functions = {symbol: u for u, symbol in plain.items()}
         try:
-            found = [self.polynomial(f.xreplace(plain)) for f in system.rhs]
+            rates = [f.xreplace(plain) for f in system.rhs]
+            self._check(rates)
+            found = [self.polynomial(rate) for rate in rates]
             self.rates = [self.reduced(rate) for rate in found]
             while self.waiting:
                 self.rates.append(self.reduced(self.waiting.pop(0)()))
@@ -131,6 +134,15 @@ class _Lifter:
             tuple(meaning.xreplace(functions) for meaning in self.new),
             tuple(invariant.xreplace(functions) for invariant in self.invariants),
         )
+
+    def _check(self, rates: Sequence[sp.Expr]) -> None:
+        """Raise NotLiftable for a function without a rule, the innermost one."""
+        known = {*_RULES, *_RATIOS, "Pow"}
+        for rate in rates:
+            for part in sp.postorder_traversal(rate):
+                function = isinstance(part, sp.Function | sp.Piecewise | Relational)
+                if function and type(part).__name__ not in known and not self._separates(part):
+                    raise NotLiftable(part)
 
     # -- polynomials of states ---------------------------------------------------------------
 
@@ -226,7 +238,7 @@ class _Lifter:
                 number += 1
                 name = f"{prefix}{number}"
             self.taken.add(name)
-            state = sp.Symbol(name)
+            state = sp.Symbol(name, real=True)
             self.new[meaning] = state
             self.states.add(state)
             self.waiting.append(lambda: rate(state))
@@ -296,7 +308,7 @@ class _Lifter:
         ratio = factor / m
         if not self._varies(ratio) and not ratio.has(self.time):
             return self.polynomial(ratio) * (1 - r)
-        return self.polynomial(factor) * r * self.polynomial(1 / fixed)
+        return self.polynomial(factor / fixed) * r
 
     def _of_log(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
         """The derivative of ``exponent*log(base)`` with a fixed base or a fixed exponent."""

@@ -135,10 +135,13 @@ def test_against_independent_trajectories(name):
 
 @pytest.mark.parametrize("method", ["train", "greedy"])
 def test_other_methods_need_separated_terms(method):
-    compiled = ro.compile(CASES["pendulum"][0]())
-    with pytest.raises(ro.SeparationError, match=r"equation 2: .*sin.*method='cross' takes it"):
+    compiled = ro.compile(problem({"x": "-k*x*abs(x)"}, {"k": (1, 2)}, {"x": 1}, (0, 1)))
+    with pytest.raises(
+        ro.SeparationError, match=r"equation 1: .*Abs.*no lifted form.*'cross', the default, takes"
+    ):
         compiled.solve(RTOL, method=method)
     assert "not polynomial" in compiled.methods[method]
+    assert compiled.lifted is None
     assert compiled.methods["cross"] is None
     assert compiled.quadratic is None
 
