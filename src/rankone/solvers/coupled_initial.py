@@ -15,8 +15,8 @@ from rankone.system import System
 
 __all__ = ["interpolated_initial"]
 
-_LEFT, _MAX_RANK = 9, 200
-_TOLERANCE = 1e-13
+_LEFT_AT_START, _RANK_AT_START = 9, 200
+_LOST_AT_START = 1e-13
 """Largest error, in sizes: far below that of any solve."""
 
 
@@ -38,11 +38,12 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> list[Array]:
     def values(indices: NDArray[np.int64]) -> Array:
         return initial_values(system, np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
 
-    left = left_points([x.size for x in nodes], _LEFT, 20140)
+    left = left_points([x.size for x in nodes], _LEFT_AT_START, 20140)
     sizes = np.abs(values(_some(nodes))).max(axis=1, keepdims=True)
     sizes[sizes == 0.0] = 1.0
     plain = [_Plain(x.size, np.ones(x.size)) for x in nodes]
-    found = interpolate(lambda indices: values(indices) / sizes, plain, left, _TOLERANCE, _MAX_RANK)
+    given = plain, left, _LOST_AT_START, _RANK_AT_START
+    found = interpolate(lambda indices: values(indices) / sizes, *given)
     first, *cores = found.cores
     return [first * sizes, *cores]
 

@@ -21,6 +21,7 @@ from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.notation import text_of
 from rankone.symbolic.numbers import exact
 from rankone.symbolic.splitting import Indivisible, Splitter
+from rankone.wording import count
 
 __all__ = ["Lifting", "NotLiftable", "lift"]
 
@@ -64,7 +65,7 @@ class Lifting:
     def __str__(self) -> str:
         system, n = self.system, len(self.system.states) - self.count
         t = system.coordinates[0].symbol
-        lines = [f"Lifted: {self.count} further unknowns"]
+        lines = [f"Lifted: {count(self.count, 'further unknown')}"]
         for u, rate, start, meaning in zip(
             system.functions[n:], system.rhs[n:], system.initial[n:], self.meanings, strict=True
         ):
