@@ -189,7 +189,7 @@ def test_names_do_not_collide():
 def test_the_map_is_printed():
     text = str(compiled("Michaelis-Menten").lifted)
     assert text == (
-        "Lifted: 1 further unknowns\n  r = 1/(K + s): dr/dt = -K*V*r**3 + V*r**2, from 1/(K + s0)"
+        "Lifted: 1 further unknown\n  r = 1/(K + s): dr/dt = -K*V*r**3 + V*r**2, from 1/(K + s0)"
     )
 
 
