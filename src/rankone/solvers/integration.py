@@ -19,7 +19,7 @@ from rankone.deadline import check_time
 from rankone.discretization.radau import inset
 from rankone.solvers.steppers import StackedDOP853, StackedRadau
 from rankone.solvers.watch import Watch
-from rankone.system import System
+from rankone.system import Recipe, System
 
 __all__ = ["Recorder", "Stack", "initial_values", "quickest"]
 
@@ -167,11 +167,15 @@ class Stack:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""
         rhs, shape = self.system.rhs, self.shape
         parameters = np.ascontiguousarray(self.points.T)
+        recipe: Recipe | None = getattr(self.system, "RECIPE", None)
+        slow = recipe is not None and bool(recipe.namespace)
+        if len(self.edges) == 2 and not slow:
+            return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
         near = inset(a, b) if len(self.edges) > 2 else 0.0
         least, most = a + near, b - near
 
         def rates(t: float, y: Array) -> Array:
-            check_time()
+            check_time()  # a function of the user may be slow
             return rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
 
         return rates

@@ -171,13 +171,14 @@ class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def _interpolation_error(self, share: float) -> float:
         """Largest error of a trajectory at a share of the step, in units of the tolerance."""
-        every = np.arange(self.n // self._states)
-        states, slopes = self.interpolant(every)(np.full(every.size, share), slopes=True)
-        rates = self.fun(self.sol.t_old + share * self.sol.h, states.ravel())
-        error = self.error_of(slopes - self.sol.h * rates.reshape(states.shape), every)
-        square = np.square(error / (self.atol.reshape(states.shape) + np.abs(states) * self.rtol))
-        largest = square.mean(axis=0).max()
-        return math.sqrt(largest) if math.isfinite(largest) else math.inf
+        interpolant = self.sol
+        powers = share ** np.arange(interpolant.order + 1)
+        state = interpolant.y_old + interpolant.Q @ (share * powers)
+        slope = interpolant.Q @ (powers * np.arange(1, powers.size + 1)) / interpolant.h
+        defect = slope - self.fun(interpolant.t_old + share * interpolant.h, state)
+        error = self._solve(self._newton, defect) / (self.atol + np.abs(state) * self.rtol)
+        square = np.square(error).reshape(self._states, -1).mean(axis=0).max()
+        return math.sqrt(square) if math.isfinite(square) else math.inf
 
     def error_of(self, defect: Array, columns: Array) -> Array:
         """What a defect (n, c), times the step, of some trajectories comes to."""
