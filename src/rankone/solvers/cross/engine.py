@@ -44,6 +44,9 @@ _FEW = 3
 """So many times that number, the tolerances of an attempt are lowered once whatever the errors."""
 _SETTLED = 1.2
 """Growth of the nodes up to which more of them alone are not expected to suffice."""
+_TIGHTENED = 0.7
+"""Power of the error wanted over that found by which tolerances are tightened: nodes and left points
+are more as well."""
 _FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
@@ -201,7 +204,7 @@ class CrossMarcher:
         )
         close = attempt.error < _FAR * self.rtol
         if settled or close or (stalls and not grown):
-            self.share *= min(max(self.rtol / attempt.error, 0.1), 0.7)
+            self.share *= min(max((self.rtol / attempt.error) ** _TIGHTENED, 0.1), 0.7)
             finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
         self.bases = finer
