@@ -221,8 +221,9 @@ def _further_points(
         return None
     given = [] if result.points is None else [result.points]
     if not result.stopped:
-        doubtful = doubtful_points(yardstick, result.slabs, attempt.error / rtol, rtol, number)
-        given += [] if doubtful is None else [doubtful]
+        share = attempt.error / rtol
+        result.doubtful = doubtful_points(yardstick, result.slabs, share, rtol, number)
+        given += [] if result.doubtful is None else [result.doubtful]
     return np.concatenate(given) if given else None
 
 

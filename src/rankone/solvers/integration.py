@@ -21,7 +21,7 @@ from rankone.solvers.steppers import StackedDOP853, StackedRadau
 from rankone.solvers.watch import Watch
 from rankone.system import Recipe, System
 
-__all__ = ["Recorder", "Stack", "initial_values", "quickest"]
+__all__ = ["NUMBERS_LEFT", "Recorder", "Stack", "initial_values", "quickest"]
 
 _FIRST_PROBES, _PROBE_STEPS = (10, 15, 20, 30), 100
 """DOP853 steps after which it is asked whether stability limits the step, first and then."""
@@ -29,6 +29,8 @@ _AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
 """Relative changes of the states after which rates are asked for, to find those not finite."""
 _STUCK, _LEAST = 1000, 1e-9
 """So many steps one after the other below this part of the horizon are the end of a trajectory."""
+NUMBERS_LEFT = 100
+"""Floating-point numbers to the end of a segment from which it is reached."""
 _STIFF_PRODUCT = 3.0
 """Step times decay rate above which it does (stability ends at about 6)."""
 _IMPLICIT = 1.7
@@ -152,6 +154,8 @@ class Stack:
                 solver.step()
                 check_time()
                 if solver.status == "failed":
+                    if b - solver.t <= NUMBERS_LEFT * np.spacing(abs(b)):
+                        break  # SciPy makes no step of so few floating-point numbers
                     return state, 0.0
                 recorder.add(solver)
                 stuck = stuck + 1 if solver.step_size < least else 0

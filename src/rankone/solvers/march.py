@@ -67,7 +67,8 @@ class MarchResult:
 
     ``stopped`` says why the march ended early; None if it reached the end. ``points`` (m, d) are
     parameter points at which the error must be within the tolerance too if it is at those that are
-    always taken, or at which the march met its end. ``whole`` says that the slabs reach the end
+    always taken, or at which the march met its end; ``doubtful`` (k, d) are those at which the
+    residual says that it is not. ``whole`` says that the slabs reach the end
     although it was stopped.
     """
 
@@ -76,6 +77,7 @@ class MarchResult:
     limits: set[Status] = field(default_factory=set)
     stopped: Status | None = None
     points: Array | None = None
+    doubtful: Array | None = None
     whole: bool = False
 
 

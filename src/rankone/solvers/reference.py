@@ -13,7 +13,7 @@ import scipy.integrate
 from rankone.arrays import Array
 from rankone.deadline import OutOfTimeError
 from rankone.errors import ConvergenceError
-from rankone.solvers.integration import Stack, initial_values, quickest
+from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
@@ -227,7 +227,7 @@ def integrate_reference(
     blown, large = None, False
     negligible = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
-    if reached < end:
+    if end - reached > NUMBERS_LEFT * np.spacing(abs(end)):
         blown = quickest(system, reached, state, points, negligible)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
         large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)

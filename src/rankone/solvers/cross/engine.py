@@ -19,7 +19,13 @@ from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.samples import Samples
 from rankone.solvers.cross.steep import steepest_front
-from rankone.solvers.cross.sweep import Interpolation, interpolate, left_points, rounded
+from rankone.solvers.cross.sweep import (
+    Interpolation,
+    interpolate,
+    left_points,
+    rounded,
+    with_points,
+)
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
 from rankone.solvers.cross.workers import Workers, open_workers
@@ -45,8 +51,8 @@ _FEW = 3
 _SETTLED = 1.2
 """Growth of the nodes up to which more of them alone are not expected to suffice."""
 _TIGHTENED = 0.7
-"""Power of the error wanted over that found by which tolerances are tightened: nodes and left points
-are more as well."""
+"""Power of the error wanted over that found by which tolerances are tightened: there are more nodes
+and left points as well."""
 _FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
@@ -88,6 +94,7 @@ class CrossMarcher:
         self.spectra: list[Array] = []
         self.breaks: set[float] = set()
         self.steep: Array | None = None
+        self.doubtful: Array | None = None
         self.undivided: tuple[Basis1D, ...] | None = None
         self.divides = True
         self.trajectories: Trajectories | None = None
@@ -179,6 +186,8 @@ class CrossMarcher:
                 bases = divided(self.bases, *given)
                 self.undivided = self.bases if bases != self.bases else None
         left = left_points([basis.size for basis in bases], self.left, 20140)
+        if self.doubtful is not None:
+            left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
         samples = Samples(trajectories, bases)
         tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
         return interpolate(samples, bases, left, tolerance, self.options.max_rank), bases
@@ -192,7 +201,10 @@ class CrossMarcher:
             self.bases, self.undivided, self.divides = self.undivided, None, False
             return True
         self._halve_slabs()
-        self.steep = attempt.result.points
+        self.steep, self.doubtful = attempt.result.points, attempt.result.doubtful
+        if self.doubtful is not None:  # lines through these first
+            known = [] if self.steep is None else [self.steep]
+            self.steep = np.concatenate([self.doubtful, *known])
         finer = self._finer(self.bases)
         grown = sum(basis.elements for basis in finer) > sum(b.elements for b in self.bases)
         patient = self._patient(attempt, stalls, grown)

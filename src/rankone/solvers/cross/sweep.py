@@ -22,7 +22,7 @@ from rankone.solvers.cross.samples import Integers
 from rankone.tensors.train import right_orthonormal
 from rankone.tensors.truncation import truncated_svd
 
-__all__ = ["Interpolation", "interpolate", "left_points"]
+__all__ = ["Interpolation", "interpolate", "left_points", "with_points"]
 
 _FULL_GRID = 1600
 """Number of nodes of the grid up to which all of them are sampled."""
@@ -86,6 +86,16 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
             ]
         points.append(np.stack(columns, axis=1).astype(np.int64))
     return points
+
+
+def with_points(left: Sequence[Integers], nodes: Sequence[Array], points: Array) -> list[Integers]:
+    """Left points, and for each bond the nodes that are nearest to further points (m, d)."""
+    nearest = np.stack(
+        [np.abs(x[None, :] - points[:, [j]]).argmin(axis=1) for j, x in enumerate(nodes)], axis=1
+    )
+    return [
+        np.unique(np.concatenate([known, nearest[:, : known.shape[1]]]), axis=0) for known in left
+    ]
 
 
 def _corners(dimensions: int, count: int, generator: np.random.Generator) -> Integers:
