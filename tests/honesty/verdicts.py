@@ -26,6 +26,8 @@ LONGEST = 30.0
 _ACCURACY, _STEPS = 1e-9, 20_000
 _REST = 100
 """Floating-point numbers to the end of a segment from which it is reached."""
+_LARGEST_LOG = 100
+"""Logarithm of numbers that stay outside."""
 _APART = 1e-13
 """Cuts closer to the ends, in horizons, are the ends."""
 
@@ -129,7 +131,9 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
         return _passing(case, points, times)
     n, m = len(case.unknowns), points.shape[1]
     names = [sp.Dummy() for _ in case.unknowns]
-    plain = [rate.xreplace(dict(zip(case.unknowns, names, strict=True))) for rate in case.rates]
+    plain = [
+        _finite(rate.xreplace(dict(zip(case.unknowns, names, strict=True)))) for rate in case.rates
+    ]
     rhs = sp.lambdify([t, names, list(case.box)], plain, [_tables(case), "numpy", "scipy"])
     start = sp.lambdify([list(case.box)], case.initial, ["numpy", "scipy"])
     state = np.stack([np.broadcast_to(v, m) for v in start(points)]).astype(float)
@@ -161,6 +165,23 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
             raise TimeoutError
         state = solver.y.reshape(n, m)
     return values
+
+
+def _finite(rate: sp.Expr) -> sp.Expr:
+    """A rate without numbers beyond floating point, which SymPy takes out of exponentials."""
+
+    def joined(product: sp.Mul) -> sp.Expr:
+        number, rest = product.as_coeff_Mul()
+        factors = sp.Mul.make_args(rest)
+        inside = next((part for part in factors if isinstance(part, sp.exp)), None)
+        size = sp.N(sp.log(abs(number)), 20)
+        if inside is None or abs(size) < _LARGEST_LOG:
+            return product
+        others = [part for part in factors if part is not inside]
+        exponent = sp.nsimplify(inside.exp, rational=True) + sp.Rational(str(size))
+        return sp.Mul(sp.sign(number), sp.exp(exponent), *others)
+
+    return rate.replace(lambda part: part.is_Mul and part.args[0].is_Float, joined)
 
 
 def _tables(case: Case) -> dict[str, object]:
