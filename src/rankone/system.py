@@ -89,7 +89,10 @@ class System(Protocol):
     """How many of the differential states, the last, are functions of the others; only where there
     are some."""
     PEAKS: int
-    """How many of the ``events`` vanish in the middle of peaks; only where there are some."""
+    """How many of the ``events``, the first, vanish in the middle of smooth peaks; only where there
+    are some."""
+    KINKS: int
+    """How many of them, the next, vanish at kinks."""
 
     @staticmethod
     def initial(p: Sequence[Any] | Array) -> Array:
@@ -113,8 +116,8 @@ class System(Protocol):
 
     @staticmethod
     def events(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """Functions that vanish where the right-hand side peaks, the first PEAKS, or switches over
-        the states, shape (events, ...); only where nothing separates and there are some."""
+        """Functions that vanish where the right-hand side peaks, kinks or switches over the states,
+        shape (events, ...); only where nothing separates and there are some."""
 
     @staticmethod
     def time_factors(t: Array) -> Array:

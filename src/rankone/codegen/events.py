@@ -44,13 +44,14 @@ def moving_switches(
 
 def event_functions(
     time: sp.Symbol, expressions: Iterable[sp.Basic]
-) -> tuple[list[sp.Expr], list[sp.Expr]]:
+) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
     """Functions of the unknowns, or of time, that vanish where rates are narrow or switch.
 
     Returns
     -------
-    peaks, switches : list of Expr
-        Those at peaks, or kinks, which may be those of peaks; and where there is a step.
+    peaks, kinks, switches : list of Expr
+        Those in the middle of smooth peaks; at kinks, which may be those of peaks; and where there
+        is a step. At most 64 in all.
     """
     expressions = list(expressions)
 
@@ -58,13 +59,18 @@ def event_functions(
         unknowns = set(expression.atoms(AppliedUndef))
         return unknowns | (expression.free_symbols & {time} if not unknowns else set())
 
-    narrow = peaks(expressions, moving), steps(expressions, moving)
-    kinks, others = (
-        _distinct(filter(moving, [*(middle for _, middle in found), *_zeros(expressions, kinds)]))
-        for found, kinds in zip(narrow, (CONTINUOUS, JUMPS), strict=True)
+    kinds = (
+        (middle for _, middle in peaks(expressions, moving)),
+        _zeros(expressions, CONTINUOUS),
+        (*(middle for _, middle in steps(expressions, moving)), *_zeros(expressions, JUMPS)),
     )
-    kinks = kinks[:_MOST]
-    return kinks, [f for f in others if f not in kinks and -f not in kinks][: _MOST - len(kinks)]
+    found: list[list[sp.Expr]] = []
+    for functions in kinds:
+        known = {f for others in found for f in others}
+        new = (f for f in _distinct(filter(moving, functions)) if not known & {f, -f})
+        found.append(list(itertools.islice(new, _MOST - len(known))))
+    middles, kinks, switches = found
+    return middles, kinks, switches
 
 
 def parameter_surfaces(

@@ -7,6 +7,7 @@ closely. The kernels of the separated form are missing; ``SEPARATED`` says so.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Protocol
@@ -86,8 +87,8 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     names = [state.name for state in system.states]
     tables = constants(False, names, len(names), (), system.coordinates)
     tables += cut_table(system.coordinates, [*system.rhs, *system.initial])
-    if writer.peaks is not None:
-        tables += [f"PEAKS = {writer.peaks}"]
+    if writer.narrow is not None:
+        tables += ["PEAKS, KINKS = {}, {}".format(*writer.narrow)]
     return module_source(partial(_header, system, writer.operations, title), tables, blocks)
 
 
@@ -143,7 +144,7 @@ class _Writer:
             for i, value in enumerate(system.initial)
         ]
         self.slopes: list[sp.Expr] = []
-        self.peaks: int | None = None
+        self.narrow: tuple[int, int] | None = None
 
     def _name(self, i: int) -> str:
         return self.system.states[i].name
@@ -224,10 +225,11 @@ class _Writer:
     def events(self) -> list[str]:
         """Where functions of the states switch or are narrow; nothing if there are none."""
         time = self.system.coordinates[0].symbol
-        peaks, switches = event_functions(time, self.system.rhs)
-        self.peaks = len(peaks) if peaks or switches else None
+        found = event_functions(time, self.system.rhs)
+        peaks, kinks, _ = found
+        self.narrow = (len(peaks), len(kinks)) if any(found) else None
         about = f"Zero where functions of u ({self.n}, ...) switch or peak: ({{}}, ...)."
-        return self._vector("events", "t, u, p", [*peaks, *switches], about)
+        return self._vector("events", "t, u, p", list(itertools.chain(*found)), about)
 
     def _vector(
         self,

@@ -41,7 +41,7 @@ class Watch:
 
     def __init__(self, system: System, points: Array, anywhere: bool) -> None:
         self.rates, self.events = system.rhs, getattr(system, "events", None)
-        self.peaks = system.PEAKS if self.events else 0
+        self.peaks, self.kinks = (system.PEAKS, system.KINKS) if self.events else (0, 0)
         self.parameters = np.ascontiguousarray(points.T)
         self.each = max(_LEAST, _PLACES // len(points)) if anywhere else 0
         self.generator = np.random.default_rng(20142)
@@ -81,7 +81,8 @@ class Watch:
 
         It is looked at where an event function vanishes, and midway between two such places. In
         peaks and pulses, where trajectories may stay longer than the step says, a defect as large
-        as the rates counts times all the time that is left.
+        as the rates counts times all the time that is left. At a kink, which the estimate of the
+        error sees unless it is that of a peak, no smaller one counts.
         """
         m, before, h = self.parameters.shape[1], solver.t_old, solver.t - solver.t_old
         events = self.events
@@ -98,21 +99,23 @@ class Watch:
             values = events(before + h * shares, interpolant(shares), p)
             return np.asarray(values[which, np.arange(columns.size)])
 
-        def largest(shares: Array, narrow: Any) -> float:
+        def largest(shares: Array, narrow: Any, kink: Any) -> float:
             states, slopes = interpolant(shares, slopes=True)
             rates = h * self.rates(before + h * shares, states, p)
             defect = np.abs(rates - slopes)
             differs = defect > _DIFFERENT * np.maximum(np.abs(rates), np.abs(slopes))
+            defect[kink & ~differs] = 0.0
             defect = np.where(narrow & differs, (solver.t_bound - before) / h * defect, defect)
             return _largest(defect / tolerated)
 
         shares = _zeros(event, start[which, columns], end[which, columns])
-        worst = largest(shares, which < self.peaks)
+        narrow = which < self.peaks + self.kinks
+        worst = largest(shares, narrow, narrow & (which >= self.peaks))
         again = np.diff(columns, prepend=-1) == 0
         if again.any():
             shares = shares[np.lexsort((shares, columns))]
             between = np.where(again, 0.5 * (shares + np.roll(shares, 1)), shares)
-            worst = max(worst, largest(between, again))
+            worst = max(worst, largest(between, again, False))
         return worst
 
 
@@ -123,15 +126,18 @@ def _largest(errors: Array) -> float:
 def _zeros(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
     """Zeros on [0, 1] of functions with values of two signs at its ends (Illinois algorithm)."""
     a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
+    left_before: Any = None
     for _ in range(_NARROWED):
         before, x = x, np.clip((a * end - b * start) / (end - start), a, b)
         if np.all(np.abs(x - before) <= _EXACT):
             break
         value = function(x)
         left = value * start > 0.0
+        again: Any = 1.0 if left_before is None else np.where(left == left_before, 0.5, 1.0)
+        left_before = left
         a, b, old_start, old_end = np.where(left, x, a), np.where(left, b, x), start, end
-        start = np.where(left, value, 0.5 * old_start)
-        end = np.where(left, 0.5 * old_end, value)
+        start = np.where(left, value, again * old_start)
+        end = np.where(left, again * old_end, value)
         done = value == 0.0
         if done.any():
             a, b = np.where(done, x, a), np.where(done, x, b)
