@@ -151,7 +151,8 @@ class CompiledProblem:
     @property
     def user_functions(self) -> Mapping[str, Callable[..., Any]]:
         """The functions of the user that the source calls, by the names it calls them by."""
-        return namespace_of([*self.first_order.rhs, *self.first_order.initial])
+        jumps = (value for jump in self.first_order.jumps for value in jump.values)
+        return namespace_of([*self.first_order.rhs, *self.first_order.initial, *jumps])
 
     @property
     def methods(self) -> dict[str, str | None]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import html
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -33,6 +33,7 @@ __all__ = [
     "Factor",
     "GeneralTerm",
     "Group",
+    "Jump",
     "QuadraticSystem",
     "Role",
     "SeparatedForm",
@@ -70,6 +71,30 @@ class State:
     name: str
     expression: sp.Expr
     role: Role = Role.UNKNOWN
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """States that are reset at a known time, such as a dose.
+
+    Attributes
+    ----------
+    time : float
+    values : tuple of Expr
+        For each differential state its value right after that time, in the values of the states
+        before, ``x(t)``, and the parameters.
+    """
+
+    time: float
+    values: tuple[sp.Expr, ...]
+
+    @staticmethod
+    def kinds(jumps: Iterable[Jump]) -> dict[tuple[sp.Expr, ...], list[float]]:
+        """The times of jumps by their values: doses are repeated."""
+        found: dict[tuple[sp.Expr, ...], list[float]] = {}
+        for jump in jumps:
+            found.setdefault(jump.values, []).append(jump.time)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +188,8 @@ class SeparatedForm:
         The initial values: ``equation`` is the state, ``monomial`` is empty, the time factor one.
     general : tuple of GeneralTerm
         What does not separate; the other terms are complete only without any.
+    jumps : tuple of Jump
+        By time; they need not separate.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -171,6 +198,7 @@ class SeparatedForm:
     terms: tuple[Term, ...]
     initial: tuple[Term, ...]
     general: tuple[GeneralTerm, ...] = ()
+    jumps: tuple[Jump, ...] = ()
 
     def require_separated(self) -> None:
         """Raise the SeparationError of the first general term, if there is one."""
@@ -335,6 +363,8 @@ class QuadraticSystem:
         The initial values of the differential states.
     coupled : tuple of GeneralTerm
         Parts of initial values that do not separate.
+    jumps : tuple of Jump
+        By time.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -345,6 +375,7 @@ class QuadraticSystem:
     groups: tuple[Group, ...]
     initial: tuple[Term, ...]
     coupled: tuple[GeneralTerm, ...] = ()
+    jumps: tuple[Jump, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import sympy as sp
 
 from rankone.codegen import generate_source
 from rankone.codegen.recipe import Recipe
+from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
 from rankone.symbolic import FirstOrderSystem, separate, weak_form
@@ -45,7 +46,9 @@ class LiftedProblem:
     @cached_property
     def system(self) -> System:
         """The generated module."""
-        return Recipe(self.source, f"{self.name or 'system'} lifted", {}).load()
+        jumps = (value for jump in self.lifting.system.jumps for value in jump.values)
+        name = f"{self.name or 'system'} lifted"
+        return Recipe(self.source, name, namespace_of(jumps)).load()
 
     def __getstate__(self) -> dict[str, object]:
         return {name: value for name, value in self.__dict__.items() if name != "system"}

@@ -40,10 +40,14 @@ y = "y0"
 [parameters]               # the box; may be left out
 x0 = [8, 12]
 y0 = [4, 6]
+
+[[jumps]]                  # resets at known times, such as doses; may be left out
+times = [2, 4]             # or a single time = 2
+x = "x + 1"                # the value right after it
 """
 
 _REQUIRED = ("time", "rhs", "initial")
-_OPTIONAL = ("parameters", "name")
+_OPTIONAL = ("parameters", "name", "jumps")
 _SHOWN = "`rankone solve --help` shows the layout"
 
 
@@ -147,7 +151,39 @@ def _from_toml(file: Path) -> Problem:
         },
         time=_horizon(content["time"]),
         name=content.get("name"),
+        jumps=_jumps(content.get("jumps", [])),
     )
+
+
+def _jumps(tables: Any) -> dict[Any, dict[str, str | float]]:
+    """The tables [[jumps]]: for their times the values after them."""
+    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
+        raise ProblemError(
+            f"`jumps` is {shown(tables)}, not a list of tables",
+            term=tables,
+            remedy=f"write [[jumps]], and below it the times and the values; {_SHOWN}",
+        )
+    found: dict[Any, dict[str, str | float]] = {}
+    for table in tables:
+        given = [key for key in ("time", "times") if key in table]
+        values = {n: _formula("jumps", n, f) for n, f in table.items() if n not in given}
+        times = table[given[0]] if given else None
+        at = tuple(times) if isinstance(times, list) else (times,)
+        if len(given) != 1 or not at or not all(map(_is_number, at)):
+            raise ProblemError(
+                f"[[jumps]] has {f'`{given[0]}` = {shown(times)}' if given else 'no times'}",
+                term=table,
+                remedy="write time = 8, or times = [8, 16], once",
+            )
+        known = [time for key in found for time in key]
+        if len({*known, *at}) < len(known) + len(at):
+            raise ProblemError(
+                f"[[jumps]] has a time twice, among {listing(map(str, at))}",
+                term=table,
+                remedy="give all that is reset at a time in one table",
+            )
+        found[at] = values
+    return found
 
 
 def _misplaced(content: Mapping[str, Any], missing: Sequence[str]) -> str:

@@ -91,6 +91,9 @@ class System(Protocol):
     PEAKS: int
     """How many of the ``events``, the first, vanish in the middle of smooth peaks; only where there
     are some."""
+    JUMPS: tuple[tuple[float, int], ...]
+    """Times at which states are reset, ascending, each with the number of its kind; only where
+    there are some."""
     KINKS: int
     """How many of them, the next, vanish at kinks."""
 
@@ -102,6 +105,11 @@ class System(Protocol):
     def coupled_initial(p: Sequence[Any] | Array) -> Array:
         """What of the initial values couples parameters, at p (d, ...): (N_DIFFERENTIAL, ...); only
         where something does."""
+
+    @staticmethod
+    def jumped(kind: int, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """States right after a jump from those before, u (N_DIFFERENTIAL, ...), at p (d, ...):
+        (N_DIFFERENTIAL, ...); only where there are some."""
 
     @staticmethod
     def moving_cuts(p: Sequence[Any] | Array) -> Array:

@@ -20,12 +20,13 @@ from rankone.codegen.derivatives import Differentiator
 from rankone.codegen.events import event_functions, moving_switches, parameter_surfaces
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import opening
+from rankone.codegen.jumps import jump_function, jump_table, jumped_values, jumps_text
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import Index, mask, shape_line
 from rankone.codegen.printer import common_subexpressions, numpy_text, readable_text, representable
 from rankone.codegen.text import assignment, docstring, paragraph, unpacking
 from rankone.errors import ProblemError, SeparationError
-from rankone.ir import Coordinate, State
+from rankone.ir import Coordinate, Jump, State
 from rankone.lowering.known import known_functions
 from rankone.wording import number
 
@@ -59,6 +60,10 @@ class ExplicitSystem(Protocol):
     def origins(self) -> tuple[int | None, ...]:
         """For each state the number of the user's equation."""
 
+    @property
+    def jumps(self) -> tuple[Jump, ...]:
+        """Jumps after the start, by time."""
+
 
 def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     """Python source of the module for a system that does not separate.
@@ -77,16 +82,18 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     writer = _Writer(system)
     functions = [writer.rhs(), writer.jacobian(), writer.initial(), _with_products(writer.n)]
     functions += [writer.moving_cuts(), writer.surfaces(), writer.events()]
+    functions.append(jump_function(system.states, system.coordinates, system.jumps))
     known = known_functions(system.coordinates, [*system.rhs, *system.initial])
     factors = [(sp.S.One, *found) for found in known]
     blocks = [
-        *definitions([*system.rhs, *system.initial, *writer.slopes]),
+        *definitions([*system.rhs, *system.initial, *writer.slopes, *jumped_values(system.jumps)]),
         *coordinate_functions(system.coordinates, factors),
         *functions,
     ]
     names = [state.name for state in system.states]
     tables = constants(False, names, len(names), (), system.coordinates)
     tables += cut_table(system.coordinates, [*system.rhs, *system.initial])
+    tables += jump_table(system.jumps)
     if writer.narrow is not None:
         tables += ["PEAKS, KINKS = {}, {}".format(*writer.narrow)]
     return module_source(partial(_header, system, writer.operations, title), tables, blocks)
@@ -101,7 +108,7 @@ def general_equation_texts(system: ExplicitSystem) -> list[str]:
         for state, expression in zip(system.states, expressions, strict=True):
             text = readable_text(expression.xreplace(names))
             texts.append(f"{left.format(state.name)} = {text}")
-    return texts
+    return texts + jumps_text(system.states, system.coordinates, system.jumps)
 
 
 def _header(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
+from rankone.codegen.jumps import jumps_text
 from rankone.codegen.printer import plain_text
 from rankone.codegen.text import paragraph
 from rankone.ir import Coordinate, QuadraticSystem, State, Term
@@ -71,7 +72,7 @@ def equation_texts(system: QuadraticSystem) -> list[str]:
         for c, state in enumerate(system.differential):
             own = (term for term in terms if term.equation == c)
             texts.append(f"{left.format(state.name)} = {sum_text(own, system)}")
-    return texts
+    return texts + jumps_text(system.differential, system.coordinates, system.jumps)
 
 
 def sum_text(terms: Iterable[Term], system: QuadraticSystem) -> str:

@@ -13,6 +13,7 @@ from rankone.codegen.definitions import constants, cut_table, definitions, modul
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import header, sum_text
 from rankone.codegen.initial import coupled_initial
+from rankone.codegen.jumps import jump_function, jump_table, jumped_values
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
@@ -61,15 +62,17 @@ def generate_source(
     factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
     known = [expression for distinct in factors for expression in distinct]
     blocks = [
-        *definitions(known),
+        *definitions([*known, *jumped_values(system.jumps)]),
         *coordinate_functions(system.coordinates, factors),
         *kernel_functions(system),
         *functions,
         coupled_initial(system),
+        jump_function(system.differential, system.coordinates, system.jumps),
     ]
     head = partial(header, system, pointwise.operations, title)
     cuts = cut_table(system.coordinates, known)
     more = [f"LIFTED = {lifted}"] if lifted else []
+    more += jump_table(system.jumps)
     return module_source(head, [*tables(system), *more, *cuts], blocks)
 
 

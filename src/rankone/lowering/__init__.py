@@ -44,4 +44,5 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
         groups=group_terms(terms),
         initial=form.initial,
         coupled=form.general,
+        jumps=form.jumps,
     )

@@ -17,6 +17,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.deadline import check_time
 from rankone.discretization.radau import inset
+from rankone.solvers.jumps import jump_kind
 from rankone.solvers.steppers import StackedDOP853, StackedRadau
 from rankone.solvers.watch import Watch
 from rankone.system import Recipe, System
@@ -149,6 +150,9 @@ class Stack:
         count = stuck = 0
         least = _LEAST * (self.edges[-1] - self.edges[0])
         for a, b in itertools.pairwise(self.edges):
+            state = self._jumped(a, state)
+            if not np.isfinite(state).all():
+                return state, 0.0
             solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
             while solver.status == "running":
                 solver.step()
@@ -166,6 +170,13 @@ class Stack:
                 if left:
                     return state, left
         return state, 0.0
+
+    def _jumped(self, time: float, state: Array) -> Array:
+        """The states after what is reset at a time, if anything is."""
+        kind = jump_kind(self.system, time)
+        if kind is None:
+            return state
+        return self.system.jumped(kind, state, np.ascontiguousarray(self.points.T))
 
     def _right_hand_side(self, a: float, b: float) -> Callable[[float, Array], Array]:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""

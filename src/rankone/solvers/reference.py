@@ -18,7 +18,15 @@ from rankone.solvers.outcome import Measured
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["FEW", "Reference", "check_points", "integrate_reference", "measure", "spread"]
+__all__ = [
+    "FEW",
+    "Reference",
+    "check_points",
+    "integrate_reference",
+    "measure",
+    "spread",
+    "times_within",
+]
 
 _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
@@ -231,7 +239,8 @@ def integrate_reference(
         blown = quickest(system, reached, state, points, negligible)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
         large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)
-    dense = scipy.integrate.OdeSolution(steps.times, steps.pieces)
+    # At the time of a jump the states are those after it.
+    dense = scipy.integrate.OdeSolution(steps.times, steps.pieces, alt_segment=True)
     batches = ((len(points), dense),)
     ends = start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large
     return Reference(points, *ends, floor=floor[:, 0])
@@ -262,10 +271,12 @@ def _with_moving(
         return list(cuts)
     with np.errstate(all="ignore"):
         times = np.asarray(moving(np.ascontiguousarray(points.T))).ravel()
-    found = np.unique([*cuts, *times[(times > start) & (times < end)]])
     least = _COINCIDENT * max(abs(start), abs(end))
-    apart = np.diff(found, prepend=start) > least
-    return [float(time) for time in found[apart] if end - time > least]
+    times = np.unique(times[(times - start > least) & (end - times > least)])
+    times = times[np.diff(times, prepend=start) > least]
+    known = np.array(cuts)
+    apart = np.abs(times[:, None] - known).min(axis=1, initial=np.inf) > least
+    return sorted([*cuts, *times[apart].tolist()])
 
 
 def _amplifies(stack: Stack, steps: _Steps, states: int) -> bool:
@@ -311,6 +322,11 @@ class _Steps:
             self.early = self.largest
 
 
+def times_within(start: float, end: float, shares: Array) -> Array:
+    """Times at shares of a slab; at its end, where states may jump, the last number before it."""
+    return np.asarray(np.minimum(start + (end - start) * shares, np.nextafter(end, start)))
+
+
 def measure(
     slabs: Sequence[SlabTrain],
     reference: Reference,
@@ -336,7 +352,7 @@ def measure(
     m = len(reference.points)
     errors = np.zeros((reference.states, m))
     largest = scale.copy()
-    all_times = [slab.start + (slab.end - slab.start) * _CHECK_TIMES for slab in slabs]
+    all_times = [times_within(slab.start, slab.end, _CHECK_TIMES) for slab in slabs]
     all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
     carry, last = np.zeros((0, m)), None
     for slab, times, exact in zip(slabs, all_times, all_exact, strict=True):

@@ -13,6 +13,7 @@ from rankone.arrays import Array
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
+from rankone.solvers.jumps import jump_times
 from rankone.solvers.outcome import Measured
 from rankone.solvers.reference import FEW, Reference, check_points, integrate_reference, measure
 from rankone.solvers.suspects import active_points, cell_points, surface_points
@@ -29,6 +30,8 @@ _INSET = 4e-9
 """By how much, in widths of the interval, corners are moved inside where functions jump."""
 _SMALLEST = 1e-140
 """Size of a state below which its square is lost."""
+_COINCIDENT = 1e-13
+"""Cuts this close to a jump, relative to the ends of the horizon, are that jump."""
 _BESIDE = 16
 """Most breakpoints of a parameter that are checked on either side."""
 
@@ -50,7 +53,7 @@ class Yardstick:
     checked : bool
         Whether there are interior points, so that an error can be stated.
     cuts : tuple of float
-        Times at which the time factors jump, kink or are narrow.
+        Times at which the time factors jump, kink or are narrow, and at which states are reset.
     special : tuple of Breakpoints
         The same for the factors of each parameter.
     """
@@ -76,7 +79,7 @@ class Yardstick:
         """
         whole_box = len(domain.box) <= FEW if cover is None else cover == "box"
         in_time, *special = system_breakpoints(system, domain)
-        cuts = in_time.points
+        cuts = _with_jumps(in_time.points, system, domain)
         beside = [_few(each.points) for each in special]
         few = beside if check else ()
         every = whole_box or len(domain.box) <= FEW
@@ -140,6 +143,15 @@ class Yardstick:
         if self.reference.blown is None:
             return None
         return self.reference.end, tuple(self.reference.points[self.reference.blown].tolist())
+
+
+def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[float, ...]:
+    """The cuts, and the times of jumps in place of those that are the same but for rounding."""
+    start, end = domain.horizon
+    jumps = [time for time in jump_times(system) if start < time < end]
+    near = _COINCIDENT * max(abs(start), abs(end))
+    apart = (cut for cut in cuts if all(abs(cut - time) > near for time in jumps))
+    return tuple(sorted([*apart, *jumps]))
 
 
 def _check_sizes(yardstick: Yardstick) -> None:

@@ -6,14 +6,15 @@ derivatives, are solved for them exactly, without simplification.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import sympy as sp
 
 from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import check_kind
-from rankone.ir import Coordinate, Role, State
+from rankone.ir import Coordinate, Jump, Role, State
+from rankone.symbolic.jumps import jump_texts, system_jumps, without_impulses
 from rankone.symbolic.mass import MassForm
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.numbers import exact
@@ -40,6 +41,8 @@ class Stage:
     origins : tuple of (int or None)
         For each state the number, from 1, of the user's equation that was solved for its
         derivative; None if several equations were solved together.
+    jumps : tuple of Jump
+        After the start, by time.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -47,10 +50,14 @@ class Stage:
     functions: tuple[sp.Expr, ...]
     initial: tuple[sp.Expr, ...]
     origins: tuple[int | None, ...]
+    jumps: tuple[Jump, ...] = field(default=(), kw_only=True)
 
     def _initial_texts(self) -> list[str]:
         names = (state.name for state in self.states)
         return initial_texts(names, self.coordinates[0].lower, self.initial)
+
+    def _jump_texts(self) -> list[str]:
+        return list(jump_texts(self.functions, self.jumps, self.coordinates[0].name))
 
     def _initial_latex(self) -> list[str]:
         return initial_latex(self.functions, self.coordinates[0].lower, self.initial)
@@ -79,7 +86,8 @@ class FirstOrderSystem(Stage):
         states = count(len(self.states), "state")
         lines = [f"First-order system: {states}, {count(len(self.coordinates) - 1, 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._equations()]
-        return "\n".join([*lines, "  " + ", ".join(self._initial_texts())])
+        lines.append("  " + ", ".join(self._initial_texts()))
+        return "\n".join([*lines, *(f"  {text}" for text in self._jump_texts())])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._equations()]
@@ -97,7 +105,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
     check_kind("first_order", problem, Problem, remedy=remedy)
     time = problem.time[0]
-    solved, origins = _solved(problem.mass)
+    solved, equations = _solved(problem.mass)
     expressions = list(problem.initial)
     states = tuple(
         State(name_of(e), e, Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN)
@@ -105,15 +113,30 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     )
     functions = {s.expression: sp.Function(s.name)(time) for s in states}
     highest = dict(zip(problem.mass.leading, solved, strict=True))
-    origin = dict(zip(problem.unknowns, origins, strict=True))
+    origin = dict(zip(problem.unknowns, equations, strict=True))
     rates = [expression.diff(time) for expression in expressions]
+    origins = [origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions]
+    states_of_time = list(functions.values())
+    rhs, impulses = without_impulses(
+        [highest.get(rate, rate).xreplace(functions) for rate in rates],
+        states_of_time,
+        origins,
+        problem.time,
+    )
+    jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)
+    initial = tuple(problem.initial.values())
+    if jumps and jumps[0].time == problem.time[1]:  # evaluation at the start is from the right
+        at_start = dict(zip(states_of_time, initial, strict=True))
+        initial = tuple(value.xreplace(at_start) for value in jumps[0].values)
+        jumps = jumps[1:]
     return FirstOrderSystem(
         coordinates=problem.coordinates,
         states=states,
-        functions=tuple(functions.values()),
-        rhs=tuple(highest.get(rate, rate).xreplace(functions) for rate in rates),
-        initial=tuple(problem.initial.values()),
-        origins=tuple(origin[e.expr if isinstance(e, sp.Derivative) else e] for e in expressions),
+        functions=tuple(states_of_time),
+        rhs=rhs,
+        initial=initial,
+        origins=tuple(origins),
+        jumps=jumps,
     )
 
 

@@ -9,14 +9,14 @@ in BioCham (Hemery, Fages & Soliman, 2020).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import sympy as sp
 from sympy.core.relational import Relational
 
 from rankone.deadline import check_time
-from rankone.ir import Role, State
+from rankone.ir import Jump, Role, State
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.notation import text_of
 from rankone.symbolic.numbers import exact
@@ -123,6 +123,7 @@ class _Lifter:
         start[self.time] = exact(sp.Float(system.coordinates[0].lower))
         lifted = [functions[symbol] for symbol in self.new.values()]
         made = [State(u.func.__name__, u, Role.LIFTED) for u in lifted]
+        jumps = tuple(self._jumped(jump, plain, functions) for jump in system.jumps)
         return Lifting(
             replace(
                 system,
@@ -131,10 +132,27 @@ class _Lifter:
                 rhs=tuple(rate.xreplace(functions) for rate in self.rates),
                 initial=(*system.initial, *(m.subs(start, simultaneous=True) for m in self.new)),
                 origins=(*system.origins, *(None for _ in lifted)),
+                jumps=jumps,
             ),
             tuple(meaning.xreplace(functions) for meaning in self.new),
             tuple(invariant.xreplace(functions) for invariant in self.invariants),
         )
+
+    def _jumped(
+        self,
+        jump: Jump,
+        plain: Mapping[sp.Expr, sp.Symbol],
+        functions: Mapping[sp.Symbol, sp.Expr],
+    ) -> Jump:
+        """The same jump, after which lifted states are again what they stand for."""
+        after = {s: v.xreplace(plain) for s, v in zip(self.before, jump.values, strict=True)}
+        after = {state: value for state, value in after.items() if state != value}
+        at: dict[sp.Symbol, sp.Expr] = {**after, self.time: exact(sp.Float(jump.time))}
+        lifted = [
+            meaning.subs(at, simultaneous=True) if meaning.free_symbols & set(after) else state
+            for meaning, state in self.new.items()
+        ]
+        return Jump(jump.time, (*jump.values, *(value.xreplace(functions) for value in lifted)))
 
     def _check(self, rates: Sequence[sp.Expr]) -> None:
         """Raise NotLiftable for a function without a rule, the innermost one."""

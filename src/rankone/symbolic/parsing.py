@@ -27,7 +27,7 @@ __all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
 _AS_IN_SYMPY = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh"),
     *("atanh", "exp", "log", "ln", "sqrt", "erf", "erfc", "gamma", "floor", "Abs", "sign"),
-    *("Heaviside", "Min", "Max"),
+    *("Heaviside", "DiracDelta", "Min", "Max"),
 )
 FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     **{name: getattr(sp, name) for name in _AS_IN_SYMPY},

@@ -25,6 +25,7 @@ from rankone.symbolic.equations import (
     state_expressions,
 )
 from rankone.symbolic.initial import check_initial
+from rankone.symbolic.jumps import check_jumps, jump_texts, system_jumps
 from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
@@ -52,11 +53,17 @@ class Problem:
         of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``.
     name : str, optional
         A title.
+    jumps : mapping of float to mapping, optional
+        Times at which unknowns are reset, such as doses: ``{8.0: {x: x + dose}}`` gives the values
+        right after that time in terms of those right before it. A tuple of times stands for
+        several. A ``DiracDelta(t - 8)`` in an equation means the same. At such a time a solution
+        has its value after the jump.
 
     Attributes
     ----------
-    equations, time, parameters, initial, name
-        As given, with numbers as floats and initial values in the order of the states.
+    equations, time, parameters, initial, name, jumps
+        As given, with numbers as floats, initial values in the order of the states and jumps by
+        time.
     unknowns : tuple of Expr
         In the order in which their highest derivatives enter the equations; those that enter in
         the same equation are in the order of ``initial``.
@@ -92,6 +99,7 @@ class Problem:
     parameters: Mapping[sp.Symbol, tuple[float, float]]
     initial: Mapping[sp.Expr, Any]
     name: str | None = None
+    jumps: Mapping[Any, Mapping[sp.Expr, Any]] | None = None
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
     mass: MassForm = field(init=False)
@@ -109,23 +117,27 @@ class Problem:
         check_names([(name_of(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
-        check_distinct([*residuals, *initial.values()])
-        used = sp.Tuple(*residuals, *initial.values()).free_symbols
+        jumps = check_jumps(self.jumps, states, unknowns, box, time)
+        values = [value for reset in jumps.values() for value in reset.values()]
+        known = [*residuals, *initial.values(), *values]
+        check_distinct(known)
+        used = sp.Tuple(*known).free_symbols
         for symbol in (symbol for symbol in box if symbol not in used):
             warn(
                 f"parameter {quote(symbol)} appears nowhere in the problem; "
                 "remedy: remove it from `parameters`"
             )
-        values = {
+        checked = {
             "equations": equations,
             "time": time,
             "parameters": MappingProxyType(box),
             "initial": MappingProxyType(initial),
+            "jumps": MappingProxyType(jumps),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
             "mass": check_mass(residuals, unknowns, _coordinates(time, box)),
         }
-        for attribute, value in values.items():
+        for attribute, value in checked.items():
             object.__setattr__(self, attribute, value)
 
     @classmethod
@@ -136,6 +148,7 @@ class Problem:
         parameters: Mapping[str, tuple[float, float]],
         time: tuple[float, float],
         name: str | None = None,
+        jumps: Mapping[Any, Mapping[str, str | float]] | None = None,
     ) -> Problem:
         """Build a problem from text.
 
@@ -152,6 +165,8 @@ class Problem:
             ``(t0, t1)``.
         name : str, optional
             A title.
+        jumps : mapping of float to mapping, optional
+            Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``.
 
         Raises
         ------
@@ -203,6 +218,7 @@ class Problem:
                 if state in initial
             },
             name=name,
+            jumps=_jumps(jumps, names, unknowns),
         )
 
     @property
@@ -212,7 +228,7 @@ class Problem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = (self.equations, self.time, dict(self.parameters), dict(self.initial), self.name)
-        return type(self), given
+        return type(self), (*given, dict(self.jumps or {}))
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"
@@ -221,7 +237,11 @@ class Problem:
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
         at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
         intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
-        return "\n".join([*lines, "  " + ", ".join(at_start), "  " + ", ".join(intervals)])
+        states = {state: state for state in self.initial}
+        jumps = system_jumps(self.jumps or {}, {}, states, self.time)
+        lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
+        texts = jump_texts(list(states), jumps, self.time[0].name)
+        return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._shown()]
@@ -244,6 +264,24 @@ def _coordinates(
 ) -> tuple[Coordinate, ...]:
     intervals = [time, *((symbol, *bounds) for symbol, bounds in box.items())]
     return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
+
+
+def _jumps(given: Any, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
+    """Jumps with formulas instead of texts; what is no mapping is left to the checks."""
+    if not isinstance(given, Mapping):
+        return given
+    found: dict[Any, Any] = {}
+    for time, values in given.items():
+        if not isinstance(values, Mapping):
+            found[time] = values
+            continue
+        found[time] = {
+            unknowns.get(name, name): _formula(
+                text, names, f"value of {quote(name)} after the jump at {shown(time)}", None
+            )
+            for name, text in values.items()
+        }
+    return found
 
 
 def _formula(

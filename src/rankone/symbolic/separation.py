@@ -84,6 +84,7 @@ class _Separation:
             terms=self._terms(residuals, index),
             initial=self._terms(initial, index),
             general=tuple(self.general),
+            jumps=self.weak.jumps,
         )
 
     # -- splitting --------------------------------------------------------------------------

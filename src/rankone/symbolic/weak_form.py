@@ -53,7 +53,7 @@ class WeakForm(Stage):
             f"{signs}  {test} ({text_of(residual)}) {measures} = 0"
             for test, residual in zip(self.test_functions, self.residuals, strict=True)
         ]
-        return "\n".join([*lines, *self._initial_texts()])
+        return "\n".join([*lines, *self._initial_texts(), *self._jump_texts()])
 
     def _repr_latex_(self) -> str:
         signs = " ".join(rf"\int_{{{sp.latex(c.symbol)}}}" for c in self.coordinates)

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.deadline import check_time
@@ -124,6 +125,13 @@ class RankOneSum:
                 block = np.asarray(np.linalg.qr(block, mode="r"))
             carry = block
         return float(np.linalg.norm(carry @ self.factors[-1].T))
+
+    def at(self, indices: NDArray[np.int64]) -> Array:
+        """Entries of a tensor with one row in its first dimension, at indices (m, d): (m,)."""
+        products = np.broadcast_to(self.factors[0], (len(indices), self.rank))
+        for factor, rows in zip(self.factors[1:], indices.T, strict=True):
+            products = products * factor[rows]
+        return np.asarray(products.sum(axis=1))
 
     @classmethod
     def of_train(cls, row: Array, cores: Sequence[Array]) -> RankOneSum:

@@ -13,6 +13,7 @@ from rankone.tensors.truncation import independent
 __all__ = [
     "apply_to_modes",
     "block_diagonal",
+    "mode_norms",
     "right_orthonormal",
     "thinned",
     "truncated",
@@ -42,6 +43,20 @@ def apply_to_modes(cores: Sequence[Array], matrices: Sequence[Array]) -> list[Ar
     """Apply one matrix to the middle index of each core j >= 1; core 0 is kept."""
     changed = [np.matmul(matrix, core) for matrix, core in zip(matrices, cores[1:], strict=True)]
     return [cores[0], *changed]
+
+
+def mode_norms(cores: Sequence[Array]) -> list[Array]:
+    """For each parameter the norms of the modes of its core, weighted by what is to its left.
+
+    Cores j >= 1 (r_j, modes, r_{j+1}) have orthonormal rows.
+    """
+    weight = np.asarray(np.linalg.qr(cores[0], mode="r"))
+    norms = []
+    for core in cores[1:]:
+        weighted = np.tensordot(weight, core, 1)
+        norms.append(np.sqrt(np.sum(weighted**2, axis=(0, 2))))
+        weight = np.asarray(np.linalg.qr(weighted.reshape(-1, core.shape[2]), mode="r"))
+    return norms
 
 
 def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:

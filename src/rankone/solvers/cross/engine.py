@@ -35,7 +35,7 @@ from rankone.solvers.outcome import Outcome, Status
 from rankone.solvers.suspects import steepest_point, suspects
 from rankone.solvers.verification import Yardstick
 from rankone.system import System
-from rankone.tensors.train import apply_to_modes
+from rankone.tensors.train import apply_to_modes, mode_norms
 
 __all__ = ["ENGINE", "solve_cross"]
 
@@ -132,7 +132,7 @@ class CrossMarcher:
             result.limits.add(Status.NODE_LIMIT)
         cores = rounded(found.cores, _ROUNDING * level)
         modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
-        self.spectra = _spectra(modal)
+        self.spectra = mode_norms(modal)
         result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
         result.points = suspects(result.slabs, trajectories.sizes, number, self.rtol)
         ranks = tuple(core.shape[0] for core in modal[1:])
@@ -262,17 +262,6 @@ class CrossMarcher:
         if front is None:
             return status, cause
         return Status.STEEP, front.sentence(system.STATES, system.PARAMETERS)
-
-
-def _spectra(cores: list[Array]) -> list[Array]:
-    """For each parameter the norms of the modes of its core, weighted by what is to its left."""
-    weight = np.asarray(np.linalg.qr(cores[0], mode="r"))
-    spectra = []
-    for core in cores[1:]:
-        weighted = np.tensordot(weight, core, 1)
-        spectra.append(np.sqrt(np.sum(weighted**2, axis=(0, 2))))
-        weight = np.asarray(np.linalg.qr(weighted.reshape(-1, core.shape[2]), mode="r"))
-    return spectra
 
 
 def solve_cross(

@@ -62,7 +62,7 @@ class GreedyMarcher(Marcher):
     def march(self, index: int, report: Report) -> MarchResult:
         """March with the present nodes and tolerance."""
         start, end = self.yardstick.reference.start, self.yardstick.end
-        lengths = SlabLengths(start, end, self.options, self.longest)
+        lengths = SlabLengths(start, end, self.options, self.longest, self.yardstick.cuts)
         domain = self.yardstick.domain
         slabs = LaggedSlabs(self.coupling, domain, self.nodes, self.tolerance, index)
         result = March(lengths, slabs, self.options.max_slabs).run(start, end, index, report)

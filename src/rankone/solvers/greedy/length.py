@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rankone.solvers.greedy.options import GreedyOptions
@@ -29,12 +30,15 @@ class SlabLengths:
         The horizon.
     longest : float
         Of the first slab if the lengths adapt.
+    cuts : sequence of float
+        Times, ascending, that no slab crosses.
     """
 
     start: float
     end: float
     options: GreedyOptions
     longest: float = math.inf
+    cuts: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         self.horizon, count = self.end - self.start, self.options.time_slabs
@@ -43,13 +47,16 @@ class SlabLengths:
         self._hopeless = False
 
     def propose(self, start: float) -> Span | Status:
-        """The next of equal slabs that fill what remains."""
+        """The next of equal slabs that fill what remains up to the end, or to the next cut."""
         if self._hopeless:
             return Status.NO_CONVERGENCE
-        remaining = self.end - start
-        self.length = remaining / math.ceil(remaining / self.length - 1e-9)
-        end = self.end if remaining < 1.01 * self.length else start + self.length
-        return Span(start, self.length, end)
+        border = next((cut for cut in self.cuts if start < cut < self.end), self.end)
+        remaining = border - start
+        length = remaining / math.ceil(remaining / self.length - 1e-9)
+        if border == self.end:
+            self.length = length
+        end = border if remaining < 1.01 * length else start + length
+        return Span(start, length, end)
 
     def adapt(self, span: Span, trial: GreedyTrial) -> bool:
         """Halve after a rejection, lengthen where few iterations were needed."""
@@ -59,5 +66,6 @@ class SlabLengths:
         elif self.adaptive:
             iterations = len(trial.record.residuals)
             factor = _GROW if iterations <= _FEW else _SHRINK if iterations > _MANY else 1.0
-            self.length = span.length * (_HALVE if Status.RANK_LIMIT in trial.limits else factor)
+            longer = span.length * (_HALVE if Status.RANK_LIMIT in trial.limits else factor)
+            self.length = max(longer, self.length) if span.end in self.cuts else longer
         return trial.record.accepted

@@ -6,17 +6,24 @@ With a fixed number of slabs the iteration is taken as far as it came, and the o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.domain import Domain
-from rankone.solvers.coupled_initial import interpolated_initial
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import Coupling, LaggedSlab, SlabResult, compressed
 from rankone.solvers.greedy.nodes import Nodes
 from rankone.solvers.greedy.operators import ShapeSpace
+from rankone.solvers.interpolation import (
+    Integers,
+    PlainNodes,
+    interpolated,
+    interpolated_initial,
+)
+from rankone.solvers.jumps import jump_kind
 from rankone.solvers.march import Span, Trial
 from rankone.solvers.outcome import Status
 from rankone.tensors.conversion import element_trains
@@ -29,6 +36,8 @@ _LOST_AT_END = 0.2
 """What rounding a state at the end of a slab may lose, relative to the slab's tolerance."""
 _THINNED = 0.05
 """What its trains may lose."""
+_AT_JUMPS = 0.01
+"""What the interpolation of states after a jump may lose."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +111,17 @@ class LaggedSlabs:
             self._at_end(value, added, _LOST_AT_END * lost * size)
             for value, added, size in zip(self._values, modes, self.sizes, strict=True)
         ]
+        kind = jump_kind(self.coupling.system, span.end)
+        if kind is not None:
+            self._values = self._after_jump(kind, lost)
         return list(trains)
 
     def _initial(self) -> list[RankOneSum]:
         """Initial values at the parameter nodes; the factor of time is one row of amplitudes."""
         system = self.coupling.system
         if hasattr(system, "coupled_initial"):
-            first, *cores = interpolated_initial(system, [b.nodes for b in self.parameters])
-            parts = [RankOneSum.of_train(row, cores) for row in first]
-            tolerance = self.tolerance(self.domain.horizon[0])
-            pairs = zip(parts, self.sizes, strict=True)
-            return [self._compressed(part, _LOST_AT_END * tolerance * size) for part, size in pairs]
+            cores = interpolated_initial(system, [b.nodes for b in self.parameters])
+            return self._of_train(cores, self.tolerance(self.domain.horizon[0]))
         rows = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(self.parameters)]
         sizes = (1, *(basis.size for basis in self.parameters))
         values: list[list[RankOneSum]] = [[] for _ in range(system.N_DIFFERENTIAL)]
@@ -120,6 +129,29 @@ class LaggedSlabs:
             columns = [row[index][:, None] for row, index in zip(rows, factors, strict=True)]
             values[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
         return [RankOneSum.joined(parts, sizes) for parts in values]
+
+    def _of_train(self, cores: Sequence[Array], tolerance: float) -> list[RankOneSum]:
+        """The states of a train (n, r_1), ... with values at the nodes, in few products."""
+        first, *others = cores
+        if not others:
+            return [RankOneSum((row[None, :],)) for row in first]
+        parts = (RankOneSum.of_train(row, others) for row in first)
+        pairs = zip(parts, self.sizes, strict=True)
+        return [self._compressed(part, _LOST_AT_END * tolerance * size) for part, size in pairs]
+
+    def _after_jump(self, kind: int, tolerance: float) -> list[RankOneSum]:
+        """The states right after a jump, which acts at each parameter node on its own."""
+        nodes = [basis.nodes for basis in self.parameters]
+
+        def values(indices: Integers) -> Array:
+            points = np.array([x[i] for x, i in zip(nodes, indices.T, strict=True)])
+            before = np.array([value.at(indices) for value in self._values])
+            return self.coupling.system.jumped(
+                kind, before, points.reshape(len(nodes), len(indices))
+            )
+
+        plain = [PlainNodes.of(x.size) for x in nodes]
+        return self._of_train(interpolated(values, plain, _AT_JUMPS * tolerance), tolerance)
 
     def _at_end(self, value: RankOneSum, modes: RankOneSum, tolerance: float) -> RankOneSum:
         """A state at the end of a slab, in few products.

@@ -8,9 +8,11 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D, RadauCollocation
+from rankone.solvers.jumps import jump_kind
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.solvers.train.convergence import Convergence
 from rankone.solvers.train.groups import term_groups
+from rankone.solvers.train.jump import after_jump
 from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
 from rankone.solvers.train.nodes import FEW_PARAMETERS, ParameterNodes
 from rankone.solvers.train.slab import SlabOperator
@@ -29,6 +31,8 @@ _THINNED = 0.5
 """Norm of the entries left out of an accepted slab, relative to the resolution."""
 _COARSENED = 0.02
 """What coarser parameter nodes may lose at the end of a slab, relative to its tolerance."""
+_AT_JUMPS = 0.1
+"""What the states after a jump may lose, relative to the tolerance of the slab before it."""
 
 
 @dataclass
@@ -95,6 +99,11 @@ class SlabIteration:
         cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
         self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
         self._source = self._at_end(trial)
+        kind = jump_kind(self.yardstick.system, span.end)
+        if kind is not None:
+            units = self.scale[: len(cores[0])]
+            tolerance = _AT_JUMPS * trial.record.tolerance
+            self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
         return [SlabTrain(span.start, span.end, tuple(cores), bases)]
 
     def _started(self, span: TrainSpan) -> Sweeper:

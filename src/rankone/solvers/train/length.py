@@ -12,6 +12,7 @@ from rankone.arrays import Array
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.solvers.march import Span, Trial
 from rankone.solvers.outcome import Status
+from rankone.solvers.reference import times_within
 from rankone.solvers.train.sweep import Sweeper
 from rankone.solvers.verification import Yardstick
 
@@ -151,7 +152,8 @@ class SlabLengths:
         scale = self.yardstick.states[:, None, None]
         nodes = self.collocation
         for _ in range(60):
-            values = self.yardstick.reference(start + length * nodes.points) / scale
+            times = times_within(start, start + length, nodes.points)
+            values = self.yardstick.reference(times) / scale
             tail = float(np.abs((values @ nodes.to_modal.T)[..., -2:]).max())
             if tail <= tolerance:
                 break

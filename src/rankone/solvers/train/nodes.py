@@ -11,7 +11,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
-from rankone.solvers.coupled_initial import interpolated_initial
+from rankone.solvers.interpolation import interpolated_initial
 from rankone.solvers.train.groups import ParameterOperators
 from rankone.solvers.train.options import TrainOptions
 from rankone.system import System

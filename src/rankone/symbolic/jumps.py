@@ -1,0 +1,334 @@
+"""Jumps at known times: doses, kicks and restarts, given as such or as ``DiracDelta``."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from rankone.errors import ProblemError, warn
+from rankone.ir import Jump
+from rankone.symbolic.box import Time
+from rankone.symbolic.equations import explain_symbol
+from rankone.symbolic.notation import text_of
+from rankone.symbolic.numbers import rejoined
+from rankone.wording import did_you_mean, listing, quote, shown
+
+__all__ = ["Resets", "check_jumps", "jump_texts", "system_jumps", "without_impulses"]
+
+Resets = dict[float, dict[sp.Expr, sp.Expr]]
+"""For each time the states that jump, as the user writes them, and their values after it."""
+
+_REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
+_APART = 1e-9
+"""Least time between two jumps, in horizons."""
+_BESIDE = 1e-9
+"""Where what is multiplied by an impulse is looked at on either side of it."""
+_SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
+
+
+def check_jumps(
+    given: Any,
+    states: Iterable[sp.Expr],
+    unknowns: Iterable[sp.Expr],
+    parameters: Iterable[sp.Symbol],
+    time: Time,
+) -> Resets:
+    """Return the jumps by time; a time may be a number or a tuple of numbers.
+
+    Raises
+    ------
+    ProblemError
+        If a time is no number or before the horizon, two are the same, or a value is no
+        expression of unknowns and parameters.
+
+    Warns
+    -----
+    RankoneWarning
+        If a jump is not before the end of the horizon.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ProblemError(f"jumps are {shown(given)}, not a mapping", term=given, remedy=_REMEDY)
+    known = list(states), list(unknowns), list(parameters)
+    found: Resets = {}
+    for key, values in given.items():
+        for instant in key if isinstance(key, tuple | sp.Tuple) else (key,):
+            at = _instant(instant, time)
+            if at in found:
+                raise ProblemError(f"there are two jumps at t = {at:g}", term=key, remedy=_REMEDY)
+            found[at] = _values(values, at, *known, time[0])
+    _check_apart(found, time)
+    late = [at for at in sorted(found) if at >= time[2]]
+    if late:
+        first = f"the jump at {time[0]} = {late[0]:g}"
+        rest = f" and {len(late) - 1} more" if len(late) > 1 else ""
+        warn(
+            f"{first}{rest}: not before the end of time, {time[2]:g}; "
+            "remedy: remove it, unless `t_final` is to be later"
+        )
+    return {at: found[at] for at in sorted(found)}
+
+
+def _instant(value: Any, time: Time) -> float:
+    """The time of a jump as a float."""
+    symbols: set[sp.Symbol] = getattr(value, "free_symbols", set())
+    if symbols:
+        raise ProblemError(
+            f"the time of a jump, {quote(value)}, depends on {listing(sorted(map(str, symbols)))}",
+            term=value,
+            remedy="jumps are at known times: with time in units of it, it is a number",
+        )
+    try:
+        if isinstance(value, str | bool):
+            raise TypeError
+        at = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ProblemError(
+            f"the time of a jump is {shown(value)}, not a number", term=value, remedy=_REMEDY
+        ) from None
+    if not math.isfinite(at) or at < time[1]:
+        raise ProblemError(
+            f"the jump at {time[0]} = {at:g} is before the start of time, {time[1]:g}"
+            if math.isfinite(at)
+            else f"the time of a jump is {at}, not finite",
+            term=value,
+            remedy="give a time inside the horizon",
+        )
+    return at
+
+
+def _check_apart(times: Iterable[float], time: Time) -> None:
+    """Raise if two jumps are at times that are hardly told apart."""
+    for a, b in itertools.pairwise(sorted(times)):
+        if b - a < _APART * (time[2] - time[1]):
+            raise ProblemError(
+                f"the jumps at {time[0]} = {a!r} and {b!r} are too close to each other",
+                remedy="make one jump of them",
+            )
+
+
+def _values(
+    given: Any,
+    at: float,
+    states: list[sp.Expr],
+    unknowns: list[sp.Expr],
+    parameters: list[sp.Symbol],
+    time: sp.Symbol,
+) -> dict[sp.Expr, sp.Expr]:
+    """The values of the states that one jump resets."""
+    if not isinstance(given, Mapping) or not given:
+        raise ProblemError(
+            f"the jump at {time} = {at:g} is {shown(given)}, not a mapping from unknowns",
+            term=given,
+            remedy=_REMEDY,
+        )
+    found: dict[sp.Expr, sp.Expr] = {}
+    for state, value in given.items():
+        if state not in states:
+            name = state if isinstance(state, str) else text_of(sp.sympify(state))
+            names = {text_of(known): known for known in states}
+            hint = did_you_mean(name, names)
+            if name in names:
+                hint = f" (did you mean {quote(names[name])}?)"
+            raise ProblemError(
+                f"the jump at {time} = {at:g} resets {shown(state)}, which is no state{hint}",
+                term=state,
+                remedy=f"use the states themselves as keys: {listing(states)}",
+            )
+        found[state] = _value(state, value, at, states, unknowns, parameters, time)
+    return found
+
+
+def _value(
+    state: sp.Expr,
+    value: Any,
+    at: float,
+    states: list[sp.Expr],
+    unknowns: list[sp.Expr],
+    parameters: list[sp.Symbol],
+    time: sp.Symbol,
+) -> sp.Expr:
+    """The value of a state after a jump."""
+    what = f"the value of {quote(state)} after the jump at {time} = {at:g}"
+    remedy = "give an expression of the unknowns before it and of the parameters"
+    try:
+        expression = sp.sympify(value, strict=True)
+    except (sp.SympifyError, TypeError):
+        expression = None
+    if not isinstance(expression, sp.Expr):
+        raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
+    what = f"{what}, {quote(expression)},"
+    places = {known: sp.Dummy() for known in states}
+    rest = expression.xreplace(places)
+    for part in sorted(rest.atoms(AppliedUndef, sp.Derivative), key=sp.default_sort_key):
+        hint = did_you_mean(str(part), map(str, states))
+        message = f"{what} names {quote(part)}, which is no state{hint}"
+        raise ProblemError(message, term=value, remedy=remedy)
+    loose = rest.free_symbols - {*parameters, *places.values(), time}
+    for symbol in sorted(loose, key=sp.default_sort_key):
+        message, declare = explain_symbol(symbol, unknowns, parameters)
+        raise ProblemError(f"{what} has a problem: {message}", term=value, remedy=declare)
+    if expression.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan, sp.DiracDelta):
+        raise ProblemError(f"{what} is not a finite real number", term=value, remedy=remedy)
+    # Inside of x(t) the time is no value of its own.
+    reset = rest.subs(time, sp.Float(at)) if time in rest.free_symbols else rest
+    back = {place: known for known, place in places.items()}
+    return rejoined(reset.xreplace(back))
+
+
+# -- impulses --------------------------------------------------------------------------------
+
+
+Impulses = dict[float, dict[int, sp.Expr]]
+"""For each time what is added to states, by their number."""
+
+
+def without_impulses(
+    rates: Sequence[sp.Expr],
+    functions: Sequence[sp.Expr],
+    origins: Sequence[int | None],
+    time: Time,
+) -> tuple[tuple[sp.Expr, ...], Impulses]:
+    """The rates without their ``DiracDelta`` of time, and what those add to the states.
+
+    Raises
+    ------
+    ProblemError
+        If one is at no known time, is not added to a rate, or is multiplied by what jumps at the
+        same time.
+    """
+    found: Impulses = {}
+    rest: list[sp.Expr] = []
+    for number, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
+        impulses = sorted(rate.atoms(sp.DiracDelta), key=sp.default_sort_key)
+        places = {impulse: sp.Dummy() for impulse in impulses}
+        plain = rate.xreplace(places)
+        for impulse, place in places.items():
+            at, size = _impulse(impulse, time[0], origin)
+            factor = plain.diff(place)
+            if factor.has(*places.values()):
+                raise ProblemError(
+                    f"{quote(impulse)} does not enter as a product with what is finite",
+                    equation=origin,
+                    term=impulse,
+                    remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
+                )
+            if not time[1] <= at:
+                continue
+            _check_steady(factor, impulse, at, time[0], origin)
+            added = found.setdefault(at, {})
+            value = size * factor.subs(time[0], at) if _explicit(factor, time[0]) else size * factor
+            added[number] = added.get(number, sp.S.Zero) + value
+        rest.append(plain.xreplace(dict.fromkeys(places.values(), sp.S.Zero)))
+    for at, added in found.items():
+        for number, value in added.items():
+            for other in added:
+                if value.has(functions[other]):
+                    raise ProblemError(
+                        f"the impulse at {time[0]} = {at:g} is multiplied by "
+                        f"`{functions[other]}`, which jumps there itself",
+                        equation=origins[number],
+                        term=value,
+                        remedy="give the values after it as jumps={time: {unknown: value}}",
+                    )
+    _check_apart(found, time)
+    return tuple(rest), found
+
+
+def _explicit(expression: sp.Expr, time: sp.Symbol) -> bool:
+    """Whether time enters but as the argument of unknowns."""
+    return (
+        time
+        in expression.xreplace({u: sp.Dummy() for u in expression.atoms(AppliedUndef)}).free_symbols
+    )
+
+
+def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tuple[float, sp.Expr]:
+    """When an impulse is, and its size."""
+    argument = impulse.args[0]
+
+    def wrong(message: str) -> ProblemError:
+        return ProblemError(
+            f"{quote(impulse)} {message}",
+            equation=origin,
+            term=impulse,
+            remedy=f"write DiracDelta({time} - 8) with a number; jumps are at known times",
+        )
+
+    if len(impulse.args) > 1 and impulse.args[1] != 0:
+        raise wrong("is a derivative of an impulse")
+    others = argument.free_symbols - {time}
+    if others or argument.atoms(AppliedUndef):
+        named = sorted(map(str, [*others, *argument.atoms(AppliedUndef)]))
+        raise wrong(f"is at a time that depends on {listing(named)}")
+    slope = argument.diff(time)
+    if slope.has(time) or slope == 0:
+        raise wrong("is not at one time")
+    at = float(-argument.subs(time, 0) / slope)
+    return at, 1 / sp.Abs(slope)
+
+
+def _check_steady(
+    factor: sp.Expr, impulse: sp.Expr, at: float, time: sp.Symbol, origin: int | None
+) -> None:
+    """Raise if what an impulse is multiplied by switches at the same time."""
+    near = _BESIDE * max(abs(at), 1.0)
+    for part in factor.atoms(*_SWITCHING):
+        before, after = (part.subs(time, at + side * near) for side in (-1, 1))
+        if (after - before).is_number and abs(after - before) < math.sqrt(_BESIDE):
+            continue
+        raise ProblemError(
+            f"{quote(impulse)} is multiplied by {quote(part)}, which may switch at the same time",
+            equation=origin,
+            term=part,
+            remedy="give the values after it as jumps={time: {unknown: value}}",
+        )
+
+
+def system_jumps(
+    resets: Mapping[float, Mapping[sp.Expr, sp.Expr]],
+    impulses: Impulses,
+    functions: Mapping[sp.Expr, sp.Expr],
+    time: Time,
+) -> tuple[Jump, ...]:
+    """All jumps by time, in the states of the first-order system.
+
+    Parameters
+    ----------
+    resets, impulses
+        As given, and those of ``DiracDelta``.
+    functions : mapping
+        The states as the user writes them, and as functions of time.
+    """
+    for at in sorted(set(resets) & set(impulses)):
+        raise ProblemError(
+            f"there are both a jump and a DiracDelta at {time[0]} = {at:g}",
+            remedy="put the impulse into the jump",
+        )
+    _check_apart([*resets, *impulses], time)
+    states = list(functions.values())
+    found = []
+    for at in sorted([*resets, *impulses]):
+        if at in resets:
+            values = {
+                functions[state]: value.xreplace(dict(functions))
+                for state, value in resets[at].items()
+            }
+        else:
+            values = {states[i]: states[i] + value for i, value in impulses[at].items()}
+        found.append(Jump(at, tuple(values.get(u, u) for u in states)))
+    return tuple(found)
+
+
+def jump_texts(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: str) -> Iterator[str]:
+    """Lines such as ``at t = 8, 16: C -> C + D``, one for each kind of jump."""
+    for values, times in Jump.kinds(jumps).items():
+        pairs = zip(states, values, strict=True)
+        changes = (f"{text_of(u)} -> {text_of(v)}" for u, v in pairs if u != v)
+        yield f"at {time} = {', '.join(f'{at:g}' for at in times)}: {', '.join(changes)}"

@@ -1,0 +1,127 @@
+"""Jumps at known times: what may be given, and what becomes of it."""
+
+import pickle
+
+import pytest
+import sympy as sp
+
+import rankone as ro
+
+t, k, dose = sp.symbols("t k dose")
+x, v = (sp.Function(name)(t) for name in "xv")
+BOX = {k: (0.5, 1.5), dose: (1, 2)}
+
+
+def problem(jumps=None, rate=-k * x, box=BOX, initial=0, time=(t, 0, 10)):
+    return ro.Problem([sp.Eq(x.diff(t), rate)], time, box, {x: initial}, jumps=jumps)
+
+
+def test_repeated_doses_are_printed_once():
+    made = problem({(4, 6): {x: x + dose}, 2.0: {x: dose}})
+    assert list(made.jumps) == [2.0, 4.0, 6.0]
+    for text in (repr(made), repr(ro.first_order(made)), repr(ro.weak_form(made))):
+        assert "at t = 2: x -> dose" in text
+        assert "at t = 4, 6: x -> dose + x" in text
+    compiled = ro.compile(made)
+    assert "at t = 4, 6: x -> dose + x" in compiled.source
+    assert compiled.system.JUMPS == ((2.0, 0), (4.0, 1), (6.0, 1))
+    assert repr(pickle.loads(pickle.dumps(made))) == repr(made)
+
+
+def test_an_impulse_is_a_jump():
+    """m x'' + k x = J delta(t - 1) kicks the velocity by J/m."""
+    m = sp.Symbol("m")
+    equation = sp.Eq(m * x.diff(t, 2) + k * x, dose * sp.DiracDelta(2 * t - 2) * t)
+    made = ro.Problem([equation], (t, 0, 5), {**BOX, m: (1, 2)}, {x: 1, x.diff(t): 0})
+    (jump,) = ro.first_order(made).jumps
+    velocity = sp.Function("x_t")(t)
+    assert jump.time == 1.0
+    assert jump.values[0] == x
+    assert sp.nsimplify(jump.values[1] - velocity - dose / (2 * m)) == 0
+    assert not ro.first_order(made).rhs[1].has(sp.DiracDelta)
+
+
+def test_a_jump_at_the_start_changes_the_initial_value():
+    system = ro.first_order(problem({0: {x: 2 * x + dose}}, initial=k))
+    assert system.initial == (2 * k + dose,)
+    assert system.jumps == ()
+
+
+def test_impulses_outside_of_the_horizon():
+    made = problem(rate=-k * x + dose * (sp.DiracDelta(t + 1) + sp.DiracDelta(t - 20)))
+    assert [jump.time for jump in ro.first_order(made).jumps] == [20.0]
+
+
+def test_text_and_impulses_of_a_list():
+    made = ro.Problem.from_strings(
+        {"x": "-k*x + dose*DiracDelta(t - 3)", "v": "-v"},
+        {"x": "0", "v": "1"},
+        {"k": (0.5, 1.5), "dose": (1, 2)},
+        (0, 10),
+        jumps={(4, 8): {"x": "x + dose*exp(-t)", "v": 2}},
+    )
+    assert [jump.time for jump in ro.first_order(made).jumps] == [3.0, 4.0, 8.0]
+    assert "exp" not in str(made.jumps[4.0])  # time is known there
+
+
+def test_lifted_states_are_reset_with_what_they_stand_for():
+    made = problem({1: {x: x + dose}}, rate=-k * sp.sin(x), initial=1)
+    lifting = ro.compile(made).lifted.lifting
+    (jump,) = lifting.system.jumps
+    after = dict(zip(map(str, lifting.system.functions), jump.values, strict=True))
+    assert after["s(t)"] == sp.sin(dose + x)
+    assert after["c(t)"] == sp.cos(dose + x)
+
+
+@pytest.mark.parametrize(
+    ("jumps", "message"),
+    [
+        ([8], "jumps are .* not a mapping"),
+        ({8: x + 1}, "the jump at t = 8 is .*, not a mapping from unknowns"),
+        ({8: {}}, "the jump at t = 8 is .*, not a mapping"),
+        ({"8": {x: 1}}, "the time of a jump is .*, not a number"),
+        ({k: {x: 1}}, "the time of a jump, `k`, depends on `k`"),
+        ({float("nan"): {x: 1}}, "the time of a jump is nan"),
+        ({-1: {x: 1}}, "the jump at t = -1 is before the start of time, 0"),
+        ({(2, 2.0): {x: 1}}, "two jumps at t = 2"),
+        ({2: {x: 1}, 2 + 1e-12: {x: 1}}, "too close to each other"),
+        ({2: {v: 1}}, r"resets `?v\(t\)`?, which is no state"),
+        ({2: {"x": 1}}, r"resets .x., which is no state \(did you mean `x\(t\)`"),
+        ({2: {x: v}}, r"the value of `x\(t\)` after the jump at t = 2, `v\(t\)`, names `v\(t\)`"),
+        ({2: {x: sp.Symbol("z")}}, "unknown symbol `z`"),
+        ({2: {x: sp.oo}}, "not a finite real number"),
+        ({2: {x: "1"}}, "not an expression"),
+        ({2: {x: x.diff(t)}}, "names `Derivative"),
+    ],
+)
+def test_bad_jumps(jumps, message):
+    with pytest.raises(ro.ProblemError, match=message):
+        problem(jumps)
+
+
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [
+        (sp.DiracDelta(t - k), "equation 1: .* is at a time that depends on `k`"),
+        (sp.DiracDelta(t**2 - 4), "equation 1: .* is not at one time"),
+        (sp.DiracDelta(t - 1, 1), "equation 1: .* is a derivative of an impulse"),
+        (sp.sin(sp.DiracDelta(t - 1)), "equation 1: .* does not enter as a product"),
+        (x * sp.DiracDelta(t - 1), r"equation 1: .*multiplied by `x\(t\)`, which jumps there"),
+        (sp.Heaviside(t - 1) * sp.DiracDelta(t - 1), "equation 1: .* may switch at the same"),
+    ],
+)
+def test_bad_impulses(rate, message):
+    with pytest.raises(ro.ProblemError, match=message):
+        ro.compile(problem(rate=rate - k * x + dose))
+
+
+def test_both_at_one_time():
+    both = problem({1: {x: 1}}, rate=dose * sp.DiracDelta(t - 1) - k * x)
+    with pytest.raises(ro.ProblemError, match="both a jump and a DiracDelta at t = 1"):
+        ro.compile(both)
+
+
+def test_a_jump_after_the_end_counts_where_the_end_is_moved():
+    with pytest.warns(ro.RankoneWarning, match="jump at t = 10 and 1 more: not before the end"):
+        made = problem({(12, 10): {x: x + dose}, 1: {x: dose}})
+    assert list(made.jumps) == [1.0, 10.0, 12.0]
