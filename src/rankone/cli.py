@@ -34,7 +34,7 @@ _STAGES = {
 """What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
 _ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final"),
-    *("check", "cover", "max_seconds", "progress", "on_failure"),
+    *("check", "cover", "max_seconds", "unknowns", "progress", "on_failure"),
 )
 """What ``solve`` takes beside options of the engine."""
 _FILE_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
@@ -155,6 +155,12 @@ def _parser() -> argparse.ArgumentParser:
         type=float,
         help="time limit, 25 by default; the best so far is kept",
     )
+    solve.add_argument(
+        "--unknowns",
+        metavar="NAME",
+        nargs="+",
+        help="the unknowns whose error has to be within the tolerance; by default all",
+    )
     solve.add_argument("--json", action="store_true", help="print the summary as JSON")
     solve.add_argument(
         "--quiet", action="store_true", help="no summary (except --json) and no progress bar"
@@ -238,6 +244,7 @@ def _solve(arguments: argparse.Namespace) -> int:
             check=check,
             cover=arguments.cover,
             max_seconds=arguments.max_seconds,
+            unknowns=arguments.unknowns,
             progress=bar,
             **options,
         )
@@ -291,6 +298,7 @@ def _checked(solution: Solution) -> dict[str, Any] | None:
     return {
         "trajectories": measured.points,
         "cover": measured.cover,
+        "unknowns": [solution.states[i] for i in measured.counted or range(len(solution.states))],
         "quantile95": measured.quantile,
         "worst": dict(zip(solution.parameters, measured.worst, strict=False)),
     }

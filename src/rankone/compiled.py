@@ -200,6 +200,7 @@ class CompiledProblem:
         check: bool | int = True,
         cover: Literal["interior", "box"] | None = None,
         max_seconds: float | None = None,
+        unknowns: Sequence[Any] | None = None,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
     ) -> Solution:
@@ -232,6 +233,9 @@ class CompiledProblem:
         max_seconds : float, optional
             Time limit; the best solution so far is returned, with ``success`` False. Without one it
             is 25 seconds, or 250 where functions of the user are called.
+        unknowns : sequence, optional
+            The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
+            derivatives or names. By default all count, derivatives that are states too.
         on_failure : {"return", "raise"}
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.
@@ -261,7 +265,7 @@ class CompiledProblem:
         engines = engines_for(method, options, count, separated=separated)
         form = self.form_for(str(method))
         check_points(check)
-        asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)
+        asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options, unknowns)
         task = Task.of(engines, form.system, asked, "method", "progress", "on_failure")
         if form is not self:
             task = replace(task, truth=self.system)

@@ -37,13 +37,13 @@ y = "-y*(3 - x)"
 x = "x0"
 y = "y0"
 
-[parameters]               # the box; may be left out
-x0 = [8, 12]
-y0 = [4, 6]
-
 [[jumps]]                  # resets at known times, such as doses; may be left out
 times = [2, 4]             # or a single time = 2
 x = "x + 1"                # the value right after it
+
+[parameters]               # the box; may be left out
+x0 = [8, 12]
+y0 = [4, 6]
 """
 
 _REQUIRED = ("time", "rhs", "initial")

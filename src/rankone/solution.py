@@ -15,6 +15,7 @@ from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
 from rankone.storage import read
 from rankone.tensors.canonical import CanonicalForms, canonical_form
+from rankone.wording import listing
 
 __all__ = ["Solution", "load"]
 
@@ -139,6 +140,8 @@ class Solution(SolutionCore):
             error = f"not measured, {asked}"
         else:
             error = f"{self.error:.2g} measured on {measured.points} trajectories, {asked}"
+            if measured.counted is not None:
+                error = f"of {listing(self.states[i] for i in measured.counted)} {error}"
             if measured.quantile is not None:
                 error += f", 95 % below {measured.quantile:.2g}"
             if len(self.errors) > 1:

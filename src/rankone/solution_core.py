@@ -159,9 +159,10 @@ class SolutionCore:
     def error(self) -> float:
         """Largest measured error over all states, relative to each one's size; NaN if unchecked.
 
-        Derivatives that became states count as well.
+        Derivatives that became states count as well, unless ``unknowns`` said which do.
         """
-        return float(np.max([*self.errors.values()]))
+        measured = self.outcome.measured
+        return float("nan") if measured is None else measured.error
 
     @property
     def errors(self) -> dict[str, float]:

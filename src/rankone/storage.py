@@ -275,6 +275,9 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     measured = states if outcome.measured is None else len(outcome.measured.interior)
     if counts | {(measured, len(metadata.box))} != {(states, parameters)}:
         raise ValueError("the names do not fit the cores")
+    counted = None if outcome.measured is None else outcome.measured.counted
+    if counted is not None and not {*counted} & {*range(states)} == {*counted} != set():
+        raise ValueError(f"the states that count are {counted}, of {states}")
     for names in (metadata.states, (metadata.time, *metadata.parameters)):
         if len({*names}) < len(names):
             raise ValueError(f"the names {', '.join(names)} are not distinct")
@@ -323,8 +326,9 @@ def _check_error(outcome: Outcome, rtol: float) -> None:
     if not 0.0 < rtol < math.inf:
         raise ValueError(f"rtol is {rtol}, not a positive number")
     if outcome.status is Status.CONVERGED:
-        errors = None if outcome.measured is None else outcome.measured.interior
-        if errors is None or not all(0.0 <= error <= rtol for error in errors):
+        measured = outcome.measured
+        errors = None if measured is None else measured.interior
+        if measured is None or not all(e >= 0.0 for e in errors or ()) or measured.error > rtol:
             raise ValueError(f"the status is CONVERGED, the measured error {errors}, rtol {rtol}")
 
 

@@ -236,6 +236,7 @@ def solve(
     check: bool | int = True,
     cover: str | None = None,
     max_seconds: float | None = None,
+    unknowns: Sequence[str] | None = None,
     **options: Any,
 ) -> Solution:
     """Solve for every parameter value at once.
@@ -255,6 +256,8 @@ def solve(
         Whether success covers the corners of the box too; by default up to three parameters.
     max_seconds : float, optional
         Time limit; the best solution so far is returned.
+    unknowns : sequence of str, optional
+        The unknowns whose error has to be within the tolerance; by default all.
     **options
         See `{options}`.
 
@@ -265,7 +268,7 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options)
+    asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options, unknowns)
     return solve_system(ENGINE, SYSTEM, METADATA, asked)
 
 

@@ -46,9 +46,7 @@ class Attempt:
     @property
     def error(self) -> float:
         """Largest measured error; infinite if there is none."""
-        if self.measured is None:
-            return math.inf
-        return max(self.measured.interior, default=0.0)
+        return math.inf if self.measured is None else self.measured.error
 
     def better_than(self, other: Attempt | None) -> bool:
         """Whether to keep this attempt: it got further, or as far with a smaller error."""
@@ -76,7 +74,7 @@ class Attempt:
         """The sentence a user reads: how it ended, the figures, and how far it came."""
         text, slabs = cause, self.result.slabs
         if self.measured is not None:
-            corner = max(self.measured.corners, default=0.0)
+            corner = self.measured.corner_error
             worse = corner > max(rtol, self.error)
             if worse and status is Status.CONVERGED:
                 text += " in the interior of the box"
@@ -131,9 +129,8 @@ def solve_in_attempts(
     with time_limit(left - min(_EXPLAINING, _SHARE * left)):
         try:
             with _timed(timings, "reference"):
-                yardstick = Yardstick.of(
-                    system, domain, request.rtol, request.points, request.cover
-                )
+                asked = request.rtol, request.points, request.cover, request.counted
+                yardstick = Yardstick.of(system, domain, *asked)
                 marcher = prepared(request, yardstick)
                 marcher.yardstick = yardstick
         except OutOfTimeError as out:

@@ -36,12 +36,15 @@ class Request(Generic[AnyOptions]):
         Limits and discretisation, those of the engine.
     cover : {"interior", "box"} or None
         Whether success covers the corners of the box; None where there are few parameters.
+    counted : tuple of int or None
+        The states whose error counts; None for all.
     """
 
     rtol: float
     points: int
     options: AnyOptions
     cover: str | None = None
+    counted: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)

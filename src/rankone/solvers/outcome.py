@@ -81,6 +81,8 @@ class Measured:
         95 % of the points that count are no worse.
     worst : tuple of float
         The worst of them.
+    counted : tuple of int or None
+        The states that success is for; None for all.
     """
 
     interior: tuple[float, ...]
@@ -90,6 +92,21 @@ class Measured:
     cover: str = "interior"
     quantile: float | None = None
     worst: tuple[float, ...] = ()
+    counted: tuple[int, ...] | None = None
+
+    @property
+    def error(self) -> float:
+        """Largest error of the states that count."""
+        return self._largest(self.interior)
+
+    @property
+    def corner_error(self) -> float:
+        """Largest of those at corners; 0 without any."""
+        return self._largest(self.corners)
+
+    def _largest(self, errors: tuple[float, ...]) -> float:
+        counted = range(len(errors)) if self.counted is None else self.counted
+        return max((errors[i] for i in counted if errors), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -121,4 +138,4 @@ class Outcome:
     @property
     def error(self) -> float:
         """Largest measured error; infinite if there is none."""
-        return math.inf if self.measured is None else max(self.measured.interior, default=0.0)
+        return math.inf if self.measured is None else self.measured.error

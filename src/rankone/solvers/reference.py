@@ -334,6 +334,7 @@ def measure(
     corners: int,
     whole_box: bool,
     seen: int | None = None,
+    states: tuple[int, ...] | None = None,
 ) -> Measured:
     """Errors of the slabs against the reference over their whole time span.
 
@@ -348,6 +349,8 @@ def measure(
         Whether they count like the others.
     seen : int, optional
         So many states, the first, are measured: those after them are lifted and serve the others.
+    states : tuple of int, optional
+        Those of them whose error counts.
     """
     m = len(reference.points)
     errors = np.zeros((reference.states, m))
@@ -370,7 +373,7 @@ def measure(
     at_corners = errors[:, 1 : 1 + corners].max(axis=1, initial=0.0)
     counted = np.ones(m, dtype=bool)
     counted[1 : 1 + corners] = whole_box
-    of_points = errors[:, counted].max(axis=0)
+    of_points = errors[slice(None) if states is None else list(states)][:, counted].max(axis=0)
     return Measured(
         interior=tuple(errors[:, counted].max(axis=1).tolist()),
         corners=tuple(at_corners.tolist()) if corners else (),
@@ -379,4 +382,5 @@ def measure(
         cover="box" if whole_box else "interior",
         quantile=float(np.quantile(of_points, 0.95, method="higher")),
         worst=tuple(reference.points[counted][np.argmax(of_points)].tolist()),
+        counted=states,
     )

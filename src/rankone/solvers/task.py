@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from rankone.coordinates import name_of
 from rankone.deadline import OutOfTimeError, seconds_left, time_limit
 from rankone.domain import Domain, check_factors
+from rankone.errors import EvaluationError, OptionError
 from rankone.metadata import SolutionMetadata
 from rankone.options import checked_number
 from rankone.progress import Report, quiet
@@ -17,8 +19,9 @@ from rankone.solvers.engine import Engine, Request
 from rankone.solvers.outcome import Outcome, Status
 from rankone.solvers.verification import Yardstick
 from rankone.system import Recipe, System
+from rankone.wording import did_you_mean, listing, quote
 
-__all__ = ["Asked", "Task"]
+__all__ = ["Asked", "Task", "counted_states"]
 
 _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP, Status.LEAVES, Status.STEEP)
 """How a solve ends that no other engine is tried after."""
@@ -42,11 +45,42 @@ class Asked:
     cover: str | None
     max_seconds: float | None
     options: Mapping[str, Any]
+    unknowns: Sequence[Any] | None = None
 
     @classmethod
     def keywords(cls) -> tuple[str, ...]:
         """What ``solve`` takes beside the options of the engine."""
         return tuple(field.name for field in fields(cls) if field.name != "options")
+
+
+def counted_states(system: System, unknowns: Any) -> tuple[int, ...] | None:
+    """The states whose error counts, of names, functions of time or derivatives; None for all.
+
+    Raises
+    ------
+    OptionError
+        If there is no such state.
+    """
+    if unknowns is None:
+        return None
+    known = system.STATES[: system.N_DIFFERENTIAL - getattr(system, "LIFTED", 0)]
+    remedy = f"give some of {listing(known)}"
+    try:
+        names = [name_of(u) for u in ([unknowns] if isinstance(unknowns, str) else unknowns)]
+    except (TypeError, EvaluationError):
+        raise OptionError(
+            f"unknowns={unknowns!r} is no list of unknowns", term=unknowns, remedy=remedy
+        ) from None
+    for name in names:
+        if name not in known:
+            raise OptionError(
+                f"there is no unknown {quote(name)}{did_you_mean(name, known)}",
+                term=name,
+                remedy=remedy,
+            )
+    if not names:
+        raise OptionError("no unknown is to count: unknowns is empty", remedy=remedy)
+    return tuple(sorted({known.index(name) for name in names}))
 
 
 @dataclass(frozen=True)
@@ -89,6 +123,8 @@ class Task:
             engine.request(asked.rtol, asked.check, asked.options, keywords, asked.cover)
             for engine in engines
         ]
+        counted = counted_states(system, asked.unknowns)
+        requests = [replace(request, counted=counted) for request in requests]
         domain = Domain.of(system).moved(system.PARAMETERS, asked.parameters, asked.t_final)
         if asked.max_seconds is None:
             recipe: Recipe | None = getattr(system, "RECIPE", None)
@@ -129,13 +165,13 @@ class Task:
         if self.truth is None or outcome.status is not Status.CONVERGED:
             return outcome
         request = self.requests[0]
-        given = request.rtol, request.points, request.cover
+        given = request.rtol, request.points, request.cover, request.counted
         try:
             measured = Yardstick.of(self.truth, self.domain, *given).measured(outcome.slabs)
         except OutOfTimeError:
             return replace(outcome, status=Status.TIME_LIMIT, message=Status.TIME_LIMIT.value)
         assert measured is not None
-        error = max(measured.interior, default=0.0)
+        error = measured.error
         if error <= request.rtol:
             return replace(outcome, measured=measured)
         message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"

@@ -56,6 +56,8 @@ class Yardstick:
         Times at which the time factors jump, kink or are narrow, and at which states are reset.
     special : tuple of Breakpoints
         The same for the factors of each parameter.
+    counted : tuple of int or None
+        The states whose error counts; None for all.
     """
 
     system: System
@@ -67,15 +69,22 @@ class Yardstick:
     checked: bool
     cuts: tuple[float, ...] = ()
     special: tuple[Breakpoints, ...] = ()
+    counted: tuple[int, ...] | None = None
 
     @classmethod
     def of(
-        cls, system: System, domain: Domain, rtol: float, check: int, cover: str | None = None
+        cls,
+        system: System,
+        domain: Domain,
+        rtol: float,
+        check: int,
+        cover: str | None = None,
+        counted: tuple[int, ...] | None = None,
     ) -> Yardstick:
         """Integrate the reference for a solve to ``rtol`` with ``check`` interior points.
 
         ``cover`` says whether corners count, "box", or not, "interior"; they do by default where
-        there are few parameters.
+        there are few parameters. ``counted`` are the states whose error counts, if not all do.
         """
         whole_box = len(domain.box) <= FEW if cover is None else cover == "box"
         in_time, *special = system_breakpoints(system, domain)
@@ -95,7 +104,7 @@ class Yardstick:
         reference = integrate_reference(system, points, *domain.horizon, accuracy, cuts)
         interior = 1 + check + 2 * sum(map(len, beside)) + len(active)
         corners = len(points) - interior if check and domain.box else 0
-        found = cuts, tuple(special)
+        found = cuts, tuple(special), counted
         made = cls(system, domain, accuracy, reference, corners, whole_box, bool(check), *found)
         _check_sizes(made)
         return made
@@ -135,7 +144,8 @@ class Yardstick:
         if not slabs or not self.checked:
             return None
         seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
-        return measure(slabs, self.reference, self.states, self.corners, self.whole_box, seen)
+        counts = self.corners, self.whole_box, seen, self.counted
+        return measure(slabs, self.reference, self.states, *counts)
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:
