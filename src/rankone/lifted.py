@@ -41,7 +41,7 @@ class LiftedProblem:
     @cached_property
     def source(self) -> str:
         """Text of the generated module."""
-        return generate_source(self.quadratic, self.name, self.lifting.count)
+        return generate_source(self.quadratic, self.name, self.lifting.meanings)
 
     @cached_property
     def system(self) -> System:

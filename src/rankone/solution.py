@@ -140,6 +140,8 @@ class Solution(SolutionCore):
             error = f"not measured, {asked}"
         else:
             error = f"{self.error:.2g} measured on {measured.points} trajectories, {asked}"
+            if measured.drift is not None:
+                error += f", lifted states drift by {measured.drift:.2g}"
             if measured.counted is not None:
                 error = f"of {listing(self.states[i] for i in measured.counted)} {error}"
             if measured.quantile is not None:

@@ -112,6 +112,11 @@ class System(Protocol):
         (N_DIFFERENTIAL, ...); only where there are some."""
 
     @staticmethod
+    def meanings(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """What the lifted states stand for at the states u (N_DIFFERENTIAL, ...): (LIFTED, ...);
+        only where there are some."""
+
+    @staticmethod
     def moving_cuts(p: Sequence[Any] | Array) -> Array:
         """Times at which functions of time and parameters switch at p (d, ...), shape (cuts, ...);
         only where nothing separates and there are some."""

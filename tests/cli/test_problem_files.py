@@ -71,7 +71,10 @@ def test_toml_with_tables_numbers_and_a_name(tmp_path: Path) -> None:
         (TOML_LAYOUT.replace('x = "x0"', "x = [1]"), r"`x` in \[initial\] is \[1\], neither text"),
         (TOML_LAYOUT.replace('"x*(1.5 - y)"', "true"), r"`x` in \[rhs\] is True, neither text nor"),
         (TOML_LAYOUT.replace('"x*(1.5 - y)"', "nan"), r"`x` in \[rhs\] is nan, neither text nor"),
-        (TOML_LAYOUT.replace("times = [2, 4]", "times = [2, 2]"), r"\[\[jumps\]\] has a time twice"),
+        (
+            TOML_LAYOUT.replace("times = [2, 4]", "times = [2, 2]"),
+            r"\[\[jumps\]\] has a time twice",
+        ),
         (TOML_LAYOUT.replace("times = [2, 4]", ""), r"\[\[jumps\]\] has no times"),
         (TOML_LAYOUT.replace("times = [2, 4]", 'time = "2"'), r"\[\[jumps\]\] has `time` = '2'"),
         (TOML_LAYOUT.replace("[[jumps]]", "[jumps]"), "`jumps` is .*, not a list of tables"),

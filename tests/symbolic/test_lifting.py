@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
+from rankone.domain import Domain
+from rankone.solvers.drift import drift
 from rankone.solvers.integration import initial_values
+from rankone.solvers.registry import ENGINES
 from rankone.symbolic.lifting import NotLiftable, lift
 
 AROUND = (0.7, 1.3)
@@ -225,3 +229,24 @@ def test_the_same_text_under_another_hash_seed():
         for seed in ("1", "2")
     }
     assert len(texts) == 1
+
+
+def test_lifted_states_are_followed_along_the_solve(tmp_path):
+    """Sine and cosine stay those of the angle, and a solution says how well."""
+    solution = compiled("pendulum").solve(1e-6, method="train")
+    assert 0.0 < solution.outcome.measured.drift < 1e-5
+    assert "lifted states drift by" in repr(solution)
+    assert ro.load(solution.save(tmp_path / "u.npz")).outcome.measured == solution.outcome.measured
+    assert compiled("pendulum").solve(1e-4).outcome.measured.drift is None
+
+
+def test_a_drift_is_seen():
+    """Lifted states that are not what they stand for."""
+    pendulum = compiled("pendulum")
+    system, domain = pendulum.lifted.system, Domain.of(pendulum.lifted.system)
+    slabs = ENGINES["train"].run(system, 1e-4).slabs
+    assert drift(system, domain, slabs) < 1e-3
+    first = slabs[0].cores[0].copy()
+    first[-1] *= 1.01
+    worse = [replace(slabs[0], cores=(first, *slabs[0].cores[1:])), *slabs[1:]]
+    assert 5e-3 < drift(system, domain, worse) < 2e-2

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import linecache
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
+
+import sympy as sp
 
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.factors import coordinate_functions
@@ -15,6 +17,7 @@ from rankone.codegen.header import header, sum_text
 from rankone.codegen.initial import coupled_initial
 from rankone.codegen.jumps import jump_function, jump_table, jumped_values
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
+from rankone.codegen.meanings import meanings_function
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
 from rankone.codegen.text import described_table, nested, table
@@ -28,7 +31,9 @@ __all__ = ["generate_source", "load_module"]
 
 
 def generate_source(
-    form: QuadraticSystem | SeparatedForm, title: str | None = None, lifted: int = 0
+    form: QuadraticSystem | SeparatedForm,
+    title: str | None = None,
+    meanings: Sequence[sp.Expr] = (),
 ) -> str:
     """Python source of the module for a system.
 
@@ -38,8 +43,8 @@ def generate_source(
         The system; a separated form is lowered and grouped first.
     title : str, optional
         First line of the module's docstring.
-    lifted : int
-        How many of the differential states, the last, are functions of the others.
+    meanings : sequence of Expr
+        What the last of the differential states stand for, in the others.
 
     Returns
     -------
@@ -68,10 +73,11 @@ def generate_source(
         *functions,
         coupled_initial(system),
         jump_function(system.differential, system.coordinates, system.jumps),
+        meanings_function(system.differential, system.coordinates, meanings),
     ]
     head = partial(header, system, pointwise.operations, title)
     cuts = cut_table(system.coordinates, known)
-    more = [f"LIFTED = {lifted}"] if lifted else []
+    more = [f"LIFTED = {len(meanings)}"] if meanings else []
     more += jump_table(system.jumps)
     return module_source(head, [*tables(system), *more, *cuts], blocks)
 

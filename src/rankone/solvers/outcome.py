@@ -83,6 +83,9 @@ class Measured:
         The worst of them.
     counted : tuple of int or None
         The states that success is for; None for all.
+    drift : float or None
+        Largest difference between lifted states and what they stand for, relative to their sizes;
+        None where none are lifted.
     """
 
     interior: tuple[float, ...]
@@ -93,6 +96,7 @@ class Measured:
     quantile: float | None = None
     worst: tuple[float, ...] = ()
     counted: tuple[int, ...] | None = None
+    drift: float | None = None
 
     @property
     def error(self) -> float:

@@ -15,6 +15,7 @@ from rankone.errors import EvaluationError, OptionError
 from rankone.metadata import SolutionMetadata
 from rankone.options import checked_number
 from rankone.progress import Report, quiet
+from rankone.solvers.drift import drift
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.outcome import Outcome, Status
 from rankone.solvers.verification import Yardstick
@@ -161,7 +162,10 @@ class Task:
         if not lifted or not outcome.slabs:
             return outcome
         seen = self.system.N_DIFFERENTIAL - lifted
-        outcome = replace(outcome, slabs=tuple(s.first_states(seen) for s in outcome.slabs))
+        drifted = drift(self.system, self.domain, outcome.slabs)
+        slabs = tuple(slab.first_states(seen) for slab in outcome.slabs)
+        known = outcome.measured and replace(outcome.measured, drift=drifted)
+        outcome = replace(outcome, slabs=slabs, measured=known)
         if self.truth is None or outcome.status is not Status.CONVERGED:
             return outcome
         request = self.requests[0]
@@ -171,11 +175,11 @@ class Task:
         except OutOfTimeError:
             return replace(outcome, status=Status.TIME_LIMIT, message=Status.TIME_LIMIT.value)
         assert measured is not None
-        error = measured.error
+        measured, error = replace(measured, drift=drifted), measured.error
         if error <= request.rtol:
             return replace(outcome, measured=measured)
         message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
-        message += " (of the system before functions were lifted)"
+        message += f" (of the system as it was written; lifted states drift by {drifted:.1e})"
         return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)
 
     def _seconds(self, tried: int) -> float:
