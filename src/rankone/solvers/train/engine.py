@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import ClassVar
@@ -46,13 +47,14 @@ class TrainMarcher(Marcher):
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
         self.inner = self.rtol * (_SHARE_FEW if yardstick.whole_box else _SHARE_MANY)
         self.guesses: Sequence[Guess] = ()
+        self.longest = math.inf
 
     def march(self, index: int, report: Report) -> MarchResult:
         """March with the present inner tolerance, from the slabs of the attempt before."""
         yardstick, collocation = self.yardstick, self.collocation
         accuracy = Accuracy(self.inner, self.growth)
         nodes = ParameterNodes(yardstick.system, self.bases, self.floors, self.options)
-        lengths = SlabLengths(yardstick, collocation, accuracy, self.guesses)
+        lengths = SlabLengths(yardstick, collocation, accuracy, self.guesses, self.longest)
         iteration = SlabIteration(yardstick, collocation, accuracy, nodes, index)
         march = March(lengths, iteration, self.options.max_slabs)
         result = march.run(yardstick.reference.start, yardstick.end, index, report)
@@ -62,12 +64,19 @@ class TrainMarcher(Marcher):
         return result
 
     def refine(self, attempt: Attempt, stalls: int) -> bool:
-        """Tighten the inner tolerance, unless a limit was met or two attempts have stalled."""
+        """Tighten the inner tolerance, unless a limit was met or two attempts have stalled.
+
+        After one, slabs are halved as well: they may be too long for what is not smooth in time,
+        such as a spline, although the highest modes are small.
+        """
         if attempt.result.limits or stalls == 2:
             return False
         most = 0.03 if stalls else 0.4
         self.inner *= min(max(0.4 * self.rtol / attempt.error, 1e-3), most)
         self.bases = self.guesses[0].bases
+        if stalls:
+            self.longest = 0.5 * max(guess.length for guess in self.guesses)
+            self.guesses = ()
         return True
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -96,18 +97,21 @@ class SlabLengths:
         Its reference has to be resolved; no slab crosses its cuts.
     guesses : sequence of Guess
         Slabs of the attempt before.
+    longest : float
+        Of the slabs.
     """
 
     yardstick: Yardstick
     collocation: RadauCollocation
     accuracy: Accuracy
     guesses: Sequence[Guess] = ()
+    longest: float = math.inf
 
     def __post_init__(self) -> None:
         end = self.yardstick.end
         self.borders = (*self.yardstick.cuts, end)
         self.horizon = end - self.yardstick.reference.start
-        self.length = self.ceiling = self._proposed = self.horizon
+        self.length = self.ceiling = self._proposed = min(self.horizon, self.longest)
         self._memory = self._hopeless = False
 
     def propose(self, start: float) -> TrainSpan | Status:
@@ -140,7 +144,7 @@ class SlabLengths:
         sweeps = len(trial.record.residuals)
         factor = _GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0
         self.length = span.length * min(factor, stretch)
-        self.ceiling *= _PATIENCE
+        self.ceiling = min(_PATIENCE * self.ceiling, self.longest)
         if span.end in self.borders:
             self.length = max(self.length, self._proposed)
         self.length = min(self.length, self.ceiling)
