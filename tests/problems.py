@@ -9,15 +9,18 @@ from examples import (
     compartment_chain,
     coupled,
     decay,
+    doses,
     free_fall,
     kirchhoff,
     linear,
     lotka_volterra,
+    pendulum,
+    projectile,
     robertson,
 )
 from rankone import Problem
 
-__all__ = ["EXAMPLES", "REFERENCE"]
+__all__ = ["EXAMPLES", "GENERAL", "REFERENCE"]
 
 EXAMPLES: dict[str, ModuleType] = {
     "decay": decay,
@@ -29,6 +32,13 @@ EXAMPLES: dict[str, ModuleType] = {
     "robertson": robertson,
     "chain": compartment_chain,
 }
+
+GENERAL: dict[str, ModuleType] = {
+    "pendulum": pendulum,
+    "doses": doses,
+    "projectile": projectile,
+}
+"""Examples that do not separate as they are written."""
 
 
 def _builder(example: ModuleType) -> Callable[[], Problem]:

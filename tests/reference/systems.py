@@ -50,6 +50,22 @@ def _chain(t: float, u: Array, p: Array) -> list[Array]:
     return [-flow[0], *(flow[i - 1] - flow[i] for i in range(1, 10))]
 
 
+def _pendulum(t: float, u: Array, p: Array) -> list[Array]:
+    return [u[1], -p[1] * u[1] - p[0] * np.sin(u[0])]
+
+
+def _doses(t: float, u: Array, p: Array) -> list[Array]:
+    volume, largest, half, rate = p
+    exchange = rate * u[0] - 0.25 * u[1]
+    return [-largest * u[0] / (half + u[0]) / volume - exchange, exchange]
+
+
+def _projectile(t: float, u: Array, p: Array) -> list[Array]:
+    factor = 0.5 * 1.225 * np.pi * (0.04267 / 2) ** 2 / 0.04593 * np.hypot(u[2], u[3])
+    drag, lift = factor * p[0], factor * p[1]
+    return [u[2], u[3], -drag * u[2] - lift * u[3], -drag * u[3] + lift * u[2] - 9.81]
+
+
 INDEPENDENT: dict[str, Independent] = {
     "decay": Independent(_decay, lambda p: [1.0], ((0.5, 5),), 2.0, (1.0,)),
     "linear": Independent(_linear, lambda p: [0.0], ((1, 10),), 5.0, (45.0,)),
@@ -68,5 +84,23 @@ INDEPENDENT: dict[str, Independent] = {
     ),
     "chain": Independent(
         _chain, lambda p: [1.0, *[0.0] * 9], ((0.7, 1.3),) * 10, 5.0, (1.0, *[0.3] * 9)
+    ),
+    "pendulum": Independent(
+        _pendulum, lambda p: [p[2], 0.0], ((7, 13), (0.14, 0.26), (0.7, 1.3)), 5.0, (1.0, 3.0)
+    ),
+    "doses": Independent(
+        _doses,
+        lambda p: [100.0 / p[0], 0.0],
+        ((25, 35), (8, 12), (2, 3), (0.2, 0.3)),
+        72.0,
+        (5.0, 2.0),
+        jumps={12.0 * i: lambda u, p: [u[0] + 100.0 / p[0], u[1]] for i in range(1, 6)},
+    ),
+    "projectile": Independent(
+        _projectile,
+        lambda p: [0.0, 0.0, p[2] * np.cos(p[3]), p[2] * np.sin(p[3])],
+        ((0.2, 0.3), (0.1, 0.2), (55, 70), (0.15, 0.35)),
+        3.0,
+        (100.0, 30.0, 60.0, 20.0),
     ),
 }
