@@ -144,7 +144,7 @@ class CompiledProblem:
                 str(self.methods[method]),
                 equation=self.separated.general[0].origin,
                 term=self._lifting,
-                remedy="method='cross', the default, takes it as it is",
+                remedy=_without_lifting(self._lifting),
             )
         return self.lifted
 
@@ -317,6 +317,17 @@ class CompiledProblem:
             version=__version__,
             source=self.source,
         )
+
+
+def _without_lifting(part: Any) -> str:
+    """What to do about an expression that has no lifted form."""
+    remedy = "method='cross', the default, takes it as it is"
+    if not isinstance(part, sp.Abs | sp.sign):
+        return remedy
+    (argument,) = part.args
+    smooth = sp.sqrt(argument**2 + sp.Rational(1, 10**6))
+    smooth = argument / smooth if isinstance(part, sp.sign) else smooth
+    return f"{remedy}; where {quote(argument)} may be small, {quote(smooth)} is liftable"
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:

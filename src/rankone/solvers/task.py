@@ -31,6 +31,7 @@ _LONGEST, _SLOW = 25.0, 10.0
 user are called, which may be slow."""
 _BRIEF, _BRIEFLY = 2.0, 0.4
 """Seconds for train where cross follows, and their largest share of the time."""
+_AS_WRITTEN = "method='cross', the default, takes the system as it was written"
 _FIRST = 0.7
 """Share of the time for cross where train follows."""
 
@@ -166,8 +167,10 @@ class Task:
         slabs = tuple(slab.first_states(seen) for slab in outcome.slabs)
         known = outcome.measured and replace(outcome.measured, drift=drifted)
         outcome = replace(outcome, slabs=slabs, measured=known)
-        if self.truth is None or outcome.status is not Status.CONVERGED:
+        if self.truth is None or outcome.status in (Status.UNCHECKED, Status.BLOW_UP):
             return outcome
+        if outcome.status is not Status.CONVERGED:
+            return replace(outcome, message=f"{outcome.message}; {_AS_WRITTEN}")
         request = self.requests[0]
         given = request.rtol, request.points, request.cover, request.counted
         try:
@@ -179,7 +182,7 @@ class Task:
         if error <= request.rtol:
             return replace(outcome, measured=measured)
         message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
-        message += f" (of the system as it was written; lifted states drift by {drifted:.1e})"
+        message += f" (of the system as it was written; lifted states drift by {drifted:.1e}); {_AS_WRITTEN}"
         return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)
 
     def _seconds(self, tried: int) -> float:
