@@ -5,6 +5,7 @@ By cross interpolation, as the cross engine does it with whole trajectories.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from rankone.arrays import Array
 from rankone.solvers.cross.sweep import Nodes, interpolate, left_points
 from rankone.solvers.integration import initial_values
 from rankone.system import System
+
+logger = logging.getLogger("rankone")
 
 __all__ = ["Integers", "PlainNodes", "interpolated", "interpolated_initial"]
 
@@ -68,6 +71,14 @@ def interpolated(
     left = left_points([x.size for x in nodes], _LEFT, 20140)
     found = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
     first, *cores = found.cores
+    if logger.isEnabledFor(logging.INFO):
+        exact, points = values(some), np.ones((1, _SIZED))
+        for core, basis, column in zip(reversed(cores), nodes[::-1], some.T[::-1], strict=True):
+            at = core[:, column] / np.sqrt(basis.weights[column])[:, None]
+            points = np.einsum("rms,sm->rm", at, points)
+        error = float((np.abs(first * sizes @ points - exact) / sizes).max())
+        ranks = tuple(len(core) for core in cores)
+        logger.info("interpolated over the parameters: ranks %s, error %.1e", ranks, error)
     return [first * sizes, *cores]
 
 

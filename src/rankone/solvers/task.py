@@ -182,7 +182,8 @@ class Task:
         if error <= request.rtol:
             return replace(outcome, measured=measured)
         message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
-        message += f" (of the system as it was written; lifted states drift by {drifted:.1e}); {_AS_WRITTEN}"
+        message += f" (of the system as it was written; lifted states drift by {drifted:.1e})"
+        message += f"; {_AS_WRITTEN}"
         return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)
 
     def _seconds(self, tried: int) -> float:
