@@ -7,7 +7,6 @@ Instead of ``time = [0, 6]`` there may be a table ``[time]`` with ``start`` and 
 
 from __future__ import annotations
 
-import math
 import os
 import runpy
 import sys
@@ -46,6 +45,7 @@ x0 = [8, 12]
 y0 = [4, 6]
 """
 
+_LARGEST = sys.float_info.max
 _REQUIRED = ("time", "rhs", "initial")
 _OPTIONAL = ("parameters", "name", "jumps")
 _SHOWN = "`rankone solve --help` shows the layout"
@@ -211,7 +211,7 @@ def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 def _formula(table: str, name: str, value: Any) -> str | float:
     """A formula as text, or a number."""
-    if isinstance(value, str) or (_is_number(value) and math.isfinite(value)):
+    if isinstance(value, str) or (_is_number(value) and abs(value) <= _LARGEST):
         return value
     raise ProblemError(
         f"`{name}` in [{table}] is {shown(value)}, neither text nor a finite number",

@@ -162,3 +162,114 @@ def test_an_infusion_of_a_second_in_a_day():
             expected = peak * np.exp(-k * (np.array([9.0, 16.0, 24.0]) - end))
             found = solution["C"](t=[9.0, 16.0, 24.0], R=rate, k=k)
             np.testing.assert_allclose(found, expected, atol=5e-5 * 2)  # of a size of two
+
+
+def decaying(jumps, box=None, time=(0, 4), **initial):
+    """x' = -k x from one, or other initial values, with jumps as text."""
+    start = {"x": "1", **initial}
+    return ro.Problem.from_strings(
+        {"x": "-k*x"}, start, {"k": (0.5, 1.5), **(box or {})}, time, jumps=jumps
+    )
+
+
+@pytest.mark.parametrize("method", ["auto", "train", "greedy"])
+@pytest.mark.parametrize(
+    ("value", "where", "change"),
+    [
+        ("x + Piecewise((1, (k > 0.7312) & (k < 0.7322)), (0, True))", 0.7317, 1.0),
+        ("x + exp(-((k - 0.7312)/0.0001)**2)", 0.7312, 1.0),
+        ("x + Piecewise((1, (x > 0.2) & (x < 0.201)), (0, True))", -np.log(0.2005) / 2, 1.0),
+        ("x + exp(-((x - 0.1653)/0.0003)**2)", -np.log(0.1653) / 2, 1.0),
+    ],
+)
+def test_what_is_narrow_in_a_jump_is_solved_or_refused(method, value, where, change):
+    rtol = 1e-4 if method == "auto" else 1e-3
+    solution = ro.solve(decaying({2: {"x": value}}), rtol, method=method, max_seconds=10)
+    if solution.success:
+        after = np.exp(-2 * where) + change
+        assert solution(t=2.0, k=where)[0] == pytest.approx(after, abs=5 * rtol)
+
+
+def test_a_ridge_over_two_parameters_in_a_jump():
+    jump = {2: {"x": "x + exp(-((a*k - 1.1)/0.001)**2)"}}
+    solution = ro.solve(decaying(jump, {"a": (0.5, 1.5)}), 1e-4, max_seconds=10)
+    value = solution(t=2.0, k=1.0, a=1.1)[0]
+    assert not solution.success or value == pytest.approx(np.exp(-2) + 1, abs=5e-4)
+
+
+@pytest.mark.parametrize("value", ["x + exp(-((k - 1)/0.05)**2)", "1/(0.3 + x)", "tanh(5*x)"])
+def test_train_resolves_what_a_jump_makes(value):
+    solution = ro.solve(decaying({1: {"x": value}}), 1e-4, method="train")
+    assert solution.success, solution.message
+    k = np.linspace(0.5, 1.5, 41)
+    wanted = sp.lambdify(sp.symbols("x k"), value)(np.exp(-k), k)
+    np.testing.assert_allclose(solution["x"](t=1.0, k=k), wanted, atol=5e-4 * wanted.max())
+
+
+def test_jumps_that_are_at_the_end_but_for_rounding():
+    with pytest.warns(ro.RankoneWarning, match="the jump at t = 0.3: not before the end"):
+        problem = decaying({(0.1, 0.3): {"x": "x + 1"}}, time=(0, 0.1 * 3))
+    for method in ("cross", "train", "greedy"):
+        solution = ro.solve(problem, 1e-5, method=method)
+        wanted = (np.exp(-0.1) + 1) * np.exp(-0.2)
+        assert solution(t=0.1 * 3, k=1.0)[0] == pytest.approx(wanted, rel=1e-4)
+
+
+def test_a_state_that_is_there_for_a_short_time_has_its_own_size():
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x", "y": "-y"},
+        {"x": "0", "y": "1"},
+        {"k": (0.5, 1.5)},
+        (0, 2),
+        jumps={1.001: {"x": "1e-6*k"}, 1.004: {"x": "0"}},
+    )
+    for method in ("cross", "train"):
+        solution = ro.solve(problem, 1e-5, method=method)
+        assert solution.success
+        value = solution["x"](t=1.002, k=0.7)
+        assert value == pytest.approx(0.7e-6 * np.exp(-0.7e-3), rel=1e-4)
+
+
+@pytest.mark.parametrize("beside", [1e-9, 2e-6])
+@pytest.mark.parametrize("method", ["cross", "train", "greedy"])
+def test_jumps_beside_each_other_the_start_and_cuts(method, beside):
+    problem = ro.Problem.from_strings(
+        {"x": f"-k*x + Heaviside(t - {1 + beside})"},
+        {"x": "1"},
+        {"k": (0.5, 1.5)},
+        (0, 4),
+        jumps={beside: {"x": "x + 1"}, 1: {"x": "x + 1"}, 1 + 3 * beside: {"x": "x + 1"}}
+        if beside > 1e-8
+        else {beside: {"x": "x + 1"}, 1: {"x": "x + 2"}},
+    )
+    solution = ro.solve(problem, 1e-4, method=method)
+    assert solution.success, solution.message
+    wanted = (2 * np.exp(-1) + 2) * np.exp(-3) + (1 - np.exp(-3))
+    assert solution(t=4.0, k=1.0)[0] == pytest.approx(wanted, abs=1e-3)
+
+
+def test_jumps_that_change_nothing_are_none():
+    problem = decaying({(1, 3): {"x": "Piecewise((x, t < 2), (x + 1, True))"}, 2: {"x": "x"}})
+    assert [jump.time for jump in ro.first_order(problem).jumps] == [3.0]
+
+
+def test_an_impulse_times_time_and_an_unknown():
+    y = sp.Function("y")(t)
+    rates = [
+        sp.Eq(x.diff(t), -k * x + t * y * sp.DiracDelta(t - 2)),
+        sp.Eq(y.diff(t), -y),
+    ]
+    solution = ro.solve(ro.Problem(rates, (t, 0, 4), {k: (0.5, 1.5)}, {x: 0, y: 1}), 1e-6)
+    assert solution[x](t=2.0, k=1.0) == pytest.approx(2 * np.exp(-2), abs=1e-5)
+
+
+def test_a_jump_out_of_where_rates_are_finite():
+    problem = ro.Problem.from_strings(
+        {"x": "-k*sqrt(x) - x"},
+        {"x": "2"},
+        {"k": (0.1, 0.2)},
+        (0, 1),
+        jumps={0.5: {"x": "x - 1.5"}},
+    )
+    with pytest.raises(ro.BlowUpError, match=r"not finite: near t = 0\.5"):
+        ro.solve(problem, 1e-4)

@@ -22,6 +22,8 @@ def test_repeated_doses_are_printed_once():
     for text in (repr(made), repr(ro.first_order(made)), repr(ro.weak_form(made))):
         assert "at t = 2: x -> dose" in text
         assert "at t = 4, 6: x -> dose + x" in text
+    for shown in (made, ro.first_order(made), ro.weak_form(made)):
+        assert r"t = 4, 6:\; & x \to dose + x" in shown._repr_latex_()
     compiled = ro.compile(made)
     assert "at t = 4, 6: x -> dose + x" in compiled.source
     assert compiled.system.JUMPS == ((2.0, 0), (4.0, 1), (6.0, 1))
@@ -85,6 +87,7 @@ def test_lifted_states_are_reset_with_what_they_stand_for():
         ({-1: {x: 1}}, "the jump at t = -1 is before the start of time, 0"),
         ({(2, 2.0): {x: 1}}, "two jumps at t = 2"),
         ({2: {x: 1}, 2 + 1e-12: {x: 1}}, "too close to each other"),
+        ({2: {None: 1}}, "resets None, which is no state"),
         ({2: {v: 1}}, r"resets `?v\(t\)`?, which is no state"),
         ({2: {"x": 1}}, r"resets .x., which is no state \(did you mean `x\(t\)`"),
         ({2: {x: v}}, r"the value of `x\(t\)` after the jump at t = 2, `v\(t\)`, names `v\(t\)`"),
@@ -103,6 +106,12 @@ def test_bad_jumps(jumps, message):
     ("rate", "message"),
     [
         (sp.DiracDelta(t - k), "equation 1: .* is at a time that depends on `k`"),
+        (sp.DiracDelta(t * 1e-310 - 1), "equation 1: .* is at no finite time"),
+        (x.diff(t) * sp.DiracDelta(t - 1), "equation 1: an impulse, .* is in front of"),
+        (
+            sp.DiracDelta(t - 1) * ro.table([0, 1, 10], [0, 1, 5], "previous")(t),
+            "equation 1: .* is multiplied by .*, which may switch",
+        ),
         (sp.DiracDelta(t**2 - 4), "equation 1: .* is not at one time"),
         (sp.DiracDelta(t - 1, 1), "equation 1: .* is a derivative of an impulse"),
         (sp.sin(sp.DiracDelta(t - 1)), "equation 1: .* does not enter as a product"),

@@ -83,16 +83,17 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     functions = [writer.rhs(), writer.jacobian(), writer.initial(), _with_products(writer.n)]
     functions += [writer.moving_cuts(), writer.surfaces(), writer.events()]
     functions.append(jump_function(system.states, system.coordinates, system.jumps))
-    known = known_functions(system.coordinates, [*system.rhs, *system.initial])
+    everything = [*system.rhs, *system.initial, *jumped_values(system.jumps)]
+    known = known_functions(system.coordinates, everything)
     factors = [(sp.S.One, *found) for found in known]
     blocks = [
-        *definitions([*system.rhs, *system.initial, *writer.slopes, *jumped_values(system.jumps)]),
+        *definitions([*everything, *writer.slopes]),
         *coordinate_functions(system.coordinates, factors),
         *functions,
     ]
     names = [state.name for state in system.states]
     tables = constants(False, names, len(names), (), system.coordinates)
-    tables += cut_table(system.coordinates, [*system.rhs, *system.initial])
+    tables += cut_table(system.coordinates, everything)
     tables += jump_table(system.jumps)
     if writer.narrow is not None:
         tables += ["PEAKS, KINKS = {}, {}".format(*writer.narrow)]
@@ -223,9 +224,9 @@ class _Writer:
 
     def surfaces(self) -> list[str]:
         """Where functions of several parameters are narrow; nothing if there are none."""
-        found = parameter_surfaces(
-            self.system.coordinates, [*self.system.rhs, *self.system.initial]
-        )
+        system = self.system
+        everything = [*system.rhs, *system.initial, *jumped_values(system.jumps)]
+        found = parameter_surfaces(system.coordinates, everything)
         about = "Zero where functions of p (d, ...) switch or peak: ({}, ...)."
         return self._vector("surfaces", "p", found, about, _OF_P)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import sympy as sp
+from sympy.core.function import AppliedUndef
 
 from rankone.codegen.printer import readable_text
 from rankone.codegen.text import INDENT, assignment, docstring, nested, table
@@ -36,10 +37,16 @@ def jumps_text(
 
 
 def jump_table(jumps: Sequence[Jump]) -> list[str]:
-    """``JUMPS``: the times, each with the number of its kind; nothing if there are none."""
+    """``JUMPS``: the times, each with the number of its kind; nothing if there are none.
+
+    ``ROUGH_JUMPS`` are the kinds whose values are no polynomials of the unknowns.
+    """
     kinds = list(Jump.kinds(jumps))
     rows = ((jump.time, kinds.index(jump.values)) for jump in jumps)
-    return table("JUMPS", nested(rows)) if jumps else []
+    if not jumps:
+        return []
+    rough = (n for n, values in enumerate(kinds) if not all(map(_smooth, values)))
+    return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
 
 
 def jump_function(
@@ -68,3 +75,9 @@ def jump_function(
         *branches,
         "    return out",
     ]
+
+
+def _smooth(value: sp.Expr) -> bool:
+    """Whether a value is a polynomial of the unknowns."""
+    unknowns = sorted(value.atoms(AppliedUndef), key=sp.default_sort_key)
+    return not unknowns or bool(value.is_polynomial(*unknowns))

@@ -12,6 +12,7 @@ from typing import Any, cast
 import sympy as sp
 
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
+from rankone.codegen.events import parameter_surfaces
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import header, sum_text
 from rankone.codegen.initial import coupled_initial
@@ -21,6 +22,7 @@ from rankone.codegen.meanings import meanings_function
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import plain_text
 from rankone.codegen.text import described_table, nested, table
+from rankone.codegen.variables import Variables
 from rankone.errors import OptionError, check_kind
 from rankone.ir import QuadraticSystem, SeparatedForm, Term
 from rankone.lowering import quadratic_system
@@ -74,12 +76,24 @@ def generate_source(
         coupled_initial(system),
         jump_function(system.differential, system.coordinates, system.jumps),
         meanings_function(system.differential, system.coordinates, meanings),
+        _surfaces(system),
     ]
     head = partial(header, system, pointwise.operations, title)
     cuts = cut_table(system.coordinates, known)
     more = [f"LIFTED = {len(meanings)}"] if meanings else []
     more += jump_table(system.jumps)
     return module_source(head, [*tables(system), *more, *cuts], blocks)
+
+
+def _surfaces(system: QuadraticSystem) -> list[str]:
+    """Where functions of several parameters in jumps are narrow; nothing if there are none."""
+    found = parameter_surfaces(system.coordinates, jumped_values(system.jumps))
+    if not found:
+        return []
+    variables = Variables(system.differential, system.coordinates)
+    about = f"Zero where functions of p (d, ...) switch or peak: ({len(found)}, ...)."
+    shape = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
+    return variables.function("surfaces(p)", about, shape, found)
 
 
 def load_module(

@@ -9,7 +9,7 @@ import sympy as sp
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import mask
 from rankone.codegen.printer import common_subexpressions, representable
-from rankone.codegen.text import unpacking
+from rankone.codegen.text import assignment, docstring, unpacking
 from rankone.ir import Coordinate, State
 
 __all__ = ["Variables"]
@@ -56,10 +56,29 @@ class Variables:
         self._used |= set().union(*(expression.free_symbols for expression in real))
         return common_subexpressions(real, self._written, self._names.numbered("c"))
 
-    @property
-    def uses_time(self) -> bool:
-        """Whether time is in what was written so far."""
-        return self.time in self._used
+    def function(
+        self,
+        head: str,
+        about: str,
+        shape: str,
+        expressions: Sequence[sp.Expr],
+        meanings: Sequence[str] = (),
+    ) -> list[str]:
+        """A function whose value has the expressions as entries, (expressions, ...).
+
+        ``head`` are its name and arguments, ``shape`` the statement for the common shape of
+        those, ``meanings`` are comments.
+        """
+        shared, texts = self.texts(expressions)
+        lines = [f"def {head}:", *docstring([about]), shape]
+        lines += ["    t = np.asarray(t, dtype=float)"] if self.time in self._used else []
+        lines += self.unpacked()
+        for name, text in shared:
+            lines += assignment(name, [text])
+        lines.append(f"    out = np.empty(({len(texts)}, *shape))")
+        for i, text in enumerate(texts):
+            lines += assignment(f"out[{i}]", [text], meanings[i] if meanings else "")
+        return [*lines, "    return out"]
 
     def unpacked(self) -> list[str]:
         """Statements that give the variables of what was written so far their names."""

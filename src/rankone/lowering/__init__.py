@@ -11,8 +11,9 @@
 from __future__ import annotations
 
 from rankone.errors import check_kind
-from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.ir import Factor, QuadraticSystem, SeparatedForm
 from rankone.lowering.grouping import group_terms
+from rankone.lowering.known import known_functions
 from rankone.lowering.products import auxiliary_states, lower
 from rankone.lowering.right_hand_side import right_hand_side
 
@@ -21,6 +22,8 @@ __all__ = ["quadratic_system"]
 
 def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     """Lower and group a separated form.
+
+    Known functions of one parameter in jumps join the factors: they are to be resolved as well.
 
     Raises
     ------
@@ -38,7 +41,7 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     return QuadraticSystem(
         coordinates=form.coordinates,
         states=(*form.states, *auxiliary_states(form.states, products)),
-        factors=form.factors,
+        factors=_with_jumps(form),
         rhs=f,
         products=products,
         groups=group_terms(terms),
@@ -46,3 +49,13 @@ def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
         coupled=form.general,
         jumps=form.jumps,
     )
+
+
+def _with_jumps(form: SeparatedForm) -> tuple[tuple[Factor, ...], ...]:
+    """The factors, and after them the functions of one parameter in values after jumps."""
+    known = known_functions(form.coordinates, (v for jump in form.jumps for v in jump.values))
+    found = [form.factors[0]]
+    for j, (factors, more) in enumerate(zip(form.factors[1:], known[1:], strict=True), 1):
+        there = {factor.expression for factor in factors}
+        found.append((*factors, *(Factor(j, f) for f in more if f not in there)))
+    return tuple(found)

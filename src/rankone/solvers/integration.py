@@ -151,7 +151,7 @@ class Stack:
         least = _LEAST * (self.edges[-1] - self.edges[0])
         for a, b in itertools.pairwise(self.edges):
             state = self._jumped(a, state)
-            if not np.isfinite(state).all():
+            if a != self.edges[0] and not self._goes_on(a, state):
                 return state, 0.0
             solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
             while solver.status == "running":
@@ -177,6 +177,13 @@ class Stack:
         if kind is None:
             return state
         return self.system.jumped(kind, state, np.ascontiguousarray(self.points.T))
+
+    def _goes_on(self, time: float, state: Array) -> bool:
+        """Whether states, perhaps after a jump, and their rates are finite."""
+        if jump_kind(self.system, time) is None:
+            return True
+        rates = self.system.rhs(time, state, np.ascontiguousarray(self.points.T))
+        return bool(np.isfinite(state).all() and np.isfinite(rates).all())
 
     def _right_hand_side(self, a: float, b: float) -> Callable[[float, Array], Array]:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""

@@ -6,6 +6,7 @@ By cross interpolation, as the cross engine does it with whole trajectories.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -26,8 +27,10 @@ Integers = NDArray[np.int64]
 _LEFT, _HIGHEST_RANK = 9, 200
 _LOST_AT_START = 1e-13
 """Largest error, in sizes: far below that of any solve."""
-_SIZED = 64
-"""Random nodes at which the sizes of values are looked at."""
+_TRIED, _MISSED, _WORST = 256, 30.0, 16
+"""Random nodes at which the interpolation is tried, the error there over what may be lost from
+which there are more left points, and how many of the worst are among them."""
+_ATTEMPTS = 5
 
 
 @dataclass(frozen=True)
@@ -65,21 +68,36 @@ def interpolated(
     if not nodes:
         return [values(np.zeros((1, 0), dtype=np.int64))]
     generator = np.random.default_rng(20140)
-    some = np.stack([generator.integers(0, x.size, _SIZED) for x in nodes], axis=1)
-    sizes = np.abs(values(some)).max(axis=1, keepdims=True)
+    some = np.stack([generator.integers(0, x.size, _TRIED) for x in nodes], axis=1)
+    exact = values(some)
+    sizes = np.abs(exact).max(axis=1, keepdims=True)
     sizes[sizes == 0.0] = 1.0
-    left = left_points([x.size for x in nodes], _LEFT, 20140)
-    found = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
-    first, *cores = found.cores
-    if logger.isEnabledFor(logging.INFO):
-        exact, points = values(some), np.ones((1, _SIZED))
-        for core, basis, column in zip(reversed(cores), nodes[::-1], some.T[::-1], strict=True):
-            at = core[:, column] / np.sqrt(basis.weights[column])[:, None]
-            points = np.einsum("rms,sm->rm", at, points)
-        error = float((np.abs(first * sizes @ points - exact) / sizes).max())
-        ranks = tuple(len(core) for core in cores)
-        logger.info("interpolated over the parameters: ranks %s, error %.1e", ranks, error)
+    counts = [x.size for x in nodes]
+    left = left_points(counts, _LEFT, 20140)
+    for number in range(1, _ATTEMPTS + 1):
+        found = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
+        first, *cores = found.cores
+        missed = np.abs(first @ _at(cores, nodes, some) - exact / sizes).max(axis=0)
+        if missed.max() <= _MISSED * tolerance or math.prod(counts[:-1]) <= len(left[-1]):
+            break
+        worst = some[np.argsort(-missed)[:_WORST]]
+        more = left_points(counts, _LEFT * 2**number, 20140 + number)
+        left = [
+            np.unique(np.concatenate([points, worst[:, : points.shape[1]]]), axis=0)
+            for points in more
+        ]
+    ranks = tuple(len(core) for core in cores)
+    logger.info("interpolated over the parameters: ranks %s, error %.1e", ranks, missed.max())
     return [first * sizes, *cores]
+
+
+def _at(cores: Sequence[Array], nodes: Sequence[Nodes], indices: Integers) -> Array:
+    """Product of the cores at indices (m, d) of nodes: (r_1, m)."""
+    carry = np.ones((1, len(indices)))
+    for core, basis, column in zip(reversed(cores), nodes[::-1], indices.T[::-1], strict=True):
+        scaled = core[:, column] / np.sqrt(basis.weights[column])[:, None]
+        carry = np.einsum("rms,sm->rm", scaled, carry)
+    return carry
 
 
 def interpolated_initial(system: System, nodes: Sequence[Array]) -> list[Array]:

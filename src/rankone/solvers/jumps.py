@@ -6,10 +6,15 @@ from rankone.system import System
 
 __all__ = ["jump_kind", "jump_times"]
 
+_AT_THE_END = 1e-9
+"""Distance from the end of the horizon, in horizons, from which a jump is before it."""
 
-def jump_times(system: System) -> tuple[float, ...]:
-    """The times at which states are reset, ascending."""
-    return tuple(time for time, _ in getattr(system, "JUMPS", ()))
+
+def jump_times(system: System, start: float, end: float) -> tuple[float, ...]:
+    """The times inside of a horizon at which states are reset, ascending."""
+    near = _AT_THE_END * (end - start)
+    times = (time for time, _ in getattr(system, "JUMPS", ()))
+    return tuple(time for time in times if start < time < end - near)
 
 
 def jump_kind(system: System, time: float) -> int | None:

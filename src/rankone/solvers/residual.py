@@ -7,11 +7,13 @@ large in proportion to the error at other points as where the error is known.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.solvers.jumps import jump_kind
 from rankone.solvers.verification import Yardstick
 from rankone.tensors.slab import SlabTrain
 
@@ -34,6 +36,9 @@ the length of the slab, as well."""
 _EXPECTED = 1.5
 """Error expected, over the tolerance, from which a point is doubtful: on smooth problems expected
 errors reach 1.4 and are overestimates, where something was missed 3 and more."""
+_MANY, _MISSED = 16_384, 3.0
+"""Points looked at where a jump is no polynomial of the states, and the error there, over the
+tolerance, that is doubtful."""
 _KNOWN = 64
 """Most trajectories of the reference whose residuals are looked at."""
 
@@ -80,7 +85,36 @@ def doubtful_points(
     ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
     worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
     doubtful = candidates[worst[ratios[worst] * max(share, _NOISE) > _EXPECTED]]
+    doubtful = np.concatenate([doubtful, _at_jumps(yardstick, slabs, rtol, generator)])
     return doubtful if len(doubtful) else None
+
+
+def _at_jumps(
+    yardstick: Yardstick, slabs: Sequence[SlabTrain], rtol: float, generator: np.random.Generator
+) -> Array:
+    """Points (m, d) where the states after a jump are not what it makes of those before it."""
+    system, (lower, upper) = yardstick.system, yardstick.domain.bounds.T
+    rough = getattr(system, "ROUGH_JUMPS", ())
+    units = yardstick.states[:, None]
+    found = [np.zeros((0, lower.size))]
+    known: dict[int, int] = {}
+    for before, after in itertools.pairwise(slabs):
+        kind = jump_kind(system, before.end)
+        if kind is None or known.get(kind, 0) == _SLABS:
+            continue
+        known[kind] = known.get(kind, 0) + 1
+        count = _MANY if kind in rough else _LOOKED
+        points = lower + (upper - lower) * generator.random((count, lower.size))
+        start, end = (
+            slab.on_grid(np.array([before.end]), slab.over_parameters(points.T))[:, :, 0]
+            for slab in (before, after)
+        )
+        with np.errstate(all="ignore"):
+            missed = np.abs(end - system.jumped(kind, start, points.T)) / units
+        errors = np.nan_to_num(missed.max(axis=0), nan=np.inf)
+        worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
+        found.append(points[worst[errors[worst] > _MISSED * rtol]])
+    return np.concatenate(found)
 
 
 def _candidates(d: int, most: int, generator: np.random.Generator) -> tuple[Array, Array]:

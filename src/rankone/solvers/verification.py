@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,14 @@ from rankone.errors import ConvergenceError
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
 from rankone.solvers.jumps import jump_times
 from rankone.solvers.outcome import Measured
-from rankone.solvers.reference import FEW, Reference, check_points, integrate_reference, measure
+from rankone.solvers.reference import (
+    FEW,
+    Reference,
+    check_points,
+    integrate_reference,
+    measure,
+    times_within,
+)
 from rankone.solvers.suspects import active_points, cell_points, surface_points
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
@@ -30,6 +38,8 @@ _INSET = 4e-9
 """By how much, in widths of the interval, corners are moved inside where functions jump."""
 _SMALLEST = 1e-140
 """Size of a state below which its square is lost."""
+_BETWEEN_JUMPS = np.array([0.0, 0.3, 0.7, 1.0])
+"""Where sizes are looked at from one jump to the next."""
 _COINCIDENT = 1e-13
 """Cuts this close to a jump, relative to the ends of the horizon, are that jump."""
 _BESIDE = 16
@@ -128,7 +138,10 @@ class Yardstick:
         Over the centre and the interior points: values at corners of a box of many
         parameters may be larger by orders of magnitude and are seen by nobody.
         """
-        times = np.linspace(self.reference.start, self.end, 201)
+        start, end = self.reference.start, self.end
+        times = np.linspace(start, end, 201)
+        for a, b in itertools.pairwise([start, *jump_times(self.system, start, end), end]):
+            times = np.concatenate([times, times_within(a, b, _BETWEEN_JUMPS)])
         values = self.system.with_products(self.reference(times))
         values = np.delete(values, np.s_[1 : 1 + self.corners], axis=1)
         sizes = np.abs(values).max(axis=(1, 2))
@@ -158,7 +171,7 @@ class Yardstick:
 def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[float, ...]:
     """The cuts, and the times of jumps in place of those that are the same but for rounding."""
     start, end = domain.horizon
-    jumps = [time for time in jump_times(system) if start < time < end]
+    jumps = jump_times(system, start, end)
     near = _COINCIDENT * max(abs(start), abs(end))
     apart = (cut for cut in cuts if all(abs(cut - time) > near for time in jumps))
     return tuple(sorted([*apart, *jumps]))

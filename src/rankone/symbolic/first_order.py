@@ -14,7 +14,7 @@ from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import check_kind
 from rankone.ir import Coordinate, Jump, Role, State
-from rankone.symbolic.jumps import jump_texts, system_jumps, without_impulses
+from rankone.symbolic.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.symbolic.mass import MassForm
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.numbers import exact
@@ -56,6 +56,9 @@ class Stage:
         names = (state.name for state in self.states)
         return initial_texts(names, self.coordinates[0].lower, self.initial)
 
+    def _jump_latex(self) -> list[str]:
+        return list(jump_latex(self.functions, self.jumps, self.coordinates[0].symbol))
+
     def _jump_texts(self) -> list[str]:
         return list(jump_texts(self.functions, self.jumps, self.coordinates[0].name))
 
@@ -91,7 +94,7 @@ class FirstOrderSystem(Stage):
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._equations()]
-        return aligned_equations([*lines, *self._initial_latex()])
+        return aligned_equations([*lines, *self._initial_latex(), *self._jump_latex()])
 
 
 def first_order(problem: Problem) -> FirstOrderSystem:
@@ -125,9 +128,9 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     )
     jumps = system_jumps(problem.jumps or {}, impulses, functions, problem.time)
     initial = tuple(problem.initial.values())
-    if jumps and jumps[0].time == problem.time[1]:  # evaluation at the start is from the right
-        at_start = dict(zip(states_of_time, initial, strict=True))
-        initial = tuple(value.xreplace(at_start) for value in jumps[0].values)
+    if jumps and at_start(jumps[0], problem.time):  # evaluation there is from the right
+        before = dict(zip(states_of_time, initial, strict=True))
+        initial = tuple(value.xreplace(before) for value in jumps[0].values)
         jumps = jumps[1:]
     return FirstOrderSystem(
         coordinates=problem.coordinates,

@@ -11,14 +11,23 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError, warn
+from rankone.functions import Table
 from rankone.ir import Jump
 from rankone.symbolic.box import Time
 from rankone.symbolic.equations import explain_symbol
-from rankone.symbolic.notation import text_of
+from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.numbers import rejoined
 from rankone.wording import did_you_mean, listing, quote, shown
 
-__all__ = ["Resets", "check_jumps", "jump_texts", "system_jumps", "without_impulses"]
+__all__ = [
+    "Resets",
+    "at_start",
+    "check_jumps",
+    "jump_latex",
+    "jump_texts",
+    "system_jumps",
+    "without_impulses",
+]
 
 Resets = dict[float, dict[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""
@@ -64,7 +73,7 @@ def check_jumps(
                 raise ProblemError(f"there are two jumps at t = {at:g}", term=key, remedy=_REMEDY)
             found[at] = _values(values, at, *known, time[0])
     _check_apart(found, time)
-    late = [at for at in sorted(found) if at >= time[2]]
+    late = [at for at in sorted(found) if at >= time[2] - _APART * (time[2] - time[1])]
     if late:
         first = f"the jump at {time[0]} = {late[0]:g}"
         rest = f" and {len(late) - 1} more" if len(late) > 1 else ""
@@ -131,7 +140,7 @@ def _values(
     found: dict[sp.Expr, sp.Expr] = {}
     for state, value in given.items():
         if state not in states:
-            name = state if isinstance(state, str) else text_of(sp.sympify(state))
+            name = text_of(state) if isinstance(state, sp.Basic) else str(state)
             names = {text_of(known): known for known in states}
             hint = did_you_mean(name, names)
             if name in names:
@@ -176,10 +185,7 @@ def _value(
         raise ProblemError(f"{what} has a problem: {message}", term=value, remedy=declare)
     if expression.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan, sp.DiracDelta):
         raise ProblemError(f"{what} is not a finite real number", term=value, remedy=remedy)
-    # Inside of x(t) the time is no value of its own.
-    reset = rest.subs(time, sp.Float(at)) if time in rest.free_symbols else rest
-    back = {place: known for known, place in places.items()}
-    return rejoined(reset.xreplace(back))
+    return rejoined(_at(expression, time, at))
 
 
 # -- impulses --------------------------------------------------------------------------------
@@ -208,10 +214,10 @@ def without_impulses(
     for number, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
         impulses = sorted(rate.atoms(sp.DiracDelta), key=sp.default_sort_key)
         places = {impulse: sp.Dummy() for impulse in impulses}
-        plain = rate.xreplace(places)
+        plain, parts = _split(rate.xreplace(places), set(places.values()))
         for impulse, place in places.items():
             at, size = _impulse(impulse, time[0], origin)
-            factor = plain.diff(place)
+            factor = parts[place]
             if factor.has(*places.values()):
                 raise ProblemError(
                     f"{quote(impulse)} does not enter as a product with what is finite",
@@ -223,9 +229,9 @@ def without_impulses(
                 continue
             _check_steady(factor, impulse, at, time[0], origin)
             added = found.setdefault(at, {})
-            value = size * factor.subs(time[0], at) if _explicit(factor, time[0]) else size * factor
+            value = size * _at(factor, time[0], at)
             added[number] = added.get(number, sp.S.Zero) + value
-        rest.append(plain.xreplace(dict.fromkeys(places.values(), sp.S.Zero)))
+        rest.append(plain)
     for at, added in found.items():
         for number, value in added.items():
             for other in added:
@@ -241,12 +247,25 @@ def without_impulses(
     return tuple(rest), found
 
 
-def _explicit(expression: sp.Expr, time: sp.Symbol) -> bool:
-    """Whether time enters but as the argument of unknowns."""
-    return (
-        time
-        in expression.xreplace({u: sp.Dummy() for u in expression.atoms(AppliedUndef)}).free_symbols
-    )
+def _split(rate: sp.Expr, impulses: set[sp.Dummy]) -> tuple[sp.Expr, dict[sp.Dummy, sp.Expr]]:
+    """A rate without impulses, and what each of them is multiplied by."""
+    parts: dict[sp.Dummy, sp.Expr] = dict.fromkeys(impulses, sp.S.Zero)
+    rest = []
+    for term in sp.Add.make_args(rate):
+        own = sorted(term.free_symbols & impulses, key=sp.default_sort_key)
+        rest.append(term.xreplace(dict.fromkeys(own, sp.S.Zero)) if own else term)
+        for place in own:
+            parts[place] += term.diff(place)
+    return sp.Add(*rest), parts
+
+
+def _at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
+    """The value at a time, but for the unknowns there, and their derivatives."""
+    unknowns = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
+    places = {u: sp.Dummy() for u in unknowns}
+    back = {place: u for u, place in places.items()}
+    value: sp.Expr = expression.xreplace(places).subs(time, sp.Float(at)).xreplace(back)
+    return value
 
 
 def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tuple[float, sp.Expr]:
@@ -271,6 +290,8 @@ def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tup
     if slope.has(time) or slope == 0:
         raise wrong("is not at one time")
     at = float(-argument.subs(time, 0) / slope)
+    if not math.isfinite(at):
+        raise wrong("is at no finite time")
     return at, 1 / sp.Abs(slope)
 
 
@@ -279,8 +300,9 @@ def _check_steady(
 ) -> None:
     """Raise if what an impulse is multiplied by switches at the same time."""
     near = _BESIDE * max(abs(at), 1.0)
-    for part in factor.atoms(*_SWITCHING):
-        before, after = (part.subs(time, at + side * near) for side in (-1, 1))
+    tables = (part for part in factor.atoms(Table) if part.kind == "previous")
+    for part in (*factor.atoms(*_SWITCHING), *tables):
+        before, after = (_at(part, time, at + side * near) for side in (-1, 1))
         if (after - before).is_number and abs(after - before) < math.sqrt(_BESIDE):
             continue
         raise ProblemError(
@@ -323,7 +345,21 @@ def system_jumps(
         else:
             values = {states[i]: states[i] + value for i, value in impulses[at].items()}
         found.append(Jump(at, tuple(values.get(u, u) for u in states)))
-    return tuple(found)
+    return tuple(jump for jump in found if jump.values != tuple(states))
+
+
+def at_start(jump: Jump, time: Time) -> bool:
+    """Whether a jump is at the start of time, or hardly after it."""
+    return jump.time - time[1] < _APART * (time[2] - time[1])
+
+
+def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol) -> Iterator[str]:
+    """The same as :func:`jump_texts` as LaTeX, with ``&``."""
+    for values, times in Jump.kinds(jumps).items():
+        pairs = zip(states, values, strict=True)
+        changes = (rf"{latex_of(u)} \to {latex_of(v)}" for u, v in pairs if u != v)
+        at = ", ".join(f"{at:g}" for at in times)
+        yield rf"{sp.latex(time)} = {at}:\; & " + r",\; ".join(changes)
 
 
 def jump_texts(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: str) -> Iterator[str]:

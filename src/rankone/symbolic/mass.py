@@ -140,6 +140,14 @@ def _check_row(
             equation=number,
             remedy="differential-algebraic systems are not supported; eliminate the unknown",
         )
+    for i, entry in row.items():
+        if entry.has(sp.DiracDelta):
+            raise ProblemError(
+                f"an impulse, {quote(entry)}, is in front of {quote(leading[i])}",
+                equation=number,
+                term=entry,
+                remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
+            )
     if len(row) > 1:
         return
     ((i, mass),) = row.items()

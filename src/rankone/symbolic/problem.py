@@ -15,7 +15,7 @@ from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import ProblemError, warn
 from rankone.functions import check_distinct
-from rankone.ir import Coordinate
+from rankone.ir import Coordinate, Jump
 from rankone.symbolic.box import check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
@@ -25,7 +25,7 @@ from rankone.symbolic.equations import (
     state_expressions,
 )
 from rankone.symbolic.initial import check_initial
-from rankone.symbolic.jumps import check_jumps, jump_texts, system_jumps
+from rankone.symbolic.jumps import check_jumps, jump_latex, jump_texts, system_jumps
 from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
@@ -237,10 +237,8 @@ class Problem:
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
         at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
         intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
-        states = {state: state for state in self.initial}
-        jumps = system_jumps(self.jumps or {}, {}, states, self.time)
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
-        texts = jump_texts(list(states), jumps, self.time[0].name)
+        texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
     def _repr_latex_(self) -> str:
@@ -249,7 +247,13 @@ class Problem:
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]
+        lines += jump_latex(list(self.initial), self._jumps(), self.time[0])
         return aligned_equations(lines)
+
+    def _jumps(self) -> tuple[Jump, ...]:
+        """The jumps that were given, in the states as they are written."""
+        states = {state: state for state in self.initial}
+        return system_jumps(self.jumps or {}, {}, states, self.time)
 
     def _shown(self) -> list[sp.Eq]:
         """Return the equations as equations, in full."""
@@ -272,14 +276,14 @@ def _jumps(given: Any, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.E
         return given
     found: dict[Any, Any] = {}
     for time, values in given.items():
-        if not isinstance(values, Mapping):
+        if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             found[time] = values
             continue
         found[time] = {
             unknowns.get(name, name): _formula(
                 text, names, f"value of {quote(name)} after the jump at {shown(time)}", None
             )
-            for name, text in values.items()
+            for name, text in _normalised("jumps", values).items()
         }
     return found
 

@@ -63,7 +63,7 @@ class WeakForm(Stage):
             rf"\, {measures} &= 0"
             for u, residual in zip(self.functions, self.residuals, strict=True)
         ]
-        return aligned_equations([*lines, *self._initial_latex()])
+        return aligned_equations([*lines, *self._initial_latex(), *self._jump_latex()])
 
 
 def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:

@@ -52,7 +52,7 @@ class SlabLengths:
             return Status.NO_CONVERGENCE
         border = next((cut for cut in self.cuts if start < cut < self.end), self.end)
         remaining = border - start
-        length = remaining / math.ceil(remaining / self.length - 1e-9)
+        length = remaining / max(math.ceil(remaining / self.length - 1e-9), 1)
         if border == self.end:
             self.length = length
         end = border if remaining < 1.01 * length else start + length

@@ -13,7 +13,7 @@ from rankone.tensors.train import apply_to_modes, mode_norms, right_orthonormal
 
 __all__ = ["after_jump"]
 
-_MOST_REFINEMENTS = 8
+_MOST_REFINEMENTS = 24
 
 
 def after_jump(
@@ -35,14 +35,15 @@ def after_jump(
     tolerance : float
         What may be lost.
     """
-    cores = list(source)
-    for _ in range(_MOST_REFINEMENTS):
+    cores, bases = list(source), nodes.bases
+    for number in range(_MOST_REFINEMENTS + 1):
+        if bases != nodes.bases:
+            cores = right_orthonormal(apply_to_modes(cores, nodes.take(bases)))
         found = interpolated(_Jumped(kind, nodes, cores, units), nodes.bases, tolerance)
         modal = apply_to_modes(found, [basis.to_modal for basis in nodes.bases])
-        finer, _ = nodes.refined(mode_norms(modal), tolerance)
-        if finer == nodes.bases:
+        bases, _ = nodes.refined(mode_norms(modal), tolerance)
+        if bases == nodes.bases or number == _MOST_REFINEMENTS:
             break
-        cores = right_orthonormal(apply_to_modes(cores, nodes.take(finer)))
     return found
 
 
