@@ -325,9 +325,10 @@ def _without_lifting(part: Any) -> str:
     if not isinstance(part, sp.Abs | sp.sign):
         return remedy
     (argument,) = part.args
-    smooth = sp.sqrt(argument**2 + sp.Rational(1, 10**6))
-    smooth = argument / smooth if isinstance(part, sp.sign) else smooth
-    return f"{remedy}; where {quote(argument)} may be small, {quote(smooth)} is liftable"
+    plain = argument if isinstance(part, sp.Abs) else sp.S.One
+    return (
+        f"{remedy}; where {quote(argument)} keeps its sign, write {quote(plain)} or {quote(-plain)}"
+    )
 
 
 def compile_problem(problem: Problem) -> CompiledProblem:

@@ -174,9 +174,12 @@ class SolutionCore:
 
     @property
     def corner_error(self) -> float:
-        """Largest measured error at corners of the box; NaN if there are none or unchecked."""
+        """Largest measured error at corners of the box; NaN if there are none or unchecked.
+
+        Of the same states as ``error``.
+        """
         measured = self.outcome.measured
-        return float(np.max(measured.corners)) if measured and measured.corners else float("nan")
+        return measured.corner_error if measured and measured.corners else float("nan")
 
     @property
     def method(self) -> str:

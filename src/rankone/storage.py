@@ -276,7 +276,7 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     if counts | {(measured, len(metadata.box))} != {(states, parameters)}:
         raise ValueError("the names do not fit the cores")
     counted = None if outcome.measured is None else outcome.measured.counted
-    if counted is not None and not {*counted} & {*range(states)} == {*counted} != set():
+    if counted is not None and not (counted and {*counted} <= {*range(states)}):
         raise ValueError(f"the states that count are {counted}, of {states}")
     for names in (metadata.states, (metadata.time, *metadata.parameters)):
         if len({*names}) < len(names):

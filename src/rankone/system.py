@@ -91,11 +91,13 @@ class System(Protocol):
     PEAKS: int
     """How many of the ``events``, the first, vanish in the middle of smooth peaks; only where there
     are some."""
+    KINKS: int
+    """How many of them, the next, vanish at kinks."""
     JUMPS: tuple[tuple[float, int], ...]
     """Times at which states are reset, ascending, each with the number of its kind; only where
     there are some."""
-    KINKS: int
-    """How many of them, the next, vanish at kinks."""
+    ROUGH_JUMPS: tuple[int, ...]
+    """The kinds of jumps whose values are no polynomials of the states."""
 
     @staticmethod
     def initial(p: Sequence[Any] | Array) -> Array:

@@ -81,6 +81,19 @@ def chebyshev_values(xi: Array, count: int) -> Array:
     return values.T
 
 
+def chebyshev_derivative(count: int) -> Array:
+    """Coefficients of the derivatives of the polynomials of :func:`chebyshev_values`.
+
+    Column n holds those of the nth: ``T_n' = 2 n (T_{n-1} + T_{n-3} + ...)``, half of T_0.
+    """
+    degrees = np.arange(count)
+    below = degrees[None, :] - degrees[:, None]
+    slopes = np.where((below > 0) & (below % 2 == 1), 2.0 * degrees[None, :], 0.0)
+    sizes = np.where(degrees == 0, 1.0, np.sqrt(2.0))  # of T_n in the orthonormal ones
+    slopes[0] *= 0.5
+    return np.asarray(slopes * sizes[None, :] / sizes[:, None])
+
+
 @dataclass(frozen=True)
 class Basis1D(ABC):
     """A nodal basis on [lower, upper] in elements, with a discrete inner product.
@@ -137,6 +150,11 @@ class Basis1D(ABC):
     @abstractmethod
     def _values(xi: Array, count: int) -> Array:
         """Values of the polynomials orthonormal under the rule, (N, count)."""
+
+    @staticmethod
+    @abstractmethod
+    def _slopes(count: int) -> Array:
+        """Coefficients of the derivatives of the polynomials on [-1, 1], (count, count)."""
 
     @property
     def size(self) -> int:
@@ -198,6 +216,20 @@ class Basis1D(ABC):
         local = self._values(2.0 * (position - element) - 1.0, self.degree)
         return self._spread(local * np.sqrt(self.elements), element)
 
+    @cached_property
+    def derivative(self) -> Array:
+        """From the coefficients of the modes to those of the derivative, (size, size)."""
+        block = self._slopes(self.degree)
+        scales = 2.0 / np.diff(self.edges)
+        return np.asarray(np.kron(np.diag(scales), block))
+
+    def restricted(self, lower: float, upper: float) -> Self:
+        """The basis on a part of the interval, with the ends of elements that are inside of it."""
+        near = 1e-12 * (self.upper - self.lower)
+        inside = [float(e) for e in self.edges if lower + near < e < upper - near]
+        kind = type(self)
+        return kind(lower, upper, self.degree, len(inside) + 1, tuple(inside))
+
     def _spread(self, local: Array, element: NDArray[np.intp]) -> Array:
         """Values of the modes (N, size) from those of one element for each point."""
         count = len(local)
@@ -252,6 +284,7 @@ class LegendreBasis(Basis1D):
 
     kind = "legendre"
     _values = staticmethod(legendre_values)
+    _slopes = staticmethod(legendre_derivative)
 
     @staticmethod
     def _rule(count: int) -> tuple[Array, Array]:
@@ -269,6 +302,7 @@ class ChebyshevBasis(Basis1D):
 
     kind = "chebyshev"
     _values = staticmethod(chebyshev_values)
+    _slopes = staticmethod(chebyshev_derivative)
 
     @staticmethod
     def _rule(count: int) -> tuple[Array, Array]:

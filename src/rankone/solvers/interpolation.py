@@ -11,18 +11,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.arrays import Array
+from rankone.solvers.cross.samples import Integers
 from rankone.solvers.cross.sweep import Nodes, interpolate, left_points
 from rankone.solvers.integration import initial_values
 from rankone.system import System
 
 logger = logging.getLogger("rankone")
 
-__all__ = ["Integers", "PlainNodes", "interpolated", "interpolated_initial"]
-
-Integers = NDArray[np.int64]
+__all__ = ["PlainNodes", "interpolated", "interpolated_initial"]
 
 _LEFT, _HIGHEST_RANK = 9, 200
 _LOST_AT_START = 1e-13

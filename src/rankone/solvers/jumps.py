@@ -19,4 +19,5 @@ def jump_times(system: System, start: float, end: float) -> tuple[float, ...]:
 
 def jump_kind(system: System, time: float) -> int | None:
     """What ``system.jumped`` takes for the jump at a time; None if there is none."""
-    return dict(getattr(system, "JUMPS", ())).get(time)
+    jumps: tuple[tuple[float, int], ...] = getattr(system, "JUMPS", ())
+    return next((kind for at, kind in jumps if at == time), None)

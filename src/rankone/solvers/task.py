@@ -180,7 +180,8 @@ class Task:
         assert measured is not None
         measured, error = replace(measured, drift=drifted), measured.error
         if error <= request.rtol:
-            return replace(outcome, measured=measured)
+            message = f"{Status.CONVERGED.value}: {error:.1e} of {request.rtol:.1e}"
+            return replace(outcome, measured=measured, message=message)
         message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
         message += f" (of the system as it was written; lifted states drift by {drifted:.1e})"
         message += f"; {_AS_WRITTEN}"

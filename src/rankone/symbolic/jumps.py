@@ -226,6 +226,10 @@ def without_impulses(
                     remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
                 )
             if not time[1] <= at:
+                warn(
+                    f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing; "
+                    "remedy: remove it"
+                )
                 continue
             _check_steady(factor, impulse, at, time[0], origin)
             added = found.setdefault(at, {})

@@ -304,7 +304,23 @@ class _Lifter:
                 saturating = self._saturating(product / factor, base)
                 if saturating is not None:
                     return saturating
-        return sp.Mul(*map(self.polynomial, product.args))
+        powers = [factor for factor in product.args if self._is_general_power(factor)]
+        if len(powers) < 2:
+            return sp.Mul(*map(self.polynomial, product.args))
+        together = [power.as_base_exp() for power in powers]
+        state = self.unknown(
+            sp.Mul(*powers),
+            "p",
+            lambda y: y * sp.Add(*(e * self._root(b, 1) * self.derivative(b) for b, e in together)),
+        )
+        return state * self.polynomial(product / sp.Mul(*powers))
+
+    def _is_general_power(self, factor: sp.Expr) -> bool:
+        """Whether a factor is a power that is an unknown of its own, as those of roots are not."""
+        base, exponent = factor.as_base_exp()
+        fixed = not self._varies(exponent) and self.time not in exponent.free_symbols
+        rooted = exponent.is_Rational and exponent.q <= _ROOTS
+        return bool(factor.is_Pow and self._varies(base) and fixed and not rooted)
 
     def _saturating(self, factor: sp.Expr, base: sp.Expr) -> sp.Expr | None:
         """``factor/(a + m)`` with a fixed a and m an exponential or a power: a logistic, or Hill's.

@@ -60,8 +60,11 @@ class SlabTrain:
 
     def on_grid(self, times: Array, carry: Array) -> Array:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
-        in_time = np.tensordot(self.cores[0], self._time_values(times), (1, 1))
-        return np.asarray(np.einsum("nrt,rm->nmt", in_time, carry, optimize=True))
+        return np.asarray(np.einsum("ntr,rm->nmt", self.in_time(times), carry, optimize=True))
+
+    def in_time(self, times: Array) -> Array:
+        """The first core at times (T,): (states, T, r_1)."""
+        return np.asarray(np.matmul(self._time_values(times), self.cores[0]))
 
     def first_states(self, count: int) -> SlabTrain:
         """The first states alone."""

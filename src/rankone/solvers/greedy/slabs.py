@@ -13,12 +13,12 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.domain import Domain
+from rankone.solvers.cross.samples import Integers
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import Coupling, LaggedSlab, SlabResult, compressed
 from rankone.solvers.greedy.nodes import Nodes
 from rankone.solvers.greedy.operators import ShapeSpace
 from rankone.solvers.interpolation import (
-    Integers,
     PlainNodes,
     interpolated,
     interpolated_initial,

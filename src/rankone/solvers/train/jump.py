@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.solvers.interpolation import Integers, interpolated
+from rankone.solvers.cross.samples import Integers
+from rankone.solvers.interpolation import interpolated
 from rankone.solvers.train.nodes import ParameterNodes
 from rankone.tensors.train import apply_to_modes, mode_norms, right_orthonormal
 

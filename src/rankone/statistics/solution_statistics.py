@@ -1,0 +1,165 @@
+"""Statistics of all states at given times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.coordinates import name_of
+from rankone.errors import OptionError
+from rankone.statistics.measures import Measure
+from rankone.statistics.moments import TrainMoments
+from rankone.tensors.slab import SlabTrain
+from rankone.wording import did_you_mean, listing, quote
+
+__all__ = ["Sobol", "Statistics", "measures_of"]
+
+
+@dataclass(frozen=True)
+class Sobol:
+    """Variance-based sensitivities as functions of time.
+
+    Where the variance vanishes they are not defined (NaN).
+
+    Attributes
+    ----------
+    parameters, unknowns : tuple of str
+    times : ndarray (times,)
+    first : ndarray (unknowns, parameters, times)
+        Share of the variance that one parameter explains alone.
+    total : ndarray (unknowns, parameters, times)
+        Share that is left if all others are known.
+    second : ndarray (unknowns, parameters, parameters, times)
+        Share of the interaction of two parameters, beyond what they explain alone; symmetric, with
+        zeros for a parameter and itself.
+    """
+
+    parameters: tuple[str, ...]
+    unknowns: tuple[str, ...]
+    times: Array
+    first: Array
+    total: Array
+    second: Array
+
+
+def measures_of(
+    names: Sequence[str], box: Sequence[tuple[float, float]], under: Mapping[Any, Any] | None
+) -> list[Measure]:
+    """The measure of each parameter; uniform where nothing else is given.
+
+    Raises
+    ------
+    OptionError
+        If there is no such parameter, or a distribution does not fit its interval.
+    """
+    given: dict[str, Any] = {}
+    for key, distribution in (under or {}).items():
+        name = name_of(key)
+        if name not in names:
+            raise OptionError(
+                f"there is no parameter {quote(name)}{did_you_mean(name, names)}",
+                term=name,
+                remedy=f"known are {listing(names)}",
+            )
+        given[name] = distribution
+    return [
+        Measure(name, lower, upper, given.get(name))
+        for name, (lower, upper) in zip(names, box, strict=True)
+    ]
+
+
+class Statistics:
+    """Moments of the states of consecutive slabs.
+
+    Parameters
+    ----------
+    slabs : sequence of SlabTrain
+    rows : sequence of int
+        The states that are asked for.
+    measures : sequence of Measure
+    """
+
+    def __init__(
+        self, slabs: Sequence[SlabTrain], rows: Sequence[int], measures: Sequence[Measure]
+    ) -> None:
+        self.slabs, self.rows, self.measures = slabs, list(rows), measures
+        self._starts = np.array([slab.start for slab in slabs[1:]])
+
+    @cached_property
+    def _moments(self) -> list[TrainMoments]:
+        """Of each slab; those that share their cores share them."""
+        known: list[tuple[SlabTrain, TrainMoments]] = []
+        found = []
+        for slab in self.slabs:
+            same = (moments for other, moments in known if slab.shares_parameters(other))
+            moments = next(same, None)
+            if moments is None:
+                moments = TrainMoments(slab.cores[1:], slab.bases, self.measures)
+                known = [*known[-3:], (slab, moments)]
+            found.append(moments)
+        return found
+
+    def mean(self, times: Array) -> Array:
+        """Means, (states, times)."""
+        return self._gathered(times, lambda rows, moments: rows @ moments.mean())
+
+    def covariance(self, times: Array) -> Array:
+        """Covariances, (states, states, times)."""
+
+        def of_slab(rows: Array, moments: TrainMoments) -> Array:
+            parts = rows, moments.covariance(), rows
+            return np.asarray(np.einsum("ntr,rs,mts->nmt", *parts, optimize=True))
+
+        return self._gathered(times, of_slab)
+
+    def variance(self, times: Array) -> Array:
+        """Variances, (states, times)."""
+        return self._squares(times, TrainMoments.covariance)
+
+    def first(self, times: Array) -> Array:
+        """Variances of the means given one parameter, (states, parameters, times)."""
+        count = len(self.measures)
+        parts = [self._squares(times, partial(TrainMoments.first, j=j)) for j in range(count)]
+        return np.stack(parts, axis=1)
+
+    def total(self, times: Array) -> Array:
+        """Means of the variance over one parameter, (states, parameters, times)."""
+        count = len(self.measures)
+        parts = [self._squares(times, partial(TrainMoments.total, j=j)) for j in range(count)]
+        return np.stack(parts, axis=1)
+
+    def second(self, times: Array) -> Array:
+        """Variances of interactions, (states, parameters, parameters, times)."""
+        count = len(self.measures)
+        found = np.zeros((len(self.rows), count, count, times.size))
+        for i in range(count):
+            for j in range(i + 1, count):
+                part = self._squares(times, partial(TrainMoments.second, i=i, j=j))
+                found[:, i, j] = found[:, j, i] = part
+        return found
+
+    def _squares(self, times: Array, matrix: Callable[[TrainMoments], Array]) -> Array:
+        """``a(t) P a(t)^T`` for all states and times, (states, times)."""
+
+        def of_slab(rows: Array, moments: TrainMoments) -> Array:
+            return np.asarray(((rows @ matrix(moments)) * rows).sum(axis=2))
+
+        return self._gathered(times, of_slab)
+
+    def _gathered(self, times: Array, of_slab: Callable[[Array, TrainMoments], Array]) -> Array:
+        """What is found on each slab for its times, (..., times)."""
+        owner = np.searchsorted(self._starts, times, side="right")
+        found = np.empty(0)
+        for k in np.unique(owner):
+            here = owner == k
+            rows = self.slabs[k].in_time(times[here])[self.rows]
+            values = of_slab(rows, self._moments[k])
+            if not found.size:
+                found = np.empty((*values.shape[:-1], times.size))
+            found[..., here] = values
+        return found
