@@ -171,7 +171,8 @@ def _jumps(tables: Any) -> dict[Any, dict[str, str | float]]:
         at = tuple(times) if isinstance(times, list) else (times,)
         if len(given) != 1 or not at or not all(map(_is_number, at)):
             raise ProblemError(
-                f"[[jumps]] has {f'`{given[0]}` = {shown(times)}' if given else 'no times'}",
+                f"[[jumps]] has {f'`{given[0]}` = {shown(times)}' if given else 'no times'}"
+                + ("" if given else f", but {listing(table)}"),
                 term=table,
                 remedy="write time = 8, or times = [8, 16], once",
             )
@@ -181,6 +182,12 @@ def _jumps(tables: Any) -> dict[Any, dict[str, str | float]]:
                 f"[[jumps]] has a time twice, among {listing(map(str, at))}",
                 term=table,
                 remedy="give all that is reset at a time in one table",
+            )
+        if not values:
+            raise ProblemError(
+                f"[[jumps]] at {listing(map(str, at))} resets nothing",
+                term=table,
+                remedy='write the values after it, for example x = "x + 1"',
             )
         found[at] = values
     return found

@@ -51,7 +51,18 @@ def test_a_jump_at_the_start_changes_the_initial_value():
 
 def test_impulses_outside_of_the_horizon():
     made = problem(rate=-k * x + dose * (sp.DiracDelta(t + 1) + sp.DiracDelta(t - 20)))
-    assert [jump.time for jump in ro.first_order(made).jumps] == [20.0]
+    with pytest.warns(ro.RankoneWarning) as found:
+        system = ro.first_order(made)
+    assert [jump.time for jump in system.jumps] == [20.0]
+    messages = sorted(str(each.message) for each in found)
+    assert "`DiracDelta(t + 1)` is before the start of time, 0, and does nothing" in messages[0]
+    assert "`DiracDelta(t - 20)` is not before the end of time, 10" in messages[1]
+
+
+def test_times_may_be_ranges_and_states_have_names():
+    assert list(problem({range(2, 9, 3): {x: x + 1}}).jumps) == [2.0, 5.0, 8.0]
+    with pytest.raises(ro.ProblemError, match="the jump at 2 resets `X`, which has no equation"):
+        ro.Problem.from_strings({"x": "-x"}, {"x": 1}, {}, (0, 3), jumps={2: {"X": "1"}})
 
 
 def test_text_and_impulses_of_a_list():
@@ -80,6 +91,7 @@ def test_lifted_states_are_reset_with_what_they_stand_for():
     [
         ([8], "jumps are .* not a mapping"),
         ({8: x + 1}, "the jump at t = 8 is .*, not a mapping from unknowns"),
+        ({(): {x: 1}}, "a jump has no times"),
         ({8: {}}, "the jump at t = 8 is .*, not a mapping"),
         ({"8": {x: 1}}, "the time of a jump is .*, not a number"),
         ({k: {x: 1}}, "the time of a jump, `k`, depends on `k`"),

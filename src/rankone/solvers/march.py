@@ -102,14 +102,14 @@ class March:
                 break
             try:
                 trial = self.solver.solve(span)
+                kept = self.lengths.adapt(span, trial)
+                trains = self.solver.accept(span, trial) if kept else []
             except OutOfTimeError:
                 result.stopped = Status.TIME_LIMIT
                 break
-            kept = self.lengths.adapt(span, trial)
             result.records.append(replace(trial.record, accepted=kept))
             result.limits |= trial.limits
             if kept:
-                trains = self.solver.accept(span, trial)
                 result.slabs += trains
                 time = span.end
                 place = time, (time - start) / (end - start), attempt, len(result.slabs)

@@ -68,7 +68,8 @@ def counted_states(system: System, unknowns: Any) -> tuple[int, ...] | None:
     known = system.STATES[: system.N_DIFFERENTIAL - getattr(system, "LIFTED", 0)]
     remedy = f"give some of {listing(known)}"
     try:
-        names = [name_of(u) for u in ([unknowns] if isinstance(unknowns, str) else unknowns)]
+        alone = isinstance(unknowns, str) or hasattr(unknowns, "free_symbols")
+        names = [name_of(u) for u in ([unknowns] if alone else unknowns)]
     except (TypeError, EvaluationError):
         raise OptionError(
             f"unknowns={unknowns!r} is no list of unknowns", term=unknowns, remedy=remedy

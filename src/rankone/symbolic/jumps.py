@@ -10,6 +10,7 @@ from typing import Any
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.coordinates import name_of
 from rankone.errors import ProblemError, warn
 from rankone.functions import Table
 from rankone.ir import Jump
@@ -32,7 +33,11 @@ __all__ = [
 Resets = dict[float, dict[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""
 
+_SEVERAL = (tuple, range, frozenset, sp.Tuple)
+"""Keys that stand for several times."""
 _REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
+_TOGETHER = "give all that is reset at a time in one mapping"
+_LATE = "remedy: remove it, unless `t_final` is to be later"
 _APART = 1e-9
 """Least time between two jumps, in horizons."""
 _BESIDE = 1e-9
@@ -67,20 +72,21 @@ def check_jumps(
     known = list(states), list(unknowns), list(parameters)
     found: Resets = {}
     for key, values in given.items():
-        for instant in key if isinstance(key, tuple | sp.Tuple) else (key,):
+        instants = tuple(key) if isinstance(key, _SEVERAL) else (key,)
+        if not instants:
+            raise ProblemError("a jump has no times", term=values, remedy=_REMEDY)
+        for instant in instants:
             at = _instant(instant, time)
             if at in found:
-                raise ProblemError(f"there are two jumps at t = {at:g}", term=key, remedy=_REMEDY)
+                message = f"there are two jumps at {time[0]} = {at:g}"
+                raise ProblemError(message, term=key, remedy=_TOGETHER)
             found[at] = _values(values, at, *known, time[0])
     _check_apart(found, time)
     late = [at for at in sorted(found) if at >= time[2] - _APART * (time[2] - time[1])]
     if late:
         first = f"the jump at {time[0]} = {late[0]:g}"
         rest = f" and {len(late) - 1} more" if len(late) > 1 else ""
-        warn(
-            f"{first}{rest}: not before the end of time, {time[2]:g}; "
-            "remedy: remove it, unless `t_final` is to be later"
-        )
+        warn(f"{first}{rest}: not before the end of time, {time[2]:g}; {_LATE}")
     return {at: found[at] for at in sorted(found)}
 
 
@@ -91,7 +97,7 @@ def _instant(value: Any, time: Time) -> float:
         raise ProblemError(
             f"the time of a jump, {quote(value)}, depends on {listing(sorted(map(str, symbols)))}",
             term=value,
-            remedy="jumps are at known times: with time in units of it, it is a number",
+            remedy="jumps are at known times; count time from it, or in units of it",
         )
     try:
         if isinstance(value, str | bool):
@@ -142,6 +148,7 @@ def _values(
         if state not in states:
             name = text_of(state) if isinstance(state, sp.Basic) else str(state)
             names = {text_of(known): known for known in states}
+            names |= {name_of(known): known for known in states}
             hint = did_you_mean(name, names)
             if name in names:
                 hint = f" (did you mean {quote(names[name])}?)"
@@ -171,11 +178,14 @@ def _value(
     except (sp.SympifyError, TypeError):
         expression = None
     if not isinstance(expression, sp.Expr):
+        if isinstance(value, str):
+            remedy += ", without quotes; Problem.from_strings takes text"
         raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
     what = f"{what}, {quote(expression)},"
     places = {known: sp.Dummy() for known in states}
     rest = expression.xreplace(places)
-    for part in sorted(rest.atoms(AppliedUndef, sp.Derivative), key=sp.default_sort_key):
+    parts = expression.atoms(AppliedUndef, sp.Derivative) - set(states)
+    for part in sorted(parts, key=sp.default_sort_key):
         hint = did_you_mean(str(part), map(str, states))
         message = f"{what} names {quote(part)}, which is no state{hint}"
         raise ProblemError(message, term=value, remedy=remedy)
@@ -231,6 +241,8 @@ def without_impulses(
                     "remedy: remove it"
                 )
                 continue
+            if at >= time[2] - _APART * (time[2] - time[1]):
+                warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}; {_LATE}")
             _check_steady(factor, impulse, at, time[0], origin)
             added = found.setdefault(at, {})
             value = size * _at(factor, time[0], at)
@@ -281,7 +293,8 @@ def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tup
             f"{quote(impulse)} {message}",
             equation=origin,
             term=impulse,
-            remedy=f"write DiracDelta({time} - 8) with a number; jumps are at known times",
+            remedy=f"write DiracDelta({time} - 8) with a number: jumps are at known times; "
+            "count time from it, or in units of it",
         )
 
     if len(impulse.args) > 1 and impulse.args[1] != 0:

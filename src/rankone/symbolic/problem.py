@@ -29,7 +29,7 @@ from rankone.symbolic.jumps import check_jumps, jump_latex, jump_texts, system_j
 from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
-from rankone.wording import count, did_you_mean, is_text, quote, shown
+from rankone.wording import count, did_you_mean, is_text, listing, quote, shown
 
 __all__ = ["Problem"]
 
@@ -279,8 +279,16 @@ def _jumps(given: Any, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.E
         if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             found[time] = values
             continue
+        for name in _normalised("jumps", values):
+            if name not in unknowns:
+                raise ProblemError(
+                    f"the jump at {shown(time)} resets {quote(name)}, which has no equation"
+                    f"{did_you_mean(name, unknowns)}",
+                    term=name,
+                    remedy=f"it may reset {listing(unknowns)}",
+                )
         found[time] = {
-            unknowns.get(name, name): _formula(
+            unknowns[name]: _formula(
                 text, names, f"value of {quote(name)} after the jump at {shown(time)}", None
             )
             for name, text in _normalised("jumps", values).items()
