@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import sympy as sp
 
@@ -32,6 +32,8 @@ class Case:
         of the other parameters: a third of the points at which the truth is looked at lie there.
     passed : Expr, optional
         The time at which the only unknown has a value, as a function of it, where that is known.
+    jumps : dict
+        For some times the unknowns that are reset, and their values.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Case:
     cuts: list[sp.Expr]
     places: list[tuple[sp.Symbol, sp.Expr, sp.Expr]]
     passed: sp.Expr | None = None
+    jumps: dict[float, dict[sp.Expr, sp.Expr]] = field(default_factory=dict)
 
     def problem(self) -> ro.Problem:
         """As a user writes it."""
@@ -52,6 +55,7 @@ class Case:
             (t, 0, self.end),
             self.box,
             dict(zip(self.unknowns, self.initial, strict=True)),
+            jumps=self.jumps,
         )
 
 
@@ -352,3 +356,55 @@ def general(draw: random.Random) -> Case:
         end=draw.uniform(0.5, 6),
         rtol=10.0 ** -draw.uniform(2, 5),
     )
+
+
+@kind
+def doses(draw: random.Random) -> Case:
+    """Jumps of one or two unknowns: doses, resets, functions of the unknowns, narrow ones."""
+    x, y = unknown("x"), unknown("y")
+    k, d = sp.symbols("k d")
+    box = {k: (0.5, 1.5), d: (0.2, 1.2)}
+    end = float(logarithmic(draw, 0.5, 20.0))
+    coupling = number(draw, -0.5, 0.5)
+    rates = draw.choice(
+        [
+            [-k * x + coupling * y, -y + x / 2],
+            [-k * x / (1 + x**2) + coupling * y, -y],
+            [y, -k * sp.sin(x) - y / 5],
+        ]
+    )
+    places: list[tuple[sp.Symbol, sp.Expr, sp.Expr]] = []
+    jumps: dict[float, dict[sp.Expr, sp.Expr]] = {}
+    for _ in range(draw.randint(1, 6)):
+        at = round(draw.uniform(0.02, 0.98) * end, 4)
+        size = number(draw, 0.3, 1.5)
+        width = float(logarithmic(draw, 1e-4, 0.05))
+        where = draw.uniform(0.25, 1.15)
+        bump = sp.exp(-(((d - where) / width) ** 2))
+        window = sp.Piecewise((1, (d > where) & (d < where + width)), (0, True))
+        narrow = draw.random() < 0.35
+        value = draw.choice(
+            [x + d * bump, x + size * window, size * bump]
+            if narrow
+            else [
+                x + d,
+                x + size * d / k,
+                size,
+                size * x,
+                x + d * y,
+                x**2 / 2 + d / (k + d),
+                sp.Max(x, d),
+                sp.Abs(x - size),
+                x * sp.exp(-x / size),
+                sp.sqrt(x**2 + d),
+                x + sp.Heaviside(x - size) * (x - size),
+            ]
+        )
+        places += [(d, sp.Float(where), sp.Float(1.5 * width))] if narrow else []
+        jumps[at] = {x: value}
+        if draw.random() < 0.3:
+            jumps[at][y] = draw.choice([x, y + d, y / 2 - x])
+    rtol = 10.0 ** -draw.uniform(2, 6)
+    name = f"{len(jumps)} jumps"
+    start = [number(draw, 0.0, 1.0), d]
+    return Case(name, [x, y], rates, start, box, end, rtol, [], places, jumps=jumps)

@@ -17,6 +17,7 @@ COUNTS = {
     "peaks": 4,
     "moving": 2,
     "data": 6,
+    "doses": 6,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")

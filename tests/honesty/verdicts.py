@@ -141,9 +141,12 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
     values[:, :, 0] = state
     cuts = np.concatenate([[0.0], *(_at(case, cut, points) for cut in case.cuts)])
     inside = cuts[(cuts > _APART * case.end) & (cuts < (1.0 - _APART) * case.end)]
-    edges = np.unique([0.0, *inside, case.end])
+    edges = np.unique([0.0, *inside, *case.jumps, case.end])
     scale = np.maximum(np.abs(state).max(axis=1, keepdims=True), 1e-3)
     for a, b in itertools.pairwise(edges):
+        if a in case.jumps:
+            state = _jumped(case, a, names, state, points)
+            values[:, :, times == a] = state[:, :, None]
         inset = min(max(1e-9 * (b - a), 8 * np.spacing(b)), 0.25 * (b - a))
 
         def rate(now: float, u: np.ndarray, a: float = a, b: float = b, i: float = inset):
@@ -165,6 +168,14 @@ def truth(case: Case, points: np.ndarray, times: np.ndarray) -> np.ndarray:
             raise TimeoutError
         state = solver.y.reshape(n, m)
     return values
+
+
+def _jumped(case: Case, at: float, names: list, state: np.ndarray, points: np.ndarray):
+    """States (n, points) after a jump."""
+    known = dict(zip(case.unknowns, names, strict=True))
+    reset = [case.jumps[at].get(u, u).xreplace(known) for u in case.unknowns]
+    after = sp.lambdify([names, list(case.box)], reset, ["numpy", "scipy"])(state, points)
+    return np.stack([np.broadcast_to(value, points.shape[1]) for value in after]).astype(float)
 
 
 def _finite(rate: sp.Expr) -> sp.Expr:
