@@ -96,24 +96,28 @@ def _at_jumps(
     system, (lower, upper) = yardstick.system, yardstick.domain.bounds.T
     rough = getattr(system, "ROUGH_JUMPS", ())
     units = yardstick.states[:, None]
-    found = [np.zeros((0, lower.size))]
-    known: dict[int, int] = {}
+    work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
+    unit = generator.random((min(_MANY, max(_LOOKED, int(_WORK / max(work, 1)))), lower.size))
+    points = lower + (upper - lower) * unit
+    found, known = [points[:0]], dict.fromkeys(range(len(slabs)), 0)
+    carry, last = np.zeros((0, 0)), None
     for before, after in itertools.pairwise(slabs):
         kind = jump_kind(system, before.end)
-        if kind is None or known.get(kind, 0) == _SLABS:
+        if kind is None or known[kind] == _SLABS:
             continue
-        known[kind] = known.get(kind, 0) + 1
-        count = _MANY if kind in rough else _LOOKED
-        points = lower + (upper - lower) * generator.random((count, lower.size))
-        start, end = (
-            slab.on_grid(np.array([before.end]), slab.over_parameters(points.T))[:, :, 0]
-            for slab in (before, after)
-        )
+        known[kind] += 1
+        some = points if kind in rough else points[:_LOOKED]
+        sides = []
+        for slab in (before, after):
+            if last is None or not slab.shares_parameters(last):
+                carry, last = slab.over_parameters(points.T), slab
+            sides.append(slab.on_grid(np.array([before.end]), carry[:, : len(some)])[:, :, 0])
+        start, end = sides
         with np.errstate(all="ignore"):
-            missed = np.abs(end - system.jumped(kind, start, points.T)) / units
+            missed = np.abs(end - system.jumped(kind, start, some.T)) / units
         errors = np.nan_to_num(missed.max(axis=0), nan=np.inf)
         worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
-        found.append(points[worst[errors[worst] > _MISSED * rtol]])
+        found.append(some[worst[errors[worst] > _MISSED * rtol]])
     return np.concatenate(found)
 
 
