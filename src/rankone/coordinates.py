@@ -156,9 +156,10 @@ class Coordinates:
         EvaluationError
             If a value is not real, is NaN or lies outside the interval.
         """
-        return [self._checked(index, value) for index, value in enumerate(given)]
+        return [self.checked(index, value) for index, value in enumerate(given)]
 
-    def _checked(self, index: int, value: Any) -> Array:
+    def checked(self, index: int, value: Any) -> Array:
+        """The values of one coordinate as an array of numbers inside its interval."""
         name, (lower, upper) = self.names[index], self.intervals[index]
         array = self._real(name, value)
         if not array.size:

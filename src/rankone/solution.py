@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import html
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import OptionError
+from rankone.options import checked_number
+from rankone.smaller import derived, with_fixed, with_restricted
 from rankone.solution_core import SolutionCore
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
+from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
 from rankone.storage import read
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 from rankone.wording import listing
@@ -129,6 +136,213 @@ class Solution(SolutionCore):
         return export_model(
             self, path, states=states, overwrite=overwrite, allow_failed=allow_failed
         )
+
+    # --- derivatives and smaller solutions -----------------------------------------------------
+
+    def diff(self, coordinate: Any) -> Solution:
+        """The derivatives of all unknowns with respect to a parameter or to time, as a solution.
+
+        Exact for the trains: they are polynomials on elements. The error is not measured, so that
+        ``success`` is False; it is about that of the solution times the degree squared over the
+        width of the elements.
+
+        Parameters
+        ----------
+        coordinate : str or Symbol
+
+        Raises
+        ------
+        OptionError
+            If there is no such coordinate.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        return Solution(*derived(self.outcome, self.metadata, coordinate))
+
+    def gradient(self, *at: Any, **named: Any) -> Array:
+        """Derivatives of all unknowns with respect to all parameters, at times and values.
+
+        Arguments and errors are those of a call.
+
+        Returns
+        -------
+        ndarray (unknowns, parameters, *broadcast shape of the values)
+        """
+        given = self._coordinates.gather(at, named)
+        parts = [part._evaluate(given, part._unknowns) for part in self._slopes]
+        if not parts:
+            value = self._evaluate(given, self._unknowns)
+            return np.zeros((len(value), 0, *value.shape[1:]))
+        return np.stack(parts, axis=1)
+
+    @cached_property
+    def _slopes(self) -> list[Solution]:
+        """The derivative with respect to each parameter."""
+        return [self.diff(name) for name in self.metadata.parameters]
+
+    def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
+        """The solution for given values of some parameters, as a solution of the others.
+
+        Nothing is sampled. ``errors`` are those measured on the whole box.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or its value is outside of its range.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        return Solution(*with_fixed(self.outcome, self.metadata, {**(values or {}), **named}))
+
+    def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
+        """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.
+
+        Nothing is sampled. ``errors`` are those measured on the whole box, relative to the sizes
+        there.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or an interval is not a part of its range.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        given = {**(intervals or {}), **named}
+        return Solution(*with_restricted(self.outcome, self.metadata, given))
+
+    # --- statistics over the box ---------------------------------------------------------------
+
+    def mean(self, t: Any, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Means of the unknowns over the box at times.
+
+        Integrals of products are products of integrals: nothing is sampled.
+
+        Parameters
+        ----------
+        t : array_like
+            Times.
+        under : mapping, optional
+            For parameters, by symbols or names, frozen continuous distributions of scipy.stats, cut
+            at the ends of the box. Parameters are independent, and uniform where nothing is given.
+
+        Returns
+        -------
+        ndarray (unknowns, *shape of t)
+
+        Raises
+        ------
+        EvaluationError
+            If a time is outside of the horizon.
+        OptionError
+            If there is no such parameter, or a distribution has no probability in its interval.
+        """
+        return self._over_box(t, under, Statistics.mean)
+
+    def var(self, t: Any, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Variances; arguments and shape as for :meth:`mean`."""
+        return self._over_box(t, under, Statistics.variance)
+
+    def std(self, t: Any, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Standard deviations; arguments and shape as for :meth:`mean`."""
+        return np.asarray(np.sqrt(self.var(t, under=under)))
+
+    def cov(self, t: Any, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Covariances of the unknowns at the same time, (unknowns, unknowns, *shape of t)."""
+        return self._over_box(t, under, Statistics.covariance)
+
+    def sobol(self, t: Any, *, under: Mapping[Any, Any] | None = None) -> Sobol:
+        """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
+
+        Arguments as for :meth:`mean`; times are one-dimensional.
+        """
+        parts = Statistics.variance, Statistics.first, Statistics.total, Statistics.second
+        times = np.atleast_1d(t)
+        variance, first, total, second = (self._over_box(times, under, part) for part in parts)
+        with np.errstate(all="ignore"):
+            share = np.where(variance > 0.0, 1.0 / variance, np.nan)
+        names = self.metadata.parameters, self.unknowns
+        return Sobol(
+            *names,
+            np.asarray(times, dtype=float),
+            first * share[:, None],
+            total * share[:, None],
+            second * share[:, None, None],
+        )
+
+    def sample(
+        self, count: int, *, seed: int | None = None, under: Mapping[Any, Any] | None = None
+    ) -> dict[str, Array]:
+        """Independent random values of the parameters, by name, (count,) each.
+
+        ``solution(t=1.0, **solution.sample(1000))`` are values of the unknowns. ``under`` is as for
+        :meth:`mean`.
+        """
+        count = checked_number("count", count, 0)
+        measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        shares = np.random.default_rng(seed).random((len(measures), count))
+        return {m.name: m.sample(row) for m, row in zip(measures, shares, strict=True)}
+
+    def quantile(
+        self,
+        q: Any,
+        t: Any,
+        *,
+        under: Mapping[Any, Any] | None = None,
+        count: int = 2**14,
+    ) -> Array:
+        """Quantiles of the unknowns over the box at times.
+
+        Of evenly spread values of the parameters (an additive recurrence), the same in every call:
+        the probabilities are met to about 1e-3 with the default ``count`` of them.
+
+        Parameters
+        ----------
+        q : array_like
+            Probabilities in [0, 1].
+        t, under
+            As for :meth:`mean`.
+        count : int
+            Number of points.
+
+        Returns
+        -------
+        ndarray (*shape of q, unknowns, *shape of t)
+
+        Raises
+        ------
+        OptionError
+            If a probability is not in [0, 1]; and as for :meth:`mean`.
+        """
+        probabilities = np.asarray(q, dtype=float)
+        if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
+            raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
+        count = checked_number("count", count, 1)
+
+        def of(statistics: Statistics, times: Array) -> Array:
+            return statistics.quantiles(times, probabilities.ravel(), count)
+
+        values = self._over_box(t, under, of)
+        return values.reshape(*probabilities.shape, *values.shape[1:])
+
+    def _over_box(
+        self,
+        t: Any,
+        under: Mapping[Any, Any] | None,
+        part: Callable[[Statistics, Array], Array],
+    ) -> Array:
+        """A statistic at times of any shape."""
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        times = self._coordinates.checked(0, t)
+        values = part(self._statistics(under), times.ravel())
+        return values.reshape(*values.shape[:-1], *times.shape)
+
+    def _statistics(self, under: Mapping[Any, Any] | None) -> Statistics:
+        """The statistics for the distributions that are given, kept for the next question."""
+        measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        key = tuple(id(measure.distribution) for measure in measures)
+        if self._known is None or self._known[0] != key:
+            rows = self.metadata.unknown_rows
+            self._known = key, Statistics(self.outcome.slabs, rows, measures)
+        return self._known[1]
+
+    _known: tuple[tuple[int, ...], Statistics] | None = None
 
     # --- display -------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ __all__ = ["PlainNodes", "interpolated", "interpolated_initial"]
 _LEFT, _HIGHEST_RANK = 9, 200
 _LOST_AT_START = 1e-13
 """Largest error, in sizes: far below that of any solve."""
-_TRIED, _MISSED, _WORST = 256, 30.0, 16
+_NODES_TRIED, _LOST_THERE, _WORST_TAKEN = 256, 30.0, 16
 """Random nodes at which the interpolation is tried, the error there over what may be lost from
 which there are more left points, and how many of the worst are among them."""
 _ATTEMPTS = 5
@@ -66,7 +66,7 @@ def interpolated(
     if not nodes:
         return [values(np.zeros((1, 0), dtype=np.int64))]
     generator = np.random.default_rng(20140)
-    some = np.stack([generator.integers(0, x.size, _TRIED) for x in nodes], axis=1)
+    some = np.stack([generator.integers(0, x.size, _NODES_TRIED) for x in nodes], axis=1)
     exact = values(some)
     sizes = np.abs(exact).max(axis=1, keepdims=True)
     sizes[sizes == 0.0] = 1.0
@@ -76,9 +76,10 @@ def interpolated(
         found = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
         first, *cores = found.cores
         missed = np.abs(first @ _at(cores, nodes, some) - exact / sizes).max(axis=0)
-        if missed.max() <= _MISSED * tolerance or math.prod(counts[:-1]) <= len(left[-1]):
+        full = math.prod(counts[:-1]) <= len(left[-1])
+        if full or missed.max() <= _LOST_THERE * tolerance:
             break
-        worst = some[np.argsort(-missed)[:_WORST]]
+        worst = some[np.argsort(-missed)[:_WORST_TAKEN]]
         more = left_points(counts, _LEFT * 2**number, 20140 + number)
         left = [
             np.unique(np.concatenate([points, worst[:, : points.shape[1]]]), axis=0)

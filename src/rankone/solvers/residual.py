@@ -36,7 +36,7 @@ the length of the slab, as well."""
 _EXPECTED = 1.5
 """Error expected, over the tolerance, from which a point is doubtful: on smooth problems expected
 errors reach 1.4 and are overestimates, where something was missed 3 and more."""
-_MANY, _MISSED = 16_384, 3.0
+_LOOKED_AT_JUMPS, _WRONG_AFTER = 16_384, 3.0
 """Points looked at where a jump is no polynomial of the states, and the error there, over the
 tolerance, that is doubtful."""
 _KNOWN = 64
@@ -97,8 +97,8 @@ def _at_jumps(
     rough = getattr(system, "ROUGH_JUMPS", ())
     units = yardstick.states[:, None]
     work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
-    unit = generator.random((min(_MANY, max(_LOOKED, int(_WORK / max(work, 1)))), lower.size))
-    points = lower + (upper - lower) * unit
+    count = min(_LOOKED_AT_JUMPS, max(_LOOKED, int(_WORK / max(work, 1))))
+    points = lower + (upper - lower) * generator.random((count, lower.size))
     found, known = [points[:0]], dict.fromkeys(range(len(slabs)), 0)
     carry, last = np.zeros((0, 0)), None
     for before, after in itertools.pairwise(slabs):
@@ -117,7 +117,7 @@ def _at_jumps(
             missed = np.abs(end - system.jumped(kind, start, some.T)) / units
         errors = np.nan_to_num(missed.max(axis=0), nan=np.inf)
         worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
-        found.append(some[worst[errors[worst] > _MISSED * rtol]])
+        found.append(some[worst[errors[worst] > _WRONG_AFTER * rtol]])
     return np.concatenate(found)
 
 

@@ -66,38 +66,58 @@ class TrainMoments:
             found.append(_sandwich(core, found[-1]))
         return found[::-1]
 
+    @cached_property
     def mean(self) -> Array:
         """The vector m with the mean ``a(t) m``."""
         return self.after[0]
 
+    @cached_property
     def covariance(self) -> Array:
-        """The matrix of the variance."""
+        """The matrix of the variance, (1, r_1, r_1)."""
         found = np.zeros((1, 1))
         for j in reversed(range(self.count)):
-            own = self.fluctuations[j] @ self.after[j + 1]
-            found = _sandwich(self.whole[j], found) + own @ own.T
-        return found
+            found = _sandwich(self.whole[j], found) + self._own[j] @ self._own[j].T
+        return found[None]
 
-    def first(self, j: int) -> Array:
-        """The matrix of the variance of the mean given parameter j."""
-        own = self._before(j) @ (self.fluctuations[j] @ self.after[j + 1])
-        return np.asarray(own @ own.T)
+    @cached_property
+    def first(self) -> Array:
+        """For each parameter the matrix of the variance of the mean given it, (d, r_1, r_1)."""
+        parts = [self._before(j) @ own for j, own in enumerate(self._own)]
+        return self._stacked([part @ part.T for part in parts])
 
-    def total(self, j: int) -> Array:
-        """The matrix of the mean of the variance over parameter j, all others given."""
-        found = _sandwich(self.fluctuations[j], self._squares[j + 1])
-        for core in reversed(self.whole[:j]):
-            found = _sandwich(core, found)
-        return found
+    @cached_property
+    def total(self) -> Array:
+        """For each parameter that of the mean of the variance over it, the others given."""
+        parts = []
+        for j in range(self.count):
+            found = _sandwich(self.fluctuations[j], self._squares[j + 1])
+            for core in reversed(self.whole[:j]):
+                found = _sandwich(core, found)
+            parts.append(found)
+        return self._stacked(parts)
 
-    def second(self, i: int, j: int) -> Array:
-        """The matrix of the interaction of two parameters, i < j, beyond their first orders."""
-        own = self.fluctuations[j] @ self.after[j + 1]
-        for mean in reversed(self.means[i + 1 : j]):
-            own = mean @ own
-        both = np.tensordot(self.fluctuations[i], own, (2, 0))
-        both = self._before(i) @ both.reshape(len(both), -1)
-        return np.asarray(both @ both.T)
+    @cached_property
+    def second(self) -> Array:
+        """For pairs i < j that of their interaction beyond their first orders, by i, then by j."""
+        parts = []
+        for i, fluctuation in enumerate(self.fluctuations[:-1]):
+            between, before = np.eye(fluctuation.shape[2]), self._before(i)
+            for own, mean in zip(self._own[i + 1 :], self.means[i + 1 :], strict=True):
+                both = np.tensordot(fluctuation, between @ own, (2, 0))
+                both = before @ both.reshape(len(both), -1)
+                parts.append(both @ both.T)
+                between = between @ mean
+        return self._stacked(parts)
+
+    def _stacked(self, matrices: Sequence[Array]) -> Array:
+        """Matrices (k, r_1, r_1); there may be none."""
+        rank = len(self.after[0])
+        return np.stack(matrices) if matrices else np.zeros((0, rank, rank))
+
+    @cached_property
+    def _own(self) -> list[Array]:
+        """Fluctuations times the mean of what comes after them: (r_j, modes)."""
+        return [f @ v for f, v in zip(self.fluctuations, self.after[1:], strict=True)]
 
     def _before(self, j: int) -> Array:
         """Mean of the product of the matrices before: (r_1, r_j)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import OptionError
+from rankone.solvers.reference import spread
 from rankone.statistics.measures import Measure
 from rankone.statistics.moments import TrainMoments
 from rankone.tensors.slab import SlabTrain
@@ -106,48 +107,64 @@ class Statistics:
 
     def mean(self, times: Array) -> Array:
         """Means, (states, times)."""
-        return self._gathered(times, lambda rows, moments: rows @ moments.mean())
+        return self._gathered(times, lambda rows, moments: rows @ moments.mean)
 
     def covariance(self, times: Array) -> Array:
         """Covariances, (states, states, times)."""
 
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
-            parts = rows, moments.covariance(), rows
+            parts = rows, moments.covariance[0], rows
             return np.asarray(np.einsum("ntr,rs,mts->nmt", *parts, optimize=True))
 
         return self._gathered(times, of_slab)
 
     def variance(self, times: Array) -> Array:
         """Variances, (states, times)."""
-        return self._squares(times, TrainMoments.covariance)
+        return self._squares(times, lambda moments: moments.covariance)[:, 0]
 
     def first(self, times: Array) -> Array:
         """Variances of the means given one parameter, (states, parameters, times)."""
-        count = len(self.measures)
-        parts = [self._squares(times, partial(TrainMoments.first, j=j)) for j in range(count)]
-        return np.stack(parts, axis=1)
+        return self._squares(times, lambda moments: moments.first)
 
     def total(self, times: Array) -> Array:
         """Means of the variance over one parameter, (states, parameters, times)."""
-        count = len(self.measures)
-        parts = [self._squares(times, partial(TrainMoments.total, j=j)) for j in range(count)]
-        return np.stack(parts, axis=1)
+        return self._squares(times, lambda moments: moments.total)
 
     def second(self, times: Array) -> Array:
         """Variances of interactions, (states, parameters, parameters, times)."""
         count = len(self.measures)
         found = np.zeros((len(self.rows), count, count, times.size))
-        for i in range(count):
-            for j in range(i + 1, count):
-                part = self._squares(times, partial(TrainMoments.second, i=i, j=j))
-                found[:, i, j] = found[:, j, i] = part
+        i, j = np.triu_indices(count, 1)
+        found[:, i, j] = found[:, j, i] = self._squares(times, lambda moments: moments.second)
         return found
 
-    def _squares(self, times: Array, matrix: Callable[[TrainMoments], Array]) -> Array:
-        """``a(t) P a(t)^T`` for all states and times, (states, times)."""
+    def quantiles(self, times: Array, probabilities: Array, count: int) -> Array:
+        """Quantiles of values at evenly spread points, (probabilities, states, times)."""
+        generator = np.random.default_rng(20144)
+        shares = spread(count, len(self.measures), generator).T
+        points = np.array([m.sample(row) for m, row in zip(self.measures, shares, strict=True)])
+        points = points.reshape(len(self.measures), count)
+        owner = np.searchsorted(self._starts, times, side="right")
+        found = np.empty((probabilities.size, len(self.rows), times.size))
+        carry, last = np.zeros((0, 0)), None
+        for k in np.unique(owner):
+            slab = self.slabs[k]
+            if last is None or not slab.shares_parameters(last):
+                carry, last = slab.over_parameters(points), slab
+            for place in np.flatnonzero(owner == k):
+                values = slab.on_grid(times[place : place + 1], carry)[self.rows, :, 0]
+                found[:, :, place] = np.quantile(values, probabilities, axis=1)
+        return found
+
+    def _squares(self, times: Array, matrices: Callable[[TrainMoments], Array]) -> Array:
+        """``a(t) P a(t)^T`` for several matrices, (states, matrices, times)."""
 
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
-            return np.asarray(((rows @ matrix(moments)) * rows).sum(axis=2))
+            n, count, rank = rows.shape
+            flat = rows.reshape(-1, rank)
+            values = np.einsum("pnr,nr->pn", flat @ matrices(moments), flat)
+            values = np.maximum(values, 0.0)  # but for rounding it is
+            return np.asarray(values.reshape(-1, n, count).swapaxes(0, 1))
 
         return self._gathered(times, of_slab)
 

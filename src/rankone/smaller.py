@@ -1,0 +1,123 @@
+"""Solutions made of solutions: fewer parameters, a smaller box, derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rankone.coordinates import name_of, round_off
+from rankone.errors import OptionError
+from rankone.metadata import SolutionMetadata
+from rankone.solvers.outcome import Measured, Outcome, Status
+from rankone.tensors.calculus import differentiated, fixed, restricted
+from rankone.wording import did_you_mean, listing, quote
+
+__all__ = ["derived", "with_fixed", "with_restricted"]
+
+_Pair = tuple[Outcome, SolutionMetadata]
+
+
+def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _Pair:
+    """The derivatives of all states with respect to a parameter or time; their error is unknown."""
+    name = name_of(coordinate)
+    if name == metadata.time:
+        slabs = tuple(slab.derivative() for slab in outcome.slabs)
+    else:
+        slabs = differentiated(outcome.slabs, _position(metadata, name, metadata.time))
+    made = replace(
+        outcome,
+        slabs=slabs,
+        status=Status.UNCHECKED,
+        message=f"the derivative with respect to {quote(name)}: its error was not measured",
+        measured=None,
+        history=(),
+    )
+    return made, replace(metadata, equations=(), source=None)
+
+
+def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any, Any]) -> _Pair:
+    """The same for given values of some parameters, which are no coordinates any more."""
+    for key, value in given.items():
+        j = _position(metadata, name_of(key))
+        lower, upper = metadata.box[j]
+        number = _number(metadata.parameters[j], value, lower, upper)
+        outcome = replace(outcome, slabs=fixed(outcome.slabs, j, number))
+        metadata = replace(
+            metadata,
+            parameters=_without(metadata.parameters, j),
+            box=_without(metadata.box, j),
+        )
+    return _plain(outcome), replace(metadata, source=None)
+
+
+def with_restricted(
+    outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any, Sequence[float]]
+) -> _Pair:
+    """The same for smaller intervals of some parameters."""
+    for key, interval in given.items():
+        j = _position(metadata, name_of(key))
+        name, (lower, upper) = metadata.parameters[j], metadata.box[j]
+        try:
+            low, high = interval
+        except (TypeError, ValueError):
+            raise OptionError(
+                f"the interval of {quote(name)} is {interval!r}, not a pair of numbers",
+                term=interval,
+                remedy=f"give ({lower:g}, {upper:g}) or a part of it",
+            ) from None
+        low, high = (_number(name, end, lower, upper) for end in (low, high))
+        if not low < high:
+            raise OptionError(
+                f"the interval ({low:g}, {high:g}) of {quote(name)} does not ascend",
+                term=interval,
+                remedy="fix a single value instead" if low == high else f"give ({high:g}, {low:g})",
+            )
+        box = [*metadata.box]
+        box[j] = (low, high)
+        outcome = replace(outcome, slabs=restricted(outcome.slabs, j, (low, high)))
+        metadata = replace(metadata, box=tuple(box))
+    return _plain(outcome), metadata
+
+
+def _position(metadata: SolutionMetadata, name: str, *further: str) -> int:
+    """Which parameter a name is."""
+    if name not in metadata.parameters:
+        known = [*further, *metadata.parameters]
+        raise OptionError(
+            f"there is no parameter {quote(name)}{did_you_mean(name, known)}",
+            term=name,
+            remedy=f"known are {listing(known)}" if known else "the solution has none",
+        )
+    return metadata.parameters.index(name)
+
+
+def _number(name: str, value: Any, lower: float, upper: float) -> float:
+    """A value inside of an interval."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise OptionError(f"{quote(name)} is {value!r}, not a number", term=value) from None
+    slack = round_off(lower, upper)
+    if not lower - slack <= number <= upper + slack:
+        raise OptionError(
+            f"{quote(name)} = {number:g} is outside of its range [{lower:g}, {upper:g}]",
+            term=value,
+            remedy="nothing is extrapolated; choose values inside",
+        )
+    return float(np.clip(number, lower, upper))
+
+
+def _without(values: tuple[Any, ...], position: int) -> tuple[Any, ...]:
+    return (*values[:position], *values[position + 1 :])
+
+
+def _plain(outcome: Outcome) -> Outcome:
+    """What was measured on the whole box holds on a part of it, but for the point where."""
+    measured: Measured | None = outcome.measured
+    if measured is None:
+        return outcome
+    kept = replace(measured, corners=(), worst=(), quantile=None)
+    return replace(outcome, measured=kept, history=())

@@ -1,0 +1,168 @@
+"""Derivatives and smaller solutions: exact operations on the trains."""
+
+import functools
+
+import numpy as np
+import pytest
+import scipy.integrate
+import sympy as sp
+
+import rankone as ro
+from rankone.discretization import BASES
+from rankone.errors import OptionError
+from tests.problems import EXAMPLES, GENERAL
+
+
+@functools.cache
+def solved(name, rtol, **options):
+    example = (EXAMPLES | GENERAL)[name]
+    return ro.solve(example.problem, rtol, max_seconds=60)
+
+
+def sensitivities(rhs, by_state, by_parameter, start, slopes, end):
+    """Derivatives of states with respect to parameters by the variational equations."""
+    n, d = slopes.shape
+
+    def both(_, y):
+        u, s = y[:n], y[n:].reshape(n, d)
+        return np.concatenate([rhs(u), (by_state(u) @ s + by_parameter(u)).ravel()])
+
+    start = np.concatenate([start, slopes.ravel()])
+    run = scipy.integrate.solve_ivp(
+        both, (0, end), start, "DOP853", rtol=1e-12, atol=1e-13, dense_output=True
+    )
+    return lambda times: run.sol(times)[n:].reshape(n, d, -1)
+
+
+def coupled(p):
+    return sensitivities(
+        lambda u: np.array([1 - u[1] * u[2], 2 - u[0] * u[2], 3 - u[0] * u[1]]),
+        lambda u: -np.array([[0, u[2], u[1]], [u[2], 0, u[0]], [u[1], u[0], 0]]),
+        lambda u: np.zeros((3, 3)),
+        p,
+        np.eye(3),
+        0.5,
+    )
+
+
+def lotka_volterra(p):
+    return sensitivities(
+        lambda u: np.array([u[0] * (1.5 - u[1]), -u[1] * (3 - u[0])]),
+        lambda u: np.array([[1.5 - u[1], -u[0]], [u[1], u[0] - 3]]),
+        lambda u: np.zeros((2, 2)),
+        p,
+        np.eye(2),
+        6.0,
+    )
+
+
+def pendulum(p):
+    return sensitivities(
+        lambda u: np.array([u[1], -p[1] * u[1] - p[0] * np.sin(u[0])]),
+        lambda u: np.array([[0, 1], [-p[0] * np.cos(u[0]), -p[1]]]),
+        lambda u: np.array([[0, 0, 0], [-np.sin(u[0]), -u[1], 0]]),
+        np.array([p[2], 0.0]),
+        np.array([[0, 0, 1.0], [0, 0, 0]]),
+        5.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "exact", "rtol", "within"),
+    [
+        ("coupled", coupled, 1e-8, 1e-5),
+        ("lotka_volterra", lotka_volterra, 1e-8, 1e-5),
+        ("pendulum", pendulum, 1e-6, 1e-4),
+    ],
+)
+def test_gradients_against_variational_equations(name, exact, rtol, within):
+    solution = solved(name, rtol)
+    lower, upper = np.array([*solution.parameters.values()]).T
+    times = np.linspace(*solution.time, 9)
+    for share in np.random.default_rng(3).random((4, lower.size)):
+        p = lower + (upper - lower) * share
+        wanted = exact(p)(times)[: len(solution.unknowns)]
+        found = solution.gradient(times, dict(zip(solution.parameters, p, strict=True)))
+        assert found.shape == wanted.shape
+        size = np.abs(wanted).max(axis=2, keepdims=True)
+        assert np.all(np.abs(found - wanted) <= within * size.max(axis=1, keepdims=True))
+
+
+def test_derivatives_are_solutions():
+    solution, k = solved("decay", 1e-8), sp.Symbol("k")
+    t, u = sp.Symbol("t"), sp.Function("u")(sp.Symbol("t"))
+    slope = solution.diff(k)
+    assert slope[u](t=1.0, k=2.0) == pytest.approx(-np.exp(-2.0), rel=1e-6)
+    assert slope.diff(k)[u](t=1.0, k=2.0) == pytest.approx(np.exp(-2.0), rel=1e-5)
+    assert solution.diff(t)[u](t=1.0, k=2.0) == pytest.approx(-2 * np.exp(-2.0), rel=1e-6)
+    assert solution.diff("k").diff("t")[u](t=1.0, k=2.0) == pytest.approx(np.exp(-2), rel=1e-5)
+    assert not slope.success
+    assert "its error was not measured" in slope.message
+    assert repr(slope)
+    times = np.linspace(0, 2, 5)
+    assert solution.gradient(t=times, k=2.0).shape == (1, 1, 5)
+
+
+@pytest.mark.parametrize("kind", BASES)
+def test_derivative_and_part_of_a_basis(kind):
+    basis = BASES[kind](0.5, 3.0, 7, 3, (1.1, 1.7))
+    points = np.linspace(0.5, 2.999, 40)
+
+    def coefficients(function):
+        return basis.to_modal @ (np.sqrt(basis.weights) * function(basis.nodes))
+
+    cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.3])
+    found = basis.modal_values(points) @ (basis.derivative @ coefficients(cubic))
+    np.testing.assert_allclose(found, cubic.deriv()(points), atol=1e-11)
+    part = basis.restricted(1.0, 2.0)
+    assert part.edges.tolist() == [1.0, 1.1, 1.7, 2.0]
+    assert basis.restricted(1.2, 1.5).elements == 1
+
+
+def test_fixed_and_restricted_solutions_are_the_same_functions(tmp_path):
+    solution = solved("coupled", 1e-8)
+    names = [*solution.parameters]
+    middle = dict(zip(names, (0.7, 1.1, 1.3), strict=True))
+    fixed = solution.fix({names[1]: 1.1})
+    assert [*fixed.parameters] == [names[0], names[2]]
+    at = {names[0]: 0.7, names[2]: 1.3}
+    np.testing.assert_allclose(fixed(0.4, at), solution(0.4, middle), rtol=1e-13)
+    none = solution.fix(middle)
+    np.testing.assert_allclose(none(t=0.4), solution(0.4, middle), rtol=1e-13)
+    part = solution.restrict({names[0]: (0.6, 0.8), names[2]: (1.25, 1.5)})
+    assert part.parameters[names[0]] == (0.6, 0.8)
+    np.testing.assert_allclose(part(0.4, middle), solution(0.4, middle), rtol=1e-12)
+    with pytest.raises(ro.RankoneError, match="outside of its range"):
+        part(0.4, {**middle, names[0]: 0.9})
+    for smaller in (fixed, none, part):
+        assert smaller.success
+        again = ro.load(smaller.save(tmp_path / "u.npz", overwrite=True))
+        points = {**dict.fromkeys(smaller.parameters), **{n: middle[n] for n in smaller.parameters}}
+        np.testing.assert_array_equal(again(0.3, points), smaller(0.3, points))
+    smaller.export(tmp_path / "model.py")
+
+
+def test_elements_are_cut_where_the_part_ends():
+    problem = ro.Problem.from_strings({"x": "-abs(k - 1)*x"}, {"x": 1}, {"k": (0, 3)}, (0, 1))
+    solution = ro.solve(problem, 1e-7)
+    part = solution.restrict(k=(0.5, 1.5))
+    k = np.linspace(0.5, 1.5, 21)
+    np.testing.assert_allclose(part["x"](t=1.0, k=k), solution["x"](t=1.0, k=k), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda s: s.diff("q"), "there is no parameter `q`"),
+        (lambda s: s.fix(k=9), "`k` = 9 is outside of its range"),
+        (lambda s: s.fix(k="x"), "`k` is 'x', not a number"),
+        (lambda s: s.fix(j=1), "there is no parameter `j`; remedy: known are `k`"),
+        (lambda s: s.restrict(k=(2, 1)), r"the interval \(2, 1\) of `k` does not ascend"),
+        (lambda s: s.restrict(k=3), "the interval of `k` is 3, not a pair"),
+        (lambda s: s.restrict(k=(0, 1)), "`k` = 0 is outside"),
+        (lambda s: s.restrict(k=(1, float("nan"))), "`k` = nan is outside"),
+    ],
+)
+def test_bad_input(use, message):
+    with pytest.raises(OptionError, match=message):
+        use(solved("decay", 1e-8))
