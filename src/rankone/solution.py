@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,10 @@ from rankone.statistics.solution_statistics import Sobol, Statistics, measures_o
 from rankone.storage import read
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 from rankone.wording import listing
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 __all__ = ["Solution", "load"]
 
@@ -121,6 +125,38 @@ class Solution(SolutionCore):
     def modes(self) -> CanonicalForms:
         """The canonical form of each unknown to 1e-3, for plots; see :meth:`to_canonical`."""
         return self.to_canonical(1e-3)
+
+    def to_xarray(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> xr.Dataset:
+        """The unknowns on the grid of all combinations of values, with labels.
+
+        Parameters
+        ----------
+        values, **named
+            For time and each parameter, by symbols or names, a number or one-dimensional values.
+            Without times there are 101 over the horizon.
+
+        Returns
+        -------
+        xarray.Dataset
+            A variable for each unknown with its measured error as an attribute, a dimension for
+            each coordinate that is not a number.
+
+        Raises
+        ------
+        RankoneError
+            If xarray is not installed.
+        EvaluationError
+            As for a call.
+        """
+        from rankone.labelled import dataset
+
+        return dataset(self, {**(values or {}), **named})
+
+    def to_dataframe(
+        self, values: Mapping[Any, Any] | None = None, /, **named: Any
+    ) -> pd.DataFrame:
+        """The same as :meth:`to_xarray` as a table, a row for each point of the grid."""
+        return self.to_xarray(values, **named).to_dataframe()
 
     def export(
         self,
