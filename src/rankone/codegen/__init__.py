@@ -7,6 +7,13 @@
 ``pointwise``       the right-hand side and its Jacobians at points
 ``general``         the module of a system that does not separate: pointwise functions alone
 ``derivatives``     derivatives of expressions in real symbols
+``events``          where rates switch or are narrow: over states, and over several coordinates
+``switching``       where functions of one coordinate switch
+``narrow``          peaks, steps and valleys of smooth functions
+``initial``         initial values that couple parameters
+``jumps``           states that are reset at known times
+``meanings``        what lifted states stand for
+``variables``       the variables of pointwise functions as names of Python
 ``definitions``     imports and tables of data
 ``combination``     linear maps of a kernel, written out or as a matrix
 ``sums``            sums of products with few operations

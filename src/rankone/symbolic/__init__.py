@@ -2,8 +2,11 @@
 
 ============================  =====================================================================
 :mod:`~.problem`              what the user wrote, validated (:mod:`~.box`, :mod:`~.equations`,
-                              :mod:`~.initial`, :mod:`~.mass`), or read from text (:mod:`~.parsing`)
+                              :mod:`~.initial`, :mod:`~.jumps`, :mod:`~.mass`), or read from text
+                              (:mod:`~.parsing`)
 :mod:`~.first_order`          orders reduced, masses inverted: the first-order system u' = f
+:mod:`~.impulses`             a ``DiracDelta`` of time as a jump
+:mod:`~.lifting`              functions of the unknowns as further unknowns
 :mod:`~.weak_form`            residual times test function, integrated over every dimension
 :mod:`~.separation`           the separated form, by splitting every product (:mod:`~.splitting`)
 :mod:`~.general`              what does not separate is finite where trajectories start

@@ -14,7 +14,8 @@ from rankone.coordinates import name_of
 from rankone.display import aligned_equations
 from rankone.errors import check_kind
 from rankone.ir import Coordinate, Jump, Role, State
-from rankone.symbolic.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
+from rankone.symbolic.impulses import without_impulses
+from rankone.symbolic.jumps import at_start, jump_latex, jump_texts, system_jumps
 from rankone.symbolic.mass import MassForm
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.numbers import exact

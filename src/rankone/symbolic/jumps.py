@@ -1,4 +1,4 @@
-"""Jumps at known times: doses, kicks and restarts, given as such or as ``DiracDelta``."""
+"""Jumps at known times: doses, kicks and restarts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from sympy.core.function import AppliedUndef
 
 from rankone.coordinates import name_of
 from rankone.errors import ProblemError, warn
-from rankone.functions import Table
 from rankone.ir import Jump
 from rankone.symbolic.box import Time
 from rankone.symbolic.equations import explain_symbol
@@ -21,13 +20,16 @@ from rankone.symbolic.numbers import rejoined
 from rankone.wording import did_you_mean, listing, quote, shown
 
 __all__ = [
+    "LATE",
+    "LEAST_APART",
     "Resets",
     "at_start",
+    "check_apart",
     "check_jumps",
     "jump_latex",
     "jump_texts",
     "system_jumps",
-    "without_impulses",
+    "value_at",
 ]
 
 Resets = dict[float, dict[sp.Expr, sp.Expr]]
@@ -37,12 +39,9 @@ _SEVERAL = (tuple, range, frozenset, sp.Tuple)
 """Keys that stand for several times."""
 _REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
 _TOGETHER = "give all that is reset at a time in one mapping"
-_LATE = "remedy: remove it, unless `t_final` is to be later"
-_APART = 1e-9
+LATE = "remedy: remove it, unless `t_final` is to be later"
+LEAST_APART = 1e-9
 """Least time between two jumps, in horizons."""
-_BESIDE = 1e-9
-"""Where what is multiplied by an impulse is looked at on either side of it."""
-_SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
 
 
 def check_jumps(
@@ -81,12 +80,12 @@ def check_jumps(
                 message = f"there are two jumps at {time[0]} = {at:g}"
                 raise ProblemError(message, term=key, remedy=_TOGETHER)
             found[at] = _values(values, at, *known, time[0])
-    _check_apart(found, time)
-    late = [at for at in sorted(found) if at >= time[2] - _APART * (time[2] - time[1])]
+    check_apart(found, time)
+    late = [at for at in sorted(found) if at >= time[2] - LEAST_APART * (time[2] - time[1])]
     if late:
         first = f"the jump at {time[0]} = {late[0]:g}"
         rest = f" and {len(late) - 1} more" if len(late) > 1 else ""
-        warn(f"{first}{rest}: not before the end of time, {time[2]:g}; {_LATE}")
+        warn(f"{first}{rest}: not before the end of time, {time[2]:g}; {LATE}")
     return {at: found[at] for at in sorted(found)}
 
 
@@ -118,10 +117,10 @@ def _instant(value: Any, time: Time) -> float:
     return at
 
 
-def _check_apart(times: Iterable[float], time: Time) -> None:
+def check_apart(times: Iterable[float], time: Time) -> None:
     """Raise if two jumps are at times that are hardly told apart."""
     for a, b in itertools.pairwise(sorted(times)):
-        if b - a < _APART * (time[2] - time[1]):
+        if b - a < LEAST_APART * (time[2] - time[1]):
             raise ProblemError(
                 f"the jumps at {time[0]} = {a!r} and {b!r} are too close to each other",
                 remedy="make one jump of them",
@@ -195,87 +194,10 @@ def _value(
         raise ProblemError(f"{what} has a problem: {message}", term=value, remedy=declare)
     if expression.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan, sp.DiracDelta):
         raise ProblemError(f"{what} is not a finite real number", term=value, remedy=remedy)
-    return rejoined(_at(expression, time, at))
+    return rejoined(value_at(expression, time, at))
 
 
-# -- impulses --------------------------------------------------------------------------------
-
-
-Impulses = dict[float, dict[int, sp.Expr]]
-"""For each time what is added to states, by their number."""
-
-
-def without_impulses(
-    rates: Sequence[sp.Expr],
-    functions: Sequence[sp.Expr],
-    origins: Sequence[int | None],
-    time: Time,
-) -> tuple[tuple[sp.Expr, ...], Impulses]:
-    """The rates without their ``DiracDelta`` of time, and what those add to the states.
-
-    Raises
-    ------
-    ProblemError
-        If one is at no known time, is not added to a rate, or is multiplied by what jumps at the
-        same time.
-    """
-    found: Impulses = {}
-    rest: list[sp.Expr] = []
-    for number, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
-        impulses = sorted(rate.atoms(sp.DiracDelta), key=sp.default_sort_key)
-        places = {impulse: sp.Dummy() for impulse in impulses}
-        plain, parts = _split(rate.xreplace(places), set(places.values()))
-        for impulse, place in places.items():
-            at, size = _impulse(impulse, time[0], origin)
-            factor = parts[place]
-            if factor.has(*places.values()):
-                raise ProblemError(
-                    f"{quote(impulse)} does not enter as a product with what is finite",
-                    equation=origin,
-                    term=impulse,
-                    remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
-                )
-            if not time[1] <= at:
-                warn(
-                    f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing; "
-                    "remedy: remove it"
-                )
-                continue
-            if at >= time[2] - _APART * (time[2] - time[1]):
-                warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}; {_LATE}")
-            _check_steady(factor, impulse, at, time[0], origin)
-            added = found.setdefault(at, {})
-            value = size * _at(factor, time[0], at)
-            added[number] = added.get(number, sp.S.Zero) + value
-        rest.append(plain)
-    for at, added in found.items():
-        for number, value in added.items():
-            for other in added:
-                if value.has(functions[other]):
-                    raise ProblemError(
-                        f"the impulse at {time[0]} = {at:g} is multiplied by "
-                        f"`{functions[other]}`, which jumps there itself",
-                        equation=origins[number],
-                        term=value,
-                        remedy="give the values after it as jumps={time: {unknown: value}}",
-                    )
-    _check_apart(found, time)
-    return tuple(rest), found
-
-
-def _split(rate: sp.Expr, impulses: set[sp.Dummy]) -> tuple[sp.Expr, dict[sp.Dummy, sp.Expr]]:
-    """A rate without impulses, and what each of them is multiplied by."""
-    parts: dict[sp.Dummy, sp.Expr] = dict.fromkeys(impulses, sp.S.Zero)
-    rest = []
-    for term in sp.Add.make_args(rate):
-        own = sorted(term.free_symbols & impulses, key=sp.default_sort_key)
-        rest.append(term.xreplace(dict.fromkeys(own, sp.S.Zero)) if own else term)
-        for place in own:
-            parts[place] += term.diff(place)
-    return sp.Add(*rest), parts
-
-
-def _at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
+def value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
     """The value at a time, but for the unknowns there, and their derivatives."""
     unknowns = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
     places = {u: sp.Dummy() for u in unknowns}
@@ -284,55 +206,9 @@ def _at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
     return value
 
 
-def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tuple[float, sp.Expr]:
-    """When an impulse is, and its size."""
-    argument = impulse.args[0]
-
-    def wrong(message: str) -> ProblemError:
-        return ProblemError(
-            f"{quote(impulse)} {message}",
-            equation=origin,
-            term=impulse,
-            remedy=f"write DiracDelta({time} - 8) with a number: jumps are at known times; "
-            "count time from it, or in units of it",
-        )
-
-    if len(impulse.args) > 1 and impulse.args[1] != 0:
-        raise wrong("is a derivative of an impulse")
-    others = argument.free_symbols - {time}
-    if others or argument.atoms(AppliedUndef):
-        named = sorted(map(str, [*others, *argument.atoms(AppliedUndef)]))
-        raise wrong(f"is at a time that depends on {listing(named)}")
-    slope = argument.diff(time)
-    if slope.has(time) or slope == 0:
-        raise wrong("is not at one time")
-    at = float(-argument.subs(time, 0) / slope)
-    if not math.isfinite(at):
-        raise wrong("is at no finite time")
-    return at, 1 / sp.Abs(slope)
-
-
-def _check_steady(
-    factor: sp.Expr, impulse: sp.Expr, at: float, time: sp.Symbol, origin: int | None
-) -> None:
-    """Raise if what an impulse is multiplied by switches at the same time."""
-    near = _BESIDE * max(abs(at), 1.0)
-    tables = (part for part in factor.atoms(Table) if part.kind == "previous")
-    for part in (*factor.atoms(*_SWITCHING), *tables):
-        before, after = (_at(part, time, at + side * near) for side in (-1, 1))
-        if (after - before).is_number and abs(after - before) < math.sqrt(_BESIDE):
-            continue
-        raise ProblemError(
-            f"{quote(impulse)} is multiplied by {quote(part)}, which may switch at the same time",
-            equation=origin,
-            term=part,
-            remedy="give the values after it as jumps={time: {unknown: value}}",
-        )
-
-
 def system_jumps(
     resets: Mapping[float, Mapping[sp.Expr, sp.Expr]],
-    impulses: Impulses,
+    impulses: Mapping[float, Mapping[int, sp.Expr]],
     functions: Mapping[sp.Expr, sp.Expr],
     time: Time,
 ) -> tuple[Jump, ...]:
@@ -350,7 +226,7 @@ def system_jumps(
             f"there are both a jump and a DiracDelta at {time[0]} = {at:g}",
             remedy="put the impulse into the jump",
         )
-    _check_apart([*resets, *impulses], time)
+    check_apart([*resets, *impulses], time)
     states = list(functions.values())
     found = []
     for at in sorted([*resets, *impulses]):
@@ -367,7 +243,7 @@ def system_jumps(
 
 def at_start(jump: Jump, time: Time) -> bool:
     """Whether a jump is at the start of time, or hardly after it."""
-    return jump.time - time[1] < _APART * (time[2] - time[1])
+    return jump.time - time[1] < LEAST_APART * (time[2] - time[1])
 
 
 def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol) -> Iterator[str]:

@@ -10,6 +10,7 @@ module                  subject
 ``convergence``         whether the sweeps on a slab are done, or hopeless
 ``nodes``               parameter nodes: first, refined, coarsened
 ``iteration``           the solve of one slab
+``jump``                the states after a jump, on nodes that resolve them
 ``length``              the lengths of slabs
 ``engine``              inner tolerances, tightened after the check
 ``options``             limits and discretisation
