@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,10 @@ from rankone.solvers.outcome import Measured, Outcome, Status
 from rankone.tensors.calculus import differentiated, fixed, restricted
 from rankone.wording import did_you_mean, listing, quote
 
-__all__ = ["derived", "with_fixed", "with_restricted"]
+__all__ = ["derived", "merged", "with_fixed", "with_restricted"]
+
+_NARROWEST = 1e-6
+"""Width of the smallest interval, in widths of the one before: derivatives grow with rounding."""
 
 _Pair = tuple[Outcome, SolutionMetadata]
 
@@ -61,6 +64,8 @@ def with_restricted(
         j = _position(metadata, name_of(key))
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         try:
+            if isinstance(interval, str | Set | Mapping):
+                raise TypeError
             low, high = interval
         except (TypeError, ValueError):
             raise OptionError(
@@ -69,6 +74,12 @@ def with_restricted(
                 remedy=f"give ({lower:g}, {upper:g}) or a part of it",
             ) from None
         low, high = (_number(name, end, lower, upper) for end in (low, high))
+        if 0.0 < high - low < _NARROWEST * (upper - lower):
+            raise OptionError(
+                f"the interval ({low!r}, {high!r}) of {quote(name)} is too narrow",
+                term=interval,
+                remedy="fix a single value instead",
+            )
         if not low < high:
             raise OptionError(
                 f"the interval ({low:g}, {high:g}) of {quote(name)} does not ascend",
@@ -80,6 +91,29 @@ def with_restricted(
         outcome = replace(outcome, slabs=restricted(outcome.slabs, j, (low, high)))
         metadata = replace(metadata, box=tuple(box))
     return _plain(outcome), metadata
+
+
+def merged(values: Any, named: Mapping[str, Any]) -> dict[str, Any]:
+    """What was given by symbols and by keywords, by name.
+
+    Raises
+    ------
+    OptionError
+        If it is no mapping, or a name is given twice.
+    """
+    if not isinstance(values, Mapping | None):
+        raise OptionError(
+            f"{values!r} is not a mapping from names to values",
+            term=values,
+            remedy="give {name: value}, or keywords",
+        )
+    found = dict(named)
+    for key, value in (values or {}).items():
+        name = name_of(key)
+        if name in found:
+            raise OptionError(f"{quote(name)} is given twice", term=name, remedy="give it once")
+        found[name] = value
+    return found
 
 
 def _position(metadata: SolutionMetadata, name: str, *further: str) -> int:
@@ -97,6 +131,8 @@ def _position(metadata: SolutionMetadata, name: str, *further: str) -> int:
 def _number(name: str, value: Any, lower: float, upper: float) -> float:
     """A value inside of an interval."""
     try:
+        if isinstance(value, str | bool):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         raise OptionError(f"{quote(name)} is {value!r}, not a number", term=value) from None

@@ -15,7 +15,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.errors import OptionError
 from rankone.options import checked_number
-from rankone.smaller import derived, with_fixed, with_restricted
+from rankone.smaller import derived, merged, with_fixed, with_restricted
 from rankone.solution_core import SolutionCore
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
@@ -150,13 +150,14 @@ class Solution(SolutionCore):
         """
         from rankone.labelled import dataset
 
-        return dataset(self, {**(values or {}), **named})
+        return dataset(self, merged(values, named))
 
     def to_dataframe(
         self, values: Mapping[Any, Any] | None = None, /, **named: Any
     ) -> pd.DataFrame:
         """The same as :meth:`to_xarray` as a table, a row for each point of the grid."""
-        return self.to_xarray(values, **named).to_dataframe()
+        data = self.to_xarray(values, **named)
+        return (data if data.sizes else data.expand_dims(self.metadata.time)).to_dataframe()
 
     def export(
         self,
@@ -226,7 +227,8 @@ class Solution(SolutionCore):
             If there is no such parameter, or its value is outside of its range.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        return Solution(*with_fixed(self.outcome, self.metadata, {**(values or {}), **named}))
+        given = merged(values, named)
+        return Solution(*with_fixed(self.outcome, self.metadata, given))
 
     def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.
@@ -240,7 +242,7 @@ class Solution(SolutionCore):
             If there is no such parameter, or an interval is not a part of its range.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        given = {**(intervals or {}), **named}
+        given = merged(intervals, named)
         return Solution(*with_restricted(self.outcome, self.metadata, given))
 
     # --- statistics over the box ---------------------------------------------------------------
@@ -289,7 +291,9 @@ class Solution(SolutionCore):
         Arguments as for :meth:`mean`; times are one-dimensional.
         """
         parts = Statistics.variance, Statistics.first, Statistics.total, Statistics.second
-        times = np.atleast_1d(t)
+        times = np.atleast_1d(np.asarray(t))
+        if times.ndim > 1:
+            raise OptionError("times have more than one dimension", term=t, remedy="give a list")
         variance, first, total, second = (self._over_box(times, under, part) for part in parts)
         with np.errstate(all="ignore"):
             share = np.where(variance > 0.0, 1.0 / variance, np.nan)
@@ -312,6 +316,7 @@ class Solution(SolutionCore):
         """
         count = checked_number("count", count, 0)
         measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        seed = None if seed is None else checked_number("seed", seed, 0)
         shares = np.random.default_rng(seed).random((len(measures), count))
         return {m.name: m.sample(row) for m, row in zip(measures, shares, strict=True)}
 
@@ -346,7 +351,10 @@ class Solution(SolutionCore):
         OptionError
             If a probability is not in [0, 1]; and as for :meth:`mean`.
         """
-        probabilities = np.asarray(q, dtype=float)
+        try:
+            probabilities = np.asarray(q, dtype=float)
+        except (TypeError, ValueError):
+            raise OptionError(f"q={q!r} are no numbers", term=q) from None
         if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
             raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
         count = checked_number("count", count, 1)

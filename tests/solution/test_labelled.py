@@ -43,6 +43,10 @@ def test_a_table():
     assert table.loc[(1.0, 9.0), "x"] == pytest.approx(value, rel=1e-12)
 
 
+def test_a_table_of_one_point():
+    assert len(solution().to_dataframe(t=1.0, x0=9.0, y0=5.0)) == 1
+
+
 def test_what_is_missing_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(ro.RankoneError, match=r"need xarray, .*; remedy: pip install xarray"):

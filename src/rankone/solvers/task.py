@@ -17,6 +17,7 @@ from rankone.options import checked_number
 from rankone.progress import Report, quiet
 from rankone.solvers.drift import drift
 from rankone.solvers.engine import Engine, Request
+from rankone.solvers.jumps import warn_of_last
 from rankone.solvers.outcome import Outcome, Status
 from rankone.solvers.verification import Yardstick
 from rankone.system import Recipe, System
@@ -148,6 +149,7 @@ class Task:
             If a known factor is not finite somewhere on the domain.
         """
         check_factors(self.system, self.domain)
+        warn_of_last(self.system, *self.domain.horizon)
         with time_limit(self.max_seconds), np.errstate(all="ignore"):  # results are checked
             outcome, method = self._outcome(report)
             outcome = self._without_lifted(outcome)

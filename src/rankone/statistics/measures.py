@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.stats
 from numpy.polynomial.legendre import leggauss
 
 from rankone.arrays import Array
@@ -24,6 +24,8 @@ _QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 
 """Ends of panels, with their complements: densities vary with their quantiles."""
 _EXACT = 1e-10
 """Error of the probability of the interval up to which the quadrature counts as exact."""
+_LEVELS, _SETTLED = 48, 1e-12
+"""Most halvings of panels, and the change of a mean of a mode from which they go on."""
 _OUTSIDE = 1e-3
 """Probability outside of the box from which there is a warning."""
 
@@ -49,7 +51,7 @@ class Measure:
     def __post_init__(self) -> None:
         if self.distribution is None:
             return
-        if not all(hasattr(self.distribution, method) for method in ("pdf", "cdf", "ppf")):
+        if not _is_frozen(self.distribution):
             raise OptionError(
                 f"the distribution of {quote(self.name)} is {self.distribution!r}, not a frozen "
                 "continuous distribution",
@@ -66,7 +68,7 @@ class Measure:
             )
         if 1.0 - mass > _OUTSIDE:
             warn(
-                f"{100 * (1 - mass):.2g} % of the distribution of {quote(self.name)} is outside of "
+                f"{100 * (1 - mass):.3g} % of the distribution of {quote(self.name)} is outside of "
                 f"[{self.lower:g}, {self.upper:g}] and left out; remedy: solve on a wider box"
             )
 
@@ -75,22 +77,43 @@ class Measure:
         """Probability of the interval before it is cut."""
         if self.distribution is None:
             return 1.0
-        below, up_to = self.distribution.cdf([self.lower, self.upper])
-        return float(up_to - below)
+        below, above = self._ends
+        return abs(above - below)
+
+    @cached_property
+    def _ends(self) -> tuple[float, float]:
+        """Probabilities at both ends, of what is below, or above in the upper tail."""
+        function = self.distribution.sf if self._in_upper_tail else self.distribution.cdf
+        lower, upper = function([self.lower, self.upper])
+        return float(lower), float(upper)
+
+    @cached_property
+    def _in_upper_tail(self) -> bool:
+        """Whether most of the distribution is below the interval: differences to one are lost."""
+        return bool(self.distribution.cdf(self.lower) > 0.5)
+
+    def _at_share(self, shares: Array) -> Array:
+        """Values at shares of the probability of the interval, from its lower end."""
+        lower, upper = self._ends
+        inverse = self.distribution.isf if self._in_upper_tail else self.distribution.ppf
+        values = inverse(lower + (upper - lower) * shares)
+        return np.asarray(np.clip(values, self.lower, self.upper))
 
     def integrals(self, basis: Basis1D) -> tuple[Array, Array]:
-        """Means of the modes of a basis, (size,), and of their products, (size, size)."""
+        """Means of the modes of a basis, (size,), and a root R of those of their products.
+
+        R (size, k) has the means of products as R R^T; by QR, so that nothing is squared.
+        """
         points, weights = self._quadrature(basis)
         values = basis.modal_values(points)
-        return weights @ values, values.T @ (weights[:, None] * values)
+        root: Array = np.asarray(np.linalg.qr(np.sqrt(weights)[:, None] * values, mode="r"))
+        return weights @ values, np.ascontiguousarray(root.T)
 
     def sample(self, shares: Array) -> Array:
         """Values at shares in [0, 1] of the probability."""
         if self.distribution is None:
             return np.asarray(self.lower + (self.upper - self.lower) * shares)
-        below = float(self.distribution.cdf(self.lower))
-        values = self.distribution.ppf(below + self.mass * shares)
-        return np.asarray(np.clip(values, self.lower, self.upper))
+        return self._at_share(shares)
 
     def _quadrature(self, basis: Basis1D) -> tuple[Array, Array]:
         """Points and weights of sum one that integrate products of modes."""
@@ -105,23 +128,61 @@ class Measure:
         return points, weights / weights.sum()
 
     def _by_probability(self, basis: Basis1D) -> tuple[Array, Array]:
-        """The same over the probability, for densities that are not finite or have gaps."""
-        shares = [float(self.distribution.cdf(edge)) for edge in basis.edges]
-        between = [*_QUANTILES, *(1.0 - q for q in _QUANTILES)]
-        inside = {q for q in between if shares[0] < q < shares[-1]}
-        edges = np.array(sorted({*shares, *inside}))
-        fine = np.concatenate(
-            [np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)] + [edges[-1:]]
-        )
-        probabilities, weights = _panels(fine, _NODES, 1.0)
-        points = np.clip(self.distribution.ppf(probabilities), self.lower, self.upper)
+        """The same over the probability, for densities that are not finite, jump or have gaps.
+
+        Panels are halved until the means of the modes do not change.
+        """
+        function = self.distribution.sf if self._in_upper_tail else self.distribution.cdf
+        lower, upper = self._ends
+        shares = (np.asarray(function(basis.edges)) - lower) / (upper - lower)
+        tails = np.array(_QUANTILES)
+        edges = np.unique(np.clip([*shares, *tails, *(1.0 - tails)], 0.0, 1.0))
+        waiting = np.stack([edges[:-1], edges[1:]], axis=1)
+        done: list[tuple[Array, Array]] = []
+        for level in range(_LEVELS):
+            points, weights = self._on_panels(waiting)
+            halves = np.repeat(waiting, 2, axis=0)
+            halves[::2, 1] = halves[1::2, 0] = waiting.mean(axis=1)
+            finer, finer_weights = self._on_panels(halves)
+            coarse = _sums(basis, points, weights)
+            fine = _sums(basis, finer, finer_weights).reshape(len(waiting), 2, -1).sum(axis=1)
+            good = np.abs(fine - coarse).max(axis=1) <= _SETTLED
+            good |= level == _LEVELS - 1
+            both = np.repeat(good, 2)
+            done.append((finer[both].ravel(), finer_weights[both].ravel()))
+            waiting = halves[~both]
+            if not len(waiting):
+                break
+        parts = zip(*done, strict=True)
+        points, weights = (np.concatenate(part) for part in parts)
         return points, weights
+
+    def _on_panels(self, panels: Array) -> tuple[Array, Array]:
+        """Points and weights on panels (k, 2) of the probability, (k, nodes) each."""
+        xi, weights = leggauss(_NODES)
+        half = 0.5 * (panels[:, 1:] - panels[:, :1])
+        return self._at_share(panels[:, :1] + half * (xi + 1.0)), half * weights
 
     def _quantiles(self) -> list[float]:
         """Quantiles inside of the interval."""
         shares = np.array([*_QUANTILES, *(1.0 - q for q in _QUANTILES)])
         values = self.distribution.ppf(shares)
         return [float(v) for v in values if math.isfinite(v) and self.lower < v < self.upper]
+
+
+def _is_frozen(distribution: Any) -> bool:
+    """Whether this is one continuous distribution with all its parameters."""
+    methods = all(hasattr(distribution, name) for name in ("pdf", "cdf", "sf", "ppf", "isf"))
+    generic = isinstance(distribution, scipy.stats.rv_continuous)
+    if not methods or (generic and not isinstance(distribution, scipy.stats.rv_histogram)):
+        return False
+    return np.ndim(distribution.ppf(0.5)) == 0
+
+
+def _sums(basis: Basis1D, points: Array, weights: Array) -> Array:
+    """Sums of the modes over each panel, (panels, size)."""
+    values = basis.modal_values(points.ravel()).reshape(*points.shape, basis.size)
+    return np.asarray(np.einsum("kp,kps->ks", weights, values))
 
 
 def _panels(edges: Array, count: int, factor: float) -> tuple[Array, Array]:

@@ -41,10 +41,9 @@ class TrainMoments:
         self.whole: list[Array] = []
         self.fluctuations: list[Array] = []
         for core, basis, measure in zip(cores, bases, measures, strict=True):
-            mean, gram = measure.integrals(basis)
+            mean, root = measure.integrals(basis)
             one = basis.to_modal @ np.sqrt(basis.weights)  # the constant one
             average = np.tensordot(core, mean, (1, 0))
-            root = _root(gram)
             self.means.append(average)
             self.whole.append(np.einsum("rms,mk->rks", core, root, optimize=True))
             centred = core - average[:, None, :] * one[:, None]
@@ -131,9 +130,3 @@ def _sandwich(core: Array, inner: Array) -> Array:
     """Sum over modes of ``c_m inner c_m^T``."""
     left = np.tensordot(core, inner, (2, 0))
     return np.asarray(np.tensordot(left, core, ((1, 2), (1, 2))))
-
-
-def _root(gram: Array) -> Array:
-    """R with R R^T = gram, of a matrix that may be singular."""
-    values, vectors = np.linalg.eigh(gram)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

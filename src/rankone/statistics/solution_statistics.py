@@ -59,6 +59,10 @@ def measures_of(
         If there is no such parameter, or a distribution does not fit its interval.
     """
     given: dict[str, Any] = {}
+    if not isinstance(under, Mapping | None):
+        raise OptionError(
+            f"under={under!r} is not a mapping from parameters to distributions", term=under
+        )
     for key, distribution in (under or {}).items():
         name = name_of(key)
         if name not in names:
@@ -67,6 +71,8 @@ def measures_of(
                 term=name,
                 remedy=f"known are {listing(names)}",
             )
+        if name in given:
+            raise OptionError(f"{quote(name)} is given twice", term=name)
         given[name] = distribution
     return [
         Measure(name, lower, upper, given.get(name))
@@ -164,7 +170,7 @@ class Statistics:
             flat = rows.reshape(-1, rank)
             values = np.einsum("pnr,nr->pn", flat @ matrices(moments), flat)
             values = np.maximum(values, 0.0)  # but for rounding it is
-            return np.asarray(values.reshape(-1, n, count).swapaxes(0, 1))
+            return np.asarray(values.reshape(len(values), n, count).swapaxes(0, 1))
 
         return self._gathered(times, of_slab)
 
@@ -172,11 +178,11 @@ class Statistics:
         """What is found on each slab for its times, (..., times)."""
         owner = np.searchsorted(self._starts, times, side="right")
         found = np.empty(0)
-        for k in np.unique(owner):
+        for k in np.unique(owner) if times.size else [0]:
             here = owner == k
             rows = self.slabs[k].in_time(times[here])[self.rows]
             values = of_slab(rows, self._moments[k])
-            if not found.size:
+            if not found.ndim > 1:
                 found = np.empty((*values.shape[:-1], times.size))
             found[..., here] = values
         return found

@@ -83,9 +83,10 @@ def check_jumps(
     check_apart(found, time)
     late = [at for at in sorted(found) if at >= time[2] - LEAST_APART * (time[2] - time[1])]
     if late:
-        first = f"the jump at {time[0]} = {late[0]:g}"
+        first = f"the jump at {time[0]} = {late[0]:.12g}"
         rest = f" and {len(late) - 1} more" if len(late) > 1 else ""
-        warn(f"{first}{rest}: not before the end of time, {time[2]:g}; {LATE}")
+        near = f" by {LEAST_APART:g} of the horizon" if late[0] < time[2] else ""
+        warn(f"{first}{rest}: not before the end of time, {time[2]:.12g}{near}; {LATE}")
     return {at: found[at] for at in sorted(found)}
 
 
