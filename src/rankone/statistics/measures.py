@@ -24,7 +24,9 @@ _QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 
 """Ends of panels, with their complements: densities vary with their quantiles."""
 _EXACT = 1e-10
 """Error of the probability of the interval up to which the quadrature counts as exact."""
-_LEVELS, _SETTLED = 48, 1e-12
+_INSIDE = (1e-300, 1.0 - 2.0**-53)
+"""Shares of the probability: at the very ends there may be infinite values."""
+_LEVELS, _SETTLED = 52, 1e-14
 """Most halvings of panels, and the change of a mean of a mode from which they go on."""
 _OUTSIDE = 1e-3
 """Probability outside of the box from which there is a warning."""
@@ -95,6 +97,7 @@ class Measure:
     def _at_share(self, shares: Array) -> Array:
         """Values at shares of the probability of the interval, from its lower end."""
         lower, upper = self._ends
+        shares = np.clip(shares, *_INSIDE)
         inverse = self.distribution.isf if self._in_upper_tail else self.distribution.ppf
         values = inverse(lower + (upper - lower) * shares)
         return np.asarray(np.clip(values, self.lower, self.upper))
