@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.discretization import Basis1D
 from rankone.solvers.jumps import jump_kind
 from rankone.solvers.verification import Yardstick
 from rankone.tensors.slab import SlabTrain
@@ -39,6 +40,10 @@ errors reach 1.4 and are overestimates, where something was missed 3 and more.""
 _LOOKED_AT_JUMPS, _WRONG_AFTER = 16_384, 3.0
 """Points looked at where a jump is no polynomial of the states, and the error there, over the
 tolerance, that is doubtful."""
+_RADII = (0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)
+_CLIMBING, _MOST_TRIES = 64, 512
+"""Then points in boxes of these half widths, of the intervals, around so many of the worst, and
+tries in each round at most."""
 _KNOWN = 64
 """Most trajectories of the reference whose residuals are looked at."""
 
@@ -97,28 +102,51 @@ def _at_jumps(
     rough = getattr(system, "ROUGH_JUMPS", ())
     units = yardstick.states[:, None]
     work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
-    count = min(_LOOKED_AT_JUMPS, max(_LOOKED, int(_WORK / max(work, 1))))
+    affordable = int(_WORK / max(work, 1))
+    count = min(_LOOKED_AT_JUMPS, max(_LOOKED, affordable))
     points = lower + (upper - lower) * generator.random((count, lower.size))
     found, known = [points[:0]], dict.fromkeys(range(len(slabs)), 0)
-    carry, last = np.zeros((0, 0)), None
     for before, after in itertools.pairwise(slabs):
         kind = jump_kind(system, before.end)
         if kind is None or known[kind] == _SLABS:
             continue
         known[kind] += 1
+
+        def missed(
+            some: Array, kind: int = kind, sides: tuple[SlabTrain, ...] = (before, after)
+        ) -> Array:
+            carry = sides[0].over_parameters(some.T)
+            time = np.array([sides[0].end])
+            start = sides[0].on_grid(time, carry)[:, :, 0]
+            if not sides[1].shares_parameters(sides[0]):
+                carry = sides[1].over_parameters(some.T)
+            end = sides[1].on_grid(time, carry)[:, :, 0]
+            with np.errstate(all="ignore"):
+                errors = np.abs(end - system.jumped(kind, start, some.T)) / units
+            return np.asarray(np.nan_to_num(errors.max(axis=0), nan=np.inf))
+
         some = points if kind in rough else points[:_LOOKED]
-        sides = []
-        for slab in (before, after):
-            if last is None or not slab.shares_parameters(last):
-                carry, last = slab.over_parameters(points.T), slab
-            sides.append(slab.on_grid(np.array([before.end]), carry[:, : len(some)])[:, :, 0])
-        start, end = sides
-        with np.errstate(all="ignore"):
-            missed = np.abs(end - system.jumped(kind, start, some.T)) / units
-        errors = np.nan_to_num(missed.max(axis=0), nan=np.inf)
+        some = np.concatenate([some, _in_elements(after.bases, len(some) // 2, generator)])
+        errors = missed(some)
+        for radius in _RADII if kind in rough else ():  # kinks are thin: climb towards them
+            best = some[np.argsort(-errors, kind="stable")[:_CLIMBING]]
+            tries = min(max(affordable, _CLIMBING), _MOST_TRIES) // _CLIMBING
+            moves = generator.uniform(-radius, radius, (tries, *best.shape)) * (upper - lower)
+            new = np.clip(best + moves, lower, upper).reshape(-1, lower.size)
+            some, errors = np.concatenate([best, new]), missed(np.concatenate([best, new]))
         worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
         found.append(some[worst[errors[worst] > _WRONG_AFTER * rtol]])
     return np.concatenate(found)
+
+
+def _in_elements(bases: Sequence[Basis1D], count: int, generator: np.random.Generator) -> Array:
+    """Random points (count, d) in elements that are all as likely: narrow ones are somewhere."""
+    columns = []
+    for basis in bases:
+        number = generator.integers(0, basis.elements, count)
+        lower, upper = basis.edges[number], basis.edges[number + 1]
+        columns.append(lower + (upper - lower) * generator.random(count))
+    return np.stack(columns, axis=1)
 
 
 def _candidates(d: int, most: int, generator: np.random.Generator) -> tuple[Array, Array]:
