@@ -128,6 +128,8 @@ def _at_jumps(
         some = points if kind in rough else points[:_LOOKED]
         some = np.concatenate([some, _in_elements(after.bases, len(some) // 2, generator)])
         errors = missed(some)
+        wrong = np.flatnonzero(errors > _WRONG_AFTER * rtol)
+        found.append(some[wrong[:: max(1, len(wrong) // _CHOSEN)][:_CHOSEN]])  # not the worst alone
         for radius in _RADII if kind in rough else ():  # kinks are thin: climb towards them
             best = some[np.argsort(-errors, kind="stable")[:_CLIMBING]]
             tries = min(max(affordable, _CLIMBING), _MOST_TRIES) // _CLIMBING
