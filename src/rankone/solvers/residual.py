@@ -128,8 +128,10 @@ def _at_jumps(
         some = points if kind in rough else points[:_LOOKED]
         some = np.concatenate([some, _in_elements(after.bases, len(some) // 2, generator)])
         errors = missed(some)
+        # Points from everywhere, and not the worst alone, which may lie at one border.
         wrong = np.flatnonzero(errors > _WRONG_AFTER * rtol)
-        found.append(some[wrong[:: max(1, len(wrong) // _CHOSEN)][:_CHOSEN]])  # not the worst alone
+        every = max(1, len(wrong) // _CHOSEN)
+        found.append(some[wrong[::every][:_CHOSEN]])
         for radius in _RADII if kind in rough else ():  # kinks are thin: climb towards them
             best = some[np.argsort(-errors, kind="stable")[:_CLIMBING]]
             tries = min(max(affordable, _CLIMBING), _MOST_TRIES) // _CLIMBING
