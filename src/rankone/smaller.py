@@ -11,12 +11,13 @@ import numpy as np
 from rankone.coordinates import name_of, round_off
 from rankone.errors import OptionError
 from rankone.metadata import SolutionMetadata
-from rankone.solvers.outcome import Measured, Outcome, Status
+from rankone.solvers.outcome import Outcome, Status
 from rankone.tensors.calculus import differentiated, fixed, restricted
 from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["derived", "merged", "with_fixed", "with_restricted"]
 
+_PART = "a part of that solution, measured on the whole box"
 _NARROWEST = 1e-6
 """Width of the smallest interval, in widths of the one before: derivatives grow with rounding."""
 
@@ -53,7 +54,7 @@ def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any,
             parameters=_without(metadata.parameters, j),
             box=_without(metadata.box, j),
         )
-    return _plain(outcome), replace(metadata, source=None)
+    return _part(outcome, metadata.rtol), replace(metadata, source=None)
 
 
 def with_restricted(
@@ -90,7 +91,7 @@ def with_restricted(
         box[j] = (low, high)
         outcome = replace(outcome, slabs=restricted(outcome.slabs, j, (low, high)))
         metadata = replace(metadata, box=tuple(box))
-    return _plain(outcome), metadata
+    return _part(outcome, metadata.rtol), metadata
 
 
 def merged(values: Any, named: Mapping[str, Any]) -> dict[str, Any]:
@@ -150,10 +151,17 @@ def _without(values: tuple[Any, ...], position: int) -> tuple[Any, ...]:
     return (*values[:position], *values[position + 1 :])
 
 
-def _plain(outcome: Outcome) -> Outcome:
-    """What was measured on the whole box holds on a part of it, but for the point where."""
-    measured: Measured | None = outcome.measured
-    if measured is None:
+def _part(outcome: Outcome, rtol: float) -> Outcome:
+    """What was measured on the whole box, said of a part of it.
+
+    A part may be at the corners: where they did not count, and are worse, its error is not known.
+    """
+    measured = outcome.measured
+    if measured is None or _PART in outcome.message:
         return outcome
-    kept = replace(measured, corners=(), worst=(), quantile=None)
-    return replace(outcome, measured=kept, history=())
+    status, message = outcome.status, f"{outcome.message}; {_PART}"
+    if status is Status.CONVERGED and measured.corner_error > rtol:
+        status = Status.UNCHECKED
+        message += f": its error may be that at the corners, {measured.corner_error:.1e}"
+    kept = replace(measured, worst=(), quantile=None)
+    return replace(outcome, status=status, message=message, measured=kept, history=())

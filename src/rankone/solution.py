@@ -219,7 +219,8 @@ class Solution(SolutionCore):
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.
 
-        Nothing is sampled. ``errors`` are those measured on the whole box.
+        Nothing is sampled. ``errors`` are those measured on the whole box, relative to the sizes
+        there; where corners did not count and are above the tolerance, ``success`` is False.
 
         Raises
         ------
@@ -233,8 +234,7 @@ class Solution(SolutionCore):
     def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.
 
-        Nothing is sampled. ``errors`` are those measured on the whole box, relative to the sizes
-        there.
+        Nothing is sampled. ``errors`` are as for :meth:`fix`.
 
         Raises
         ------

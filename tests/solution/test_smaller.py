@@ -142,6 +142,21 @@ def test_fixed_and_restricted_solutions_are_the_same_functions(tmp_path):
     smaller.export(tmp_path / "model.py")
 
 
+def test_a_part_at_the_corners_is_no_success_where_they_are_worse():
+    """Ten parameters: the tolerance is met in the interior, not at the corners."""
+    solution = ro.solve(EXAMPLES["chain"].problem, 1e-4)
+    assert solution.success
+    assert solution.corner_error > 1e-4
+    part = solution.fix(dict.fromkeys(list(solution.parameters)[:9], 0.7))
+    assert not part.success
+    assert "its error may be that at the corners" in part.message
+    assert part.corner_error == solution.corner_error
+    inner = solved("coupled", 1e-8)
+    inner = inner.fix({next(iter(inner.parameters)): 1.0})
+    assert inner.success
+    assert inner.message.endswith("a part of that solution, measured on the whole box")
+
+
 def test_elements_are_cut_where_the_part_ends():
     problem = ro.Problem.from_strings({"x": "-abs(k - 1)*x"}, {"x": 1}, {"k": (0, 3)}, (0, 1))
     solution = ro.solve(problem, 1e-7)

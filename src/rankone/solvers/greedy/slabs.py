@@ -112,7 +112,7 @@ class LaggedSlabs:
             for value, added, size in zip(self._values, modes, self.sizes, strict=True)
         ]
         kind = jump_kind(self.coupling.system, span.end)
-        if kind is not None:
+        if kind is not None and span.end < self.domain.horizon[1]:
             self._values = self._after_jump(kind, lost)
         return list(trains)
 

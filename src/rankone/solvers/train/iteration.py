@@ -100,7 +100,7 @@ class SlabIteration:
         self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
         self._source = self._at_end(trial)
         kind = jump_kind(self.yardstick.system, span.end)
-        if kind is not None:
+        if kind is not None and span.end < self.yardstick.end:
             units = self.scale[: len(cores[0])]
             tolerance = _AT_JUMPS * trial.record.tolerance
             self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
