@@ -93,7 +93,7 @@ def test_lifted_states_are_reset_with_what_they_stand_for():
         ({8: x + 1}, "the jump at t = 8 is .*, not a mapping from unknowns"),
         ({(): {x: 1}}, "a jump has no times"),
         ({8: {}}, "the jump at t = 8 is .*, not a mapping"),
-        ({"8": {x: 1}}, "the time of a jump is .*, not a number"),
+        ({"8": {x: 1}}, "the time of a jump is .*, not a real number"),
         ({k: {x: 1}}, "the time of a jump, `k`, depends on `k`"),
         ({float("nan"): {x: 1}}, "the time of a jump is nan"),
         ({-1: {x: 1}}, "the jump at t = -1 is before the start of time, 0"),

@@ -12,7 +12,7 @@ from rankone.domain import LEAST_WIDTH
 from rankone.errors import ProblemError
 from rankone.wording import quote, shown
 
-__all__ = ["Box", "Time", "check_parameters", "check_time"]
+__all__ = ["Box", "Time", "check_parameters", "check_time", "real_number"]
 
 Time = tuple[sp.Symbol, float, float]
 Box = dict[sp.Symbol, tuple[float, float]]
@@ -27,7 +27,10 @@ def check_time(time: Any) -> Time:
     symbol, start, end = time
     if not isinstance(symbol, sp.Symbol):
         raise ProblemError(f"time {quote(symbol)} is not a SymPy symbol", term=time, remedy=remedy)
-    t0, t1 = _real(start, "the start of time", remedy), _real(end, "the end of time", remedy)
+    t0, t1 = (
+        real_number(start, "the start of time", remedy),
+        real_number(end, "the end of time", remedy),
+    )
     if t1 > t0 and t1 - t0 < LEAST_WIDTH:
         raise ProblemError(
             f"the time horizon from {t0:g} to {t1:g} is too short", term=time, remedy=_OTHER_UNITS
@@ -78,8 +81,8 @@ def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:
             term=symbol,
             remedy=remedy,
         ) from None
-    low = _real(lower, f"the lower bound of parameter {quote(symbol)}", remedy)
-    high = _real(upper, f"the upper bound of parameter {quote(symbol)}", remedy)
+    low = real_number(lower, f"the lower bound of parameter {quote(symbol)}", remedy)
+    high = real_number(upper, f"the upper bound of parameter {quote(symbol)}", remedy)
     shown = f"the box ({low:g}, {high:g}) of parameter {quote(symbol)}"
     if low == high:
         raise ProblemError(
@@ -114,7 +117,7 @@ def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:
     return low, high
 
 
-def _real(value: Any, what: str, remedy: str) -> float:
+def real_number(value: Any, what: str, remedy: str) -> float:
     """Return a finite float, or say what the value is a wrong value of."""
     try:
         if isinstance(value, str | bool):

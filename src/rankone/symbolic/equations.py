@@ -13,6 +13,7 @@ from rankone.symbolic.numbers import rejoined
 from rankone.wording import count, did_you_mean, is_text, listing, quote
 
 __all__ = [
+    "as_expression",
     "check_equations",
     "check_names",
     "check_symbols",
@@ -253,6 +254,17 @@ def check_symbols(
         for symbol in _in_order(residual.free_symbols - {time, *parameters}):
             message, remedy = explain_symbol(symbol, unknowns, [time, *parameters])
             raise ProblemError(message, equation=number, term=symbol, remedy=remedy)
+
+
+def as_expression(value: Any, what: str, remedy: str) -> sp.Expr:
+    """A number or a SymPy expression as the latter, or an error that says what it is for."""
+    try:
+        expression = sp.sympify(value, strict=True)
+    except (sp.SympifyError, TypeError):
+        expression = None
+    if not isinstance(expression, sp.Expr):
+        raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
+    return expression
 
 
 def explain_symbol(

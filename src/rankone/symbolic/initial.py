@@ -10,7 +10,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
 from rankone.symbolic.box import Time
-from rankone.symbolic.equations import explain_symbol
+from rankone.symbolic.equations import as_expression, explain_symbol
 from rankone.symbolic.numbers import rejoined
 from rankone.wording import did_you_mean, listing, quote
 
@@ -110,12 +110,7 @@ def _value(
     """Return the initial value of a state as an expression of the parameters alone."""
     what = f"the initial value of {quote(state)}"
     remedy = "give a number or an expression of the parameters"
-    try:
-        expression = sp.sympify(value, strict=True)
-    except (sp.SympifyError, TypeError):
-        expression = None
-    if not isinstance(expression, sp.Expr):
-        raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
+    expression = as_expression(value, what, remedy)
     what = f"{what}, {quote(expression)},"
     for applied in sorted(expression.atoms(AppliedUndef), key=sp.default_sort_key):
         raise ProblemError(f"{what} names the unknown {quote(applied)}", term=value, remedy=remedy)

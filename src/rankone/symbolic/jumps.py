@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -13,8 +12,8 @@ from sympy.core.function import AppliedUndef
 from rankone.coordinates import name_of
 from rankone.errors import ProblemError, warn
 from rankone.ir import Jump
-from rankone.symbolic.box import Time
-from rankone.symbolic.equations import explain_symbol
+from rankone.symbolic.box import Time, real_number
+from rankone.symbolic.equations import as_expression, explain_symbol
 from rankone.symbolic.notation import latex_of, text_of
 from rankone.symbolic.numbers import rejoined
 from rankone.wording import did_you_mean, listing, quote, shown
@@ -99,19 +98,10 @@ def _instant(value: Any, time: Time) -> float:
             term=value,
             remedy="jumps are at known times; count time from it, or in units of it",
         )
-    try:
-        if isinstance(value, str | bool):
-            raise TypeError
-        at = float(value)
-    except (TypeError, ValueError, OverflowError):
+    at = real_number(value, "the time of a jump", _REMEDY)
+    if at < time[1]:
         raise ProblemError(
-            f"the time of a jump is {shown(value)}, not a number", term=value, remedy=_REMEDY
-        ) from None
-    if not math.isfinite(at) or at < time[1]:
-        raise ProblemError(
-            f"the jump at {time[0]} = {at:g} is before the start of time, {time[1]:g}"
-            if math.isfinite(at)
-            else f"the time of a jump is {at}, not finite",
+            f"the jump at {time[0]} = {at:g} is before the start of time, {time[1]:g}",
             term=value,
             remedy="give a time inside the horizon",
         )
@@ -173,14 +163,9 @@ def _value(
     """The value of a state after a jump."""
     what = f"the value of {quote(state)} after the jump at {time} = {at:g}"
     remedy = "give an expression of the unknowns before it and of the parameters"
-    try:
-        expression = sp.sympify(value, strict=True)
-    except (sp.SympifyError, TypeError):
-        expression = None
-    if not isinstance(expression, sp.Expr):
-        if isinstance(value, str):
-            remedy += ", without quotes; Problem.from_strings takes text"
-        raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
+    if isinstance(value, str):
+        remedy += ", without quotes; Problem.from_strings takes text"
+    expression = as_expression(value, what, remedy)
     what = f"{what}, {quote(expression)},"
     places = {known: sp.Dummy() for known in states}
     rest = expression.xreplace(places)
