@@ -65,12 +65,28 @@ def name_of(key: object, time: str | None = None) -> str:
 
 
 class Coordinates:
-    """The coordinates of a solution, time first, with the interval of each."""
+    """The coordinates of a solution, time first, with the interval of each.
 
-    def __init__(self, names: Sequence[str], intervals: Sequence[tuple[float, float]]) -> None:
+    Parameters
+    ----------
+    names : sequence of str
+    intervals : sequence of (float, float)
+    timeless : bool
+        Whether nothing depends on time: it is not asked for, and its start stands for all.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        intervals: Sequence[tuple[float, float]],
+        *,
+        timeless: bool = False,
+    ) -> None:
         self.names = tuple(names)
         self.intervals = tuple((float(lower), float(upper)) for lower, upper in intervals)
-        self._index = {name: i for i, name in enumerate(self.names)}
+        self.asked = self.names[1:] if timeless else self.names
+        self._known = [self.intervals[0][0]] if timeless else []
+        self._index = {name: i for i, name in enumerate(self.names) if name in self.asked}
 
     def gather(self, at: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
         """Put what was given in order: one entry for each coordinate.
@@ -84,19 +100,25 @@ class Coordinates:
             If a coordinate is missing, unknown or given twice, or there are more arguments.
         """
         # the usual call: everything by keyword and nothing wrong
-        if not at and len(named) == len(self.names):
+        if not at and len(named) == len(self.asked):
             try:
-                return [named[name] for name in self.names]
+                return [*self._known, *(named[name] for name in self.asked)]
             except KeyError:
                 pass
-        found: list[Any] = [_MISSING] * len(self.names)
+        found: list[Any] = [*self._known, *(_MISSING for _ in self.asked)]
         for key, value in self._pairs(at, named):
             name = name_of(key, self.names[0])
             index = self._index.get(name)
+            if index is None and name == self.names[0]:
+                raise EvaluationError(
+                    f"`{name}` is given, but the values do not depend on time",
+                    term=name,
+                    remedy=f"give values for {listing(self.asked)} alone" if self.asked else "",
+                )
             if index is None:
                 raise EvaluationError(
-                    f"unknown name `{name}`{did_you_mean(name, self.names)}; "
-                    f"the coordinates are {listing(self.names)}",
+                    f"unknown name `{name}`{did_you_mean(name, self.asked)}; "
+                    f"the coordinates are {listing(self.asked)}",
                     term=name,
                 )
             if found[index] is not _MISSING:
@@ -105,7 +127,7 @@ class Coordinates:
         missing = [name for name, value in zip(self.names, found, strict=True) if value is _MISSING]
         if missing:
             raise EvaluationError(
-                f"no value for {listing(missing)}; the coordinates are {listing(self.names)}",
+                f"no value for {listing(missing)}; the coordinates are {listing(self.asked)}",
                 term=missing,
                 remedy="give a value for each coordinate",
             )
@@ -132,8 +154,8 @@ class Coordinates:
 
     def _example(self) -> str:
         middle = [f"{0.5 * (lower + upper):g}" for lower, upper in self.intervals]
-        values = zip(self.names, middle, strict=True)
-        if all(name.isidentifier() and not iskeyword(name) for name in self.names):
+        values = zip(self.asked, middle[-len(self.asked) :], strict=False)
+        if all(name.isidentifier() and not iskeyword(name) for name in self.asked):
             return f"solution({', '.join(f'{name}={value}' for name, value in values)})"
         return f"solution({{{', '.join(f'{name!r}: {value}' for name, value in values)}}})"
 

@@ -36,9 +36,10 @@ def dataset(solution: SolutionCore, given: Mapping[Any, Any]) -> xarray.Dataset:
     module = _xarray()
     start, end = solution.time
     values = {name_of(key): value for key, value in given.items()}
-    values.setdefault(solution.metadata.time, np.linspace(start, end, _TIMES))
+    names = solution.metadata.coordinates
+    if not solution.metadata.timeless:
+        values.setdefault(solution.metadata.time, np.linspace(start, end, _TIMES))
     grid = solution.grid(values)
-    names = solution.metadata.time, *solution.metadata.parameters
     axes = {name: np.asarray(values[name], dtype=float) for name in names}
     made: xarray.Dataset = module.Dataset(
         {

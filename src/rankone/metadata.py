@@ -50,6 +50,13 @@ class SolutionMetadata:
         Version of rankone that solved it.
     source : str or None
         Text of the generated module.
+    timeless : bool
+        Whether the values do not depend on time, which then is no coordinate.
+    units : tuple of (str, str)
+        Names of coordinates and states, and the unit of each.
+    distributions : tuple of (str, str)
+        Names of parameters and the distribution of each as text, ``norm(1.0, 0.1)``; the others
+        are uniform.
     """
 
     states: tuple[str, ...]
@@ -63,6 +70,14 @@ class SolutionMetadata:
     equations: tuple[str, ...] = ()
     version: str = ""
     source: str | None = None
+    timeless: bool = False
+    units: tuple[tuple[str, str], ...] = ()
+    distributions: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of all that a value depends on: time, unless it is timeless, and the parameters."""
+        return self.parameters if self.timeless else (self.time, *self.parameters)
 
     @property
     def unknowns(self) -> tuple[str, ...]:

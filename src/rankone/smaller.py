@@ -12,10 +12,10 @@ from rankone.coordinates import name_of, round_off
 from rankone.errors import OptionError
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
-from rankone.tensors.calculus import differentiated, fixed, restricted
+from rankone.tensors.calculus import at_one_time, differentiated, fixed, restricted
 from rankone.wording import did_you_mean, listing, quote
 
-__all__ = ["derived", "merged", "with_fixed", "with_restricted"]
+__all__ = ["at_time", "derived", "merged", "with_fixed", "with_restricted"]
 
 _PART = "a part of that solution, measured on the whole box"
 _NARROWEST = 1e-6
@@ -27,10 +27,10 @@ _Pair = tuple[Outcome, SolutionMetadata]
 def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _Pair:
     """The derivatives of all states with respect to a parameter or time; their error is unknown."""
     name = name_of(coordinate)
-    if name == metadata.time:
+    if name == metadata.time and not metadata.timeless:
         slabs = tuple(slab.derivative() for slab in outcome.slabs)
     else:
-        slabs = differentiated(outcome.slabs, _position(metadata, name, metadata.time))
+        slabs = differentiated(outcome.slabs, _position(metadata, name))
     made = replace(
         outcome,
         slabs=slabs,
@@ -40,6 +40,13 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _P
         history=(),
     )
     return made, replace(metadata, equations=(), source=None)
+
+
+def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
+    """The same at one time, which is no coordinate any more."""
+    slab = at_one_time(outcome.slabs, time, metadata.horizon)
+    metadata = replace(metadata, source=None, timeless=True)
+    return _part(replace(outcome, slabs=(slab,)), metadata.rtol), metadata
 
 
 def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any, Any]) -> _Pair:
@@ -117,10 +124,10 @@ def merged(values: Any, named: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _position(metadata: SolutionMetadata, name: str, *further: str) -> int:
+def _position(metadata: SolutionMetadata, name: str) -> int:
     """Which parameter a name is."""
     if name not in metadata.parameters:
-        known = [*further, *metadata.parameters]
+        known = metadata.parameters
         raise OptionError(
             f"there is no parameter {quote(name)}{did_you_mean(name, known)}",
             term=name,

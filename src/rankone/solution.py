@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.smaller import derived, merged, with_fixed, with_restricted
+from rankone.errors import EvaluationError
+from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
 from rankone.statistics.over_box import StatisticsOverBox
@@ -130,7 +131,7 @@ class Solution(StatisticsOverBox):
         ----------
         values, **named
             For time and each parameter, by symbols or names, a number or one-dimensional values.
-            Without times there are 101 over the horizon.
+            Without times there are 101 over the horizon, if the solution depends on time.
 
         Returns
         -------
@@ -154,7 +155,8 @@ class Solution(StatisticsOverBox):
     ) -> pd.DataFrame:
         """The same as :meth:`to_xarray` as a table, a row for each point of the grid."""
         data = self.to_xarray(values, **named)
-        return (data if data.sizes else data.expand_dims(self.metadata.time)).to_dataframe()
+        names = self.metadata.coordinates
+        return (data if data.sizes or not names else data.expand_dims(names[0])).to_dataframe()
 
     def export(
         self,
@@ -228,6 +230,24 @@ class Solution(StatisticsOverBox):
         given = merged(values, named)
         return Solution(*with_fixed(self.outcome, self.metadata, given))
 
+    def at(self, t: float) -> Solution:
+        """The solution at one time, as a solution of the parameters alone.
+
+        Nothing is sampled; ``errors`` are as for :meth:`fix`.
+
+        Raises
+        ------
+        EvaluationError
+            If the time is no number, or outside of the horizon.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        time = self._times(t)
+        if time.ndim:
+            raise EvaluationError(
+                f"t={t!r} is not a number", term=t, remedy="evaluate the solution at several times"
+            )
+        return Solution(*at_time(self.outcome, self.metadata, float(time)))
+
     def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.
 
@@ -264,7 +284,8 @@ class Solution(StatisticsOverBox):
                 )
         start, end = self.time
         lower, upper = self.metadata.horizon
-        partial = "" if end == upper else f" of [{lower:g}, {upper:g}]"
+        whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
+        clock = f"{self.metadata.time} in [{start:g}, {end:g}]{whole}"
         box = [f"{name} in [{lo:g}, {hi:g}]" for name, (lo, hi) in self.parameters.items()]
         count = len(self.outcome.slabs)
         train = [f"{count} slab" + ("" if count == 1 else "s"), f"rank {self.rank}"]
@@ -276,7 +297,7 @@ class Solution(StatisticsOverBox):
         timings = [f"{stage} {seconds:.3g} s" for stage, seconds in self.timings.items()]
         return [
             ("unknowns", _some(self.unknowns)),
-            ("over", _some([f"{self.metadata.time} in [{start:g}, {end:g}]{partial}", *box])),
+            ("over", _some(box if self.metadata.timeless else [clock, *box]) or "nothing"),
             ("success", f"{'yes' if self.success else 'no'}: {self.message}"),
             ("error", error),
             (self.metadata.method, ", ".join(train)),

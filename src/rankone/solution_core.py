@@ -58,7 +58,9 @@ class SolutionCore:
         self.metadata = metadata
         self._unknowns = _rows(metadata.unknown_rows)
         self._coordinates = Coordinates(
-            (metadata.time, *metadata.parameters), (self.time, *metadata.box)
+            (metadata.time, *metadata.parameters),
+            (self.time, *metadata.box),
+            timeless=metadata.timeless,
         )
 
     # --- evaluation ----------------------------------------------------------------------------
@@ -93,6 +95,7 @@ class SolutionCore:
         Returns
         -------
         ndarray (unknowns, times, values of parameter 1, values of parameter 2, ...)
+            Without times if nothing depends on time.
         """
         return self._evaluate_grid(self._coordinates.gather(at, named), self._unknowns)
 
@@ -130,7 +133,8 @@ class SolutionCore:
     def _evaluate_grid(self, given: list[Any], rows: Rows) -> Array:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
         with _memory():
-            return self._evaluator.grid(self._coordinates.axes(given), rows)
+            values = self._evaluator.grid(self._coordinates.axes(given), rows)
+        return values[:, 0] if self.metadata.timeless else values
 
     @cached_property
     def _evaluator(self) -> TrainEvaluator:
@@ -274,7 +278,7 @@ class UnknownView:
         return self.solution.errors[self.name]
 
     def __repr__(self) -> str:
-        coordinates = ", ".join(self.solution._coordinates.names)
+        coordinates = ", ".join(self.solution._coordinates.asked)
         return f"{self.name}({coordinates}) of a Solution, measured error {self.error:.2g}"
 
 

@@ -13,7 +13,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -33,8 +33,9 @@ from rankone.tensors.slab import SlabTrain
 __all__ = ["FORMAT", "FORMAT_VERSION", "read", "target", "write"]
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 2
-"""The newest version: 2 if there are elements of unequal size, else 1 is written."""
+FORMAT_VERSION = 3
+"""The newest version: 3 if values are timeless or parameters have distributions, 2 if there are
+elements of unequal size, else 1 is written."""
 _PLAIN = ("status", "message", "measured", "timings", "blow_up")
 """Fields of an outcome that the header holds as they are."""
 _DAMAGE = (
@@ -158,7 +159,7 @@ def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
         slabs.append({"start": slab.start, "end": slab.end, "bases": used})
     header = {
         "format": FORMAT,
-        "format_version": 2 if any(basis.breaks for basis in bases) else 1,
+        "format_version": _version(metadata, bases),
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
         **{name: getattr(outcome, name) for name in _PLAIN},
         "history": outcome.history,
@@ -171,6 +172,13 @@ def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
     arrays["digest"] = np.array(_digest(arrays))
     return arrays
+
+
+def _version(metadata: SolutionMetadata, bases: Iterable[Basis1D]) -> int:
+    """The lowest version whose readers understand a file."""
+    if metadata.timeless or metadata.distributions:
+        return 3
+    return 2 if any(basis.breaks for basis in bases) else 1
 
 
 def _digest(arrays: Mapping[str, Any]) -> str:

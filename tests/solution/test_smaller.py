@@ -5,11 +5,12 @@ import functools
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.stats
 import sympy as sp
 
 import rankone as ro
 from rankone.discretization import BASES
-from rankone.errors import OptionError
+from rankone.errors import OptionError, RankoneError
 from tests.problems import EXAMPLES, GENERAL
 
 
@@ -186,3 +187,68 @@ def test_elements_are_cut_where_the_part_ends():
 def test_bad_input(use, message):
     with pytest.raises(OptionError, match=message):
         use(solved("decay", 1e-8))
+
+
+def test_at_a_time():
+    solution = solved("lotka_volterra", 1e-6)
+    later = solution.at(2.5)
+    x0, y0 = np.array([8.2, 11.0]), np.array([4.4, 5.9])
+    assert later.metadata.timeless
+    assert np.allclose(later(x0=x0, y0=y0), solution(t=2.5, x0=x0, y0=y0), rtol=1e-13, atol=0)
+    assert later(x0=9.0, y0=5.0).shape == (2,)
+    assert later.grid(x0=x0, y0=4.5).shape == (2, 2, 1)
+    assert np.allclose(later["y"].grid(x0=x0, y0=4.5), solution["y"].grid(2.5, x0=x0, y0=4.5)[0])
+    assert np.allclose(later.gradient(x0=9.0, y0=5.0), solution.gradient(t=2.5, x0=9.0, y0=5.0))
+    assert np.allclose(later.fix(x0=9.0)(y0=5.0), solution(t=2.5, x0=9.0, y0=5.0))
+    assert "x0 in" in repr(later)
+    assert "t in" not in repr(later)
+
+
+def test_at_the_start_and_the_end():
+    solution = solved("lotka_volterra", 1e-6)
+    start, end = solution.time
+    for time in (start, end):
+        values = solution(t=time, x0=9, y0=5)
+        assert np.allclose(solution.at(time)(x0=9, y0=5), values, rtol=1e-13, atol=0)
+
+
+def test_statistics_without_time():
+    solution = solved("lotka_volterra", 1e-6)
+    later, under = solution.at(2.5), {"x0": scipy.stats.norm(10, 0.4)}
+    for name in ("mean", "var", "std", "cov"):
+        wanted = getattr(solution, name)(2.5, under=under)
+        assert np.allclose(getattr(later, name)(under=under), wanted, rtol=1e-12)
+    sobol, wanted = later.sobol(), solution.sobol([2.5])
+    assert np.allclose(sobol.total, wanted.total[..., 0])
+    assert np.allclose(sobol.second, wanted.second[..., 0])
+    assert np.allclose(later.quantile([0.1, 0.9]), solution.quantile([0.1, 0.9], 2.5))
+
+
+def test_without_time_files_labels_and_models(tmp_path):
+    later = solved("lotka_volterra", 1e-6).at(2.5)
+    values = later(x0=9.0, y0=5.0)
+    read = ro.load(later.save(tmp_path / "later.npz"))
+    assert np.array_equal(read(x0=9.0, y0=5.0), values)
+    data = later.to_xarray(x0=[9.0, 10.0], y0=5.0)
+    assert data["x"].dims == ("x0",)
+    assert np.isclose(data["x"].values[0], values[0], rtol=1e-13, atol=0)
+    later.export(tmp_path / "later.py", allow_failed=True)
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda s: s.at(2.5)(t=1.0, x0=9, y0=5), "do not depend on time"),
+        (lambda s: s.at(2.5)(1.0, {"x0": 9, "y0": 5}), "do not depend on time"),
+        (lambda s: s.at(2.5)(x0=9), "no value for `y0`"),
+        (lambda s: s.at(2.5).mean(1.0), "do not depend on time"),
+        (lambda s: s.mean(), "no times were given"),
+        (lambda s: s.at([1.0, 2.0]), "not a number"),
+        (lambda s: s.at(7.0), "outside of its horizon"),
+        (lambda s: s.at(2.5).at(2.5), "do not depend on time"),
+        (lambda s: s.at(2.5).diff("t"), "no parameter `t`"),
+    ],
+)
+def test_time_that_is_not_there(call, match):
+    with pytest.raises(RankoneError, match=match):
+        call(solved("lotka_volterra", 1e-6))

@@ -8,6 +8,7 @@ from top to bottom: equations, system, engine, evaluation, files, command line.
 from __future__ import annotations
 
 import ast
+import dataclasses
 import itertools
 import textwrap
 from collections.abc import Iterable
@@ -212,7 +213,7 @@ def _system_object(module: _GeneratedModule) -> str:
 
 def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
     """What ties the parts together: the metadata, ``solve`` and ``load``."""
-    fields = (name for name in type(metadata).__slots__ if name != "source")
+    fields = (f.name for f in dataclasses.fields(metadata) if _is_said(metadata, f))
     entries = [
         line
         for name in fields
@@ -220,6 +221,12 @@ def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
     ]
     text = _END.format(metadata="\n".join(entries), options=engine.options.__name__)
     return f"{banner('This solver: what was asked, solve and load')}\n\n{text.strip()}"
+
+
+def _is_said(metadata: SolutionMetadata, field: dataclasses.Field[Any]) -> bool:
+    """Whether a field is written: the source is not, nor is what is empty by default."""
+    value = getattr(metadata, field.name)
+    return field.name != "source" and (bool(value) or value != field.default)
 
 
 _END = '''

@@ -31,6 +31,7 @@ class Sobol:
     ----------
     parameters, unknowns : tuple of str
     times : ndarray (times,)
+        Without any, if nothing depends on time, the shapes below end before them.
     first : ndarray (unknowns, parameters, times)
         Share of the variance that one parameter explains alone.
     total : ndarray (unknowns, parameters, times)

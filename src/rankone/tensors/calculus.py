@@ -14,9 +14,18 @@ from rankone.arrays import Array
 from rankone.discretization import Basis1D
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["differentiated", "fixed", "restricted"]
+__all__ = ["at_one_time", "differentiated", "fixed", "restricted"]
 
 _Made = tuple[Array, Basis1D]
+
+
+def at_one_time(slabs: Sequence[SlabTrain], time: float, horizon: tuple[float, float]) -> SlabTrain:
+    """The states at one time as constants over a horizon."""
+    starts = np.array([slab.start for slab in slabs[1:]])
+    slab = slabs[int(starts.searchsorted(time, side="right"))]
+    first = slab.in_time(np.array([time]))
+    start, end = horizon
+    return SlabTrain(start, end, (first, *slab.cores[1:]), slab.bases)
 
 
 def differentiated(slabs: Sequence[SlabTrain], parameter: int) -> tuple[SlabTrain, ...]:

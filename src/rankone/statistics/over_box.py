@@ -1,0 +1,175 @@
+"""Statistics of a solution over its box, as methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import EvaluationError, OptionError
+from rankone.options import checked_number
+from rankone.solution_core import SolutionCore
+from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
+
+__all__ = ["StatisticsOverBox"]
+
+
+class StatisticsOverBox(SolutionCore):
+    """A solution whose parameters are random: means, spreads, sensitivities, quantiles."""
+
+    def mean(self, t: Any = None, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Means of the unknowns over the box at times.
+
+        Integrals of products are products of integrals: nothing is sampled.
+
+        Parameters
+        ----------
+        t : array_like, optional
+            Times; none if nothing depends on time.
+        under : mapping, optional
+            For parameters, by symbols or names, frozen continuous distributions of scipy.stats, cut
+            at the ends of the box. Parameters are independent, and uniform where nothing is given.
+
+        Returns
+        -------
+        ndarray (unknowns, *shape of t)
+
+        Raises
+        ------
+        EvaluationError
+            If a time is outside of the horizon, or there are none.
+        OptionError
+            If there is no such parameter, or a distribution has no probability in its interval.
+        """
+        return self._over_box(t, under, Statistics.mean)
+
+    def var(self, t: Any = None, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Variances; arguments and shape as for :meth:`mean`."""
+        return self._over_box(t, under, Statistics.variance)
+
+    def std(self, t: Any = None, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Standard deviations; arguments and shape as for :meth:`mean`."""
+        return np.asarray(np.sqrt(self.var(t, under=under)))
+
+    def cov(self, t: Any = None, *, under: Mapping[Any, Any] | None = None) -> Array:
+        """Covariances of the unknowns at the same time, (unknowns, unknowns, *shape of t)."""
+        return self._over_box(t, under, Statistics.covariance)
+
+    def sobol(self, t: Any = None, *, under: Mapping[Any, Any] | None = None) -> Sobol:
+        """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
+
+        Arguments as for :meth:`mean`; times are one-dimensional.
+        """
+        parts = Statistics.variance, Statistics.first, Statistics.total, Statistics.second
+        times = t if t is None else np.atleast_1d(np.asarray(t))
+        if times is not None and times.ndim > 1:
+            raise OptionError("times have more than one dimension", term=t, remedy="give a list")
+        variance, first, total, second = (self._over_box(times, under, part) for part in parts)
+        with np.errstate(all="ignore"):
+            share = np.where(variance > 0.0, 1.0 / variance, np.nan)
+        names = self.metadata.parameters, self.unknowns
+        return Sobol(
+            *names,
+            np.asarray([] if times is None else times, dtype=float),
+            first * share[:, None],
+            total * share[:, None],
+            second * share[:, None, None],
+        )
+
+    def sample(
+        self, count: int, *, seed: int | None = None, under: Mapping[Any, Any] | None = None
+    ) -> dict[str, Array]:
+        """Independent random values of the parameters, by name, (count,) each.
+
+        ``solution(t=1.0, **solution.sample(1000))`` are values of the unknowns. ``under`` is as for
+        :meth:`mean`.
+        """
+        count = checked_number("count", count, 0)
+        measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        seed = None if seed is None else checked_number("seed", seed, 0)
+        shares = np.random.default_rng(seed).random((len(measures), count))
+        return {m.name: m.sample(row) for m, row in zip(measures, shares, strict=True)}
+
+    def quantile(
+        self,
+        q: Any,
+        t: Any = None,
+        *,
+        under: Mapping[Any, Any] | None = None,
+        count: int = 2**14,
+    ) -> Array:
+        """Quantiles of the unknowns over the box at times.
+
+        Of evenly spread values of the parameters (an additive recurrence), the same in every call:
+        the probabilities are met to about 1e-3 with the default ``count`` of them.
+
+        Parameters
+        ----------
+        q : array_like
+            Probabilities in [0, 1].
+        t, under
+            As for :meth:`mean`.
+        count : int
+            Number of points.
+
+        Returns
+        -------
+        ndarray (*shape of q, unknowns, *shape of t)
+
+        Raises
+        ------
+        OptionError
+            If a probability is not in [0, 1]; and as for :meth:`mean`.
+        """
+        try:
+            probabilities = np.asarray(q, dtype=float)
+        except (TypeError, ValueError):
+            raise OptionError(f"q={q!r} are no numbers", term=q) from None
+        if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
+            raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
+        count = checked_number("count", count, 1)
+
+        def of(statistics: Statistics, times: Array) -> Array:
+            return statistics.quantiles(times, probabilities.ravel(), count)
+
+        values = self._over_box(t, under, of)
+        return values.reshape(*probabilities.shape, *values.shape[1:])
+
+    def _over_box(
+        self,
+        t: Any,
+        under: Mapping[Any, Any] | None,
+        part: Callable[[Statistics, Array], Array],
+    ) -> Array:
+        """A statistic at times of any shape."""
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        times = self._times(t)
+        values = part(self._statistics(under), times.ravel())
+        return values.reshape(*values.shape[:-1], *times.shape)
+
+    def _times(self, t: Any) -> Array:
+        """Checked times; any one of the horizon if nothing depends on time."""
+        if t is None and not self.metadata.timeless:
+            raise EvaluationError(
+                "no times were given", term=t, remedy="give t, a number or several"
+            )
+        if t is not None and self.metadata.timeless:
+            raise EvaluationError(
+                f"t={t!r} is given, but the values do not depend on time",
+                term=t,
+                remedy="leave t out",
+            )
+        return self._coordinates.checked(0, self.time[0] if t is None else t)
+
+    def _statistics(self, under: Mapping[Any, Any] | None) -> Statistics:
+        """The statistics for the distributions that are given, kept for the next question."""
+        measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        key = tuple(id(measure.distribution) for measure in measures)
+        if self._known is None or self._known[0] != key:
+            rows = self.metadata.unknown_rows
+            self._known = key, Statistics(self.outcome.slabs, rows, measures)
+        return self._known[1]
+
+    _known: tuple[tuple[int, ...], Statistics] | None = None
