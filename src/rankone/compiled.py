@@ -316,6 +316,7 @@ class CompiledProblem:
             ),
             version=__version__,
             source=self.source,
+            distributions=tuple(self.problem.distributions.items()),
         )
 
 

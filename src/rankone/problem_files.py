@@ -40,7 +40,7 @@ y = "y0"
 times = [2, 4]             # or a single time = 2
 x = "x + 1"                # the value right after it
 
-[parameters]               # the box; may be left out
+[parameters]               # the box; may be left out; or a distribution: "norm(1, 0.1)"
 x0 = [8, 12]
 y0 = [4, 6]
 """
@@ -145,10 +145,7 @@ def _from_toml(file: Path) -> Problem:
     return Problem.from_strings(
         rhs={n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
         initial={n: _formula("initial", n, f) for n, f in _table(content, "initial").items()},
-        parameters={
-            n: _pair(f"`{n}` in [parameters]", n, interval)
-            for n, interval in _table(content, "parameters").items()
-        },
+        parameters={n: _parameter(n, given) for n, given in _table(content, "parameters").items()},
         time=_horizon(content["time"]),
         name=content.get("name"),
         jumps=_jumps(content.get("jumps", [])),
@@ -238,6 +235,11 @@ def _horizon(time: Any) -> tuple[float, float]:
             remedy="give `start` and `end`, or write time = [start, end]",
         )
     return _pair("what [time] holds", "time", [time["start"], time["end"]])
+
+
+def _parameter(name: str, value: Any) -> str | tuple[float, float]:
+    """A list of two numbers, or a text that names a distribution."""
+    return value if isinstance(value, str) else _pair(f"`{name}` in [parameters]", name, value)
 
 
 def _pair(what: str, name: str, value: Any) -> tuple[float, float]:

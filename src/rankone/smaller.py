@@ -53,13 +53,14 @@ def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any,
     """The same for given values of some parameters, which are no coordinates any more."""
     for key, value in given.items():
         j = _position(metadata, name_of(key))
-        lower, upper = metadata.box[j]
-        number = _number(metadata.parameters[j], value, lower, upper)
+        name, (lower, upper) = metadata.parameters[j], metadata.box[j]
+        number = _number(name, value, lower, upper)
         outcome = replace(outcome, slabs=fixed(outcome.slabs, j, number))
         metadata = replace(
             metadata,
             parameters=_without(metadata.parameters, j),
             box=_without(metadata.box, j),
+            distributions=tuple(pair for pair in metadata.distributions if pair[0] != name),
         )
     return _part(outcome, metadata.rtol), replace(metadata, source=None)
 

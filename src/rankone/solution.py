@@ -286,7 +286,11 @@ class Solution(StatisticsOverBox):
         lower, upper = self.metadata.horizon
         whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
         clock = f"{self.metadata.time} in [{start:g}, {end:g}]{whole}"
-        box = [f"{name} in [{lo:g}, {hi:g}]" for name, (lo, hi) in self.parameters.items()]
+        given = dict(self.metadata.distributions)
+        box = [
+            f"{name} in [{lo:g}, {hi:g}]" + (f" ~ {given[name]}" if name in given else "")
+            for name, (lo, hi) in self.parameters.items()
+        ]
         count = len(self.outcome.slabs)
         train = [f"{count} slab" + ("" if count == 1 else "s"), f"rank {self.rank}"]
         if self.nodes:

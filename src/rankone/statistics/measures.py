@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.stats
 from numpy.polynomial.legendre import leggauss
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D
+from rankone.distributions import is_frozen
 from rankone.errors import OptionError, warn
 from rankone.wording import quote
 
@@ -53,7 +53,7 @@ class Measure:
     def __post_init__(self) -> None:
         if self.distribution is None:
             return
-        if not _is_frozen(self.distribution):
+        if not is_frozen(self.distribution):
             raise OptionError(
                 f"the distribution of {quote(self.name)} is {self.distribution!r}, not a frozen "
                 "continuous distribution",
@@ -171,15 +171,6 @@ class Measure:
         shares = np.array([*_QUANTILES, *(1.0 - q for q in _QUANTILES)])
         values = self.distribution.ppf(shares)
         return [float(v) for v in values if math.isfinite(v) and self.lower < v < self.upper]
-
-
-def _is_frozen(distribution: Any) -> bool:
-    """Whether this is one continuous distribution with all its parameters."""
-    methods = all(hasattr(distribution, name) for name in ("pdf", "cdf", "sf", "ppf", "isf"))
-    generic = isinstance(distribution, scipy.stats.rv_continuous)
-    if not methods or (generic and not isinstance(distribution, scipy.stats.rv_histogram)):
-        return False
-    return np.ndim(distribution.ppf(0.5)) == 0
 
 
 def _sums(basis: Basis1D, points: Array, weights: Array) -> Array:

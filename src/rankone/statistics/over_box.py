@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.distributions import from_text
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
+from rankone.statistics.measures import Measure
 from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
 
 __all__ = ["StatisticsOverBox"]
@@ -30,7 +33,8 @@ class StatisticsOverBox(SolutionCore):
             Times; none if nothing depends on time.
         under : mapping, optional
             For parameters, by symbols or names, frozen continuous distributions of scipy.stats, cut
-            at the ends of the box. Parameters are independent, and uniform where nothing is given.
+            at the ends of the box. Others have the distribution that the problem gives them, or
+            are uniform. Parameters are independent.
 
         Returns
         -------
@@ -87,7 +91,7 @@ class StatisticsOverBox(SolutionCore):
         :meth:`mean`.
         """
         count = checked_number("count", count, 0)
-        measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        measures = self._measures(under)
         seed = None if seed is None else checked_number("seed", seed, 0)
         shares = np.random.default_rng(seed).random((len(measures), count))
         return {m.name: m.sample(row) for m, row in zip(measures, shares, strict=True)}
@@ -163,9 +167,18 @@ class StatisticsOverBox(SolutionCore):
             )
         return self._coordinates.checked(0, self.time[0] if t is None else t)
 
+    def _measures(self, under: Mapping[Any, Any] | None) -> list[Measure]:
+        """The measure of each parameter."""
+        return measures_of(self.metadata.parameters, self.metadata.box, under, self._distributions)
+
+    @cached_property
+    def _distributions(self) -> dict[str, Any]:
+        """The distributions that came with the problem."""
+        return {name: from_text(text) for name, text in self.metadata.distributions}
+
     def _statistics(self, under: Mapping[Any, Any] | None) -> Statistics:
         """The statistics for the distributions that are given, kept for the next question."""
-        measures = measures_of(self.metadata.parameters, self.metadata.box, under)
+        measures = self._measures(under)
         key = tuple(id(measure.distribution) for measure in measures)
         if self._known is None or self._known[0] != key:
             rows = self.metadata.unknown_rows

@@ -50,9 +50,12 @@ class Sobol:
 
 
 def measures_of(
-    names: Sequence[str], box: Sequence[tuple[float, float]], under: Mapping[Any, Any] | None
+    names: Sequence[str],
+    box: Sequence[tuple[float, float]],
+    under: Mapping[Any, Any] | None,
+    usual: Mapping[str, Any],
 ) -> list[Measure]:
-    """The measure of each parameter; uniform where nothing else is given.
+    """The measure of each parameter: as given, the usual one, or else uniform.
 
     Raises
     ------
@@ -76,7 +79,7 @@ def measures_of(
             raise OptionError(f"{quote(name)} is given twice", term=name)
         given[name] = distribution
     return [
-        Measure(name, lower, upper, given.get(name))
+        Measure(name, lower, upper, given.get(name, usual.get(name)))
         for name, (lower, upper) in zip(names, box, strict=True)
     ]
 

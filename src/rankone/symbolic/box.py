@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping
 from typing import Any
 
 import sympy as sp
 
+from rankone.distributions import as_text, from_text, interval_of
 from rankone.domain import LEAST_WIDTH
-from rankone.errors import ProblemError
+from rankone.errors import OptionError, ProblemError
 from rankone.wording import quote, shown
 
 __all__ = ["Box", "Time", "check_parameters", "check_time", "real_number"]
@@ -45,8 +47,19 @@ def check_time(time: Any) -> Time:
     return symbol, t0, t1
 
 
-def check_parameters(parameters: Any, time: sp.Symbol) -> Box:
-    """Return the box of ``parameters={symbol: (lower, upper)}`` as floats."""
+def check_parameters(parameters: Any, time: sp.Symbol, tail: Any) -> tuple[Box, dict[str, str]]:
+    """Return the box of ``parameters={symbol: (lower, upper)}`` as floats, and distributions.
+
+    Distributions are texts by the names of their parameters; their intervals are the supports, or
+    where these have no end those between the quantiles ``tail`` and ``1 - tail``.
+    """
+    number = isinstance(tail, numbers.Real) and not isinstance(tail, bool)
+    if not number or not 0.0 < float(tail) < 0.5:
+        raise ProblemError(
+            f"tail is {shown(tail)}, not a probability between 0 and 0.5",
+            term=tail,
+            remedy="give what may be left out of unbounded distributions, for example 1e-6",
+        )
     if not isinstance(parameters, Mapping):
         raise ProblemError(
             f"parameters are {quote(parameters)}, not a mapping",
@@ -54,6 +67,7 @@ def check_parameters(parameters: Any, time: sp.Symbol) -> Box:
             remedy="give {symbol: (lower, upper), ...}, or {} if there are none",
         )
     box: Box = {}
+    distributions: dict[str, str] = {}
     for symbol, bounds in parameters.items():
         if not isinstance(symbol, sp.Symbol):
             raise ProblemError(
@@ -67,8 +81,21 @@ def check_parameters(parameters: Any, time: sp.Symbol) -> Box:
                 term=symbol,
                 remedy="rename one of them",
             )
+        if hasattr(bounds, "ppf") or isinstance(bounds, str):
+            distributions[symbol.name], bounds = _distributed(symbol, bounds, float(tail))
         box[symbol] = _interval(symbol, bounds)
-    return box
+    return box, distributions
+
+
+def _distributed(symbol: sp.Symbol, given: Any, tail: float) -> tuple[str, tuple[float, float]]:
+    """A distribution as text, and its interval."""
+    try:
+        text = as_text(from_text(given) if isinstance(given, str) else given)
+        return text, interval_of(from_text(text), tail)
+    except OptionError as error:
+        raise ProblemError(
+            f"the distribution of parameter {quote(symbol)}: {error}", term=symbol
+        ) from None
 
 
 def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:

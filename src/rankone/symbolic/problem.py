@@ -46,8 +46,10 @@ class Problem:
         with any coefficients (a mass matrix), and polynomial in everything below.
     time : tuple
         ``(t, t0, t1)``: the symbol of time, the start and the end.
-    parameters : mapping of Symbol to (float, float)
-        The box: an interval for each parameter; may be empty.
+    parameters : mapping of Symbol to (float, float) or distribution
+        The box: an interval for each parameter; may be empty. A frozen continuous distribution of
+        scipy.stats stands for its support, or where that is unbounded for the interval between
+        two quantiles, see ``tail``; statistics of solutions are then those under it.
     initial : mapping of Expr to Expr or number
         For each unknown its value at ``t0``, a number or an expression of the parameters. Unknowns
         of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``.
@@ -59,11 +61,16 @@ class Problem:
         several. A ``DiracDelta(t - 8)`` in an equation means the same. At such a time a solution
         has its value after the jump.
 
+    tail : float
+        The probability that is left out on either side of a distribution with unbounded support.
+
     Attributes
     ----------
-    equations, time, parameters, initial, name, jumps
-        As given, with numbers as floats, initial values in the order of the states and jumps by
-        time.
+    equations, time, parameters, initial, name, jumps, tail
+        As given, with numbers as floats, parameters as intervals, initial values in the order of
+        the states and jumps by time.
+    distributions : mapping of str to str
+        For the names of parameters that were given a distribution, that as text.
     unknowns : tuple of Expr
         In the order in which their highest derivatives enter the equations; those that enter in
         the same equation are in the order of ``initial``.
@@ -100,6 +107,8 @@ class Problem:
     initial: Mapping[sp.Expr, Any]
     name: str | None = None
     jumps: Mapping[Any, Mapping[sp.Expr, Any]] | None = None
+    tail: float = 1e-6
+    distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
     mass: MassForm = field(init=False)
@@ -110,7 +119,7 @@ class Problem:
                 f"the name is {shown(self.name)}, not text", term=self.name, remedy="give a title"
             )
         time = check_time(self.time)
-        box = check_parameters(self.parameters, time[0])
+        box, distributions = check_parameters(self.parameters, time[0], self.tail)
         equations, residuals = check_equations(self.equations, time[0])
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
@@ -131,6 +140,7 @@ class Problem:
             "equations": equations,
             "time": time,
             "parameters": MappingProxyType(box),
+            "distributions": MappingProxyType(distributions),
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
             "unknowns": unknowns,
@@ -145,10 +155,11 @@ class Problem:
         cls,
         rhs: Mapping[str, str],
         initial: Mapping[str, str | float],
-        parameters: Mapping[str, tuple[float, float]],
+        parameters: Mapping[str, Any],
         time: tuple[float, float],
         name: str | None = None,
         jumps: Mapping[Any, Mapping[str, str | float]] | None = None,
+        tail: float = 1e-6,
     ) -> Problem:
         """Build a problem from text.
 
@@ -159,14 +170,16 @@ class Problem:
             ``{"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}``. ``t`` is time.
         initial : mapping of str to str or float
             For each unknown its initial value, a number or a formula of the parameters.
-        parameters : mapping of str to (float, float)
-            The box.
+        parameters : mapping of str to (float, float), distribution or str
+            The box; a distribution of scipy.stats may be a text such as ``"norm(1, 0.1)"``.
         time : tuple of float
             ``(t0, t1)``.
         name : str, optional
             A title.
         jumps : mapping of float to mapping, optional
             Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``.
+        tail : float
+            As for the class.
 
         Raises
         ------
@@ -219,6 +232,7 @@ class Problem:
             },
             name=name,
             jumps=_jumps(jumps, names, unknowns),
+            tail=tail,
         )
 
     @property
@@ -227,8 +241,10 @@ class Problem:
         return _coordinates(self.time, self.parameters)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        given = (self.equations, self.time, dict(self.parameters), dict(self.initial), self.name)
-        return type(self), (*given, dict(self.jumps or {}))
+        texts = self.distributions
+        box = {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()}
+        given = (self.equations, self.time, box, dict(self.initial), self.name)
+        return type(self), (*given, dict(self.jumps or {}), self.tail)
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"
@@ -236,7 +252,11 @@ class Problem:
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
         at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
-        intervals = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates]
+        intervals = [
+            f"{c.name} in [{c.lower:g}, {c.upper:g}]"
+            + (f" ~ {self.distributions[c.name]}" if c.name in self.distributions else "")
+            for c in self.coordinates
+        ]
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
         texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
