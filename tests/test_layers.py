@@ -88,6 +88,7 @@ FRONT_END = (
     "compiled",
     "lifted",
     "problem_files",
+    "expressions",
     "cli",
     "__main__",
 )

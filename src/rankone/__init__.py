@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         separate,
         weak_form,
     )
+    from rankone.symbolic.over_time import first_crossing, maximum, minimum
     from rankone.version import __version__
 
 __all__ = [
@@ -72,11 +73,14 @@ __all__ = [
     "WeakForm",
     "__version__",
     "compile",
+    "first_crossing",
     "first_order",
     "function",
     "generate_source",
     "load",
     "load_module",
+    "maximum",
+    "minimum",
     "quadratic_system",
     "separate",
     "solve",
@@ -109,11 +113,14 @@ _HOMES = {
     "WeakForm": ("symbolic", "WeakForm"),
     "__version__": ("version", "__version__"),
     "compile": ("compiled", "compile_problem"),
+    "first_crossing": ("symbolic.over_time", "first_crossing"),
     "first_order": ("symbolic", "first_order"),
     "function": ("functions", "function"),
     "generate_source": ("codegen", "generate_source"),
     "load": ("solution", "load"),
     "load_module": ("codegen", "load_module"),
+    "maximum": ("symbolic.over_time", "maximum"),
+    "minimum": ("symbolic.over_time", "minimum"),
     "quadratic_system": ("lowering", "quadratic_system"),
     "separate": ("symbolic", "separate"),
     "solve": ("compiled", "solve_problem"),

@@ -14,6 +14,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import EvaluationError
+from rankone.outputs import with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
@@ -214,6 +215,50 @@ class Solution(StatisticsOverBox):
     def _slopes(self) -> list[Solution]:
         """The derivative with respect to each parameter."""
         return [self.diff(name) for name in self.metadata.parameters]
+
+    def output(
+        self,
+        quantities: Mapping[str, Any],
+        *,
+        rtol: float | None = None,
+        max_seconds: float = 25.0,
+    ) -> Solution:
+        """Quantities of interest as a solution of their own.
+
+        Parameters
+        ----------
+        quantities : mapping of str to Expr or str
+            For each name an expression of unknowns, their time derivatives, parameters and time.
+            ``Integral(x, (t, a, b))`` is an integral over time, to ``t`` as upper limit a running
+            one; :func:`rankone.maximum`, :func:`rankone.minimum` and
+            :func:`rankone.first_crossing` are functions of a whole function of time. In a text
+            write ``integral(x, a, b)``, ``maximum(x)`` and so on.
+        rtol : float, optional
+            Tolerance, relative to the largest value of each quantity. By default 1.5 times what
+            errors of the solution's tolerance in every unknown would bring, or that tolerance.
+        max_seconds : float
+            Time limit; the best is returned.
+
+        Returns
+        -------
+        Solution
+            Of the parameters alone if no quantity depends on time. Its error is that of the
+            interpolation, measured, and what the errors of the solution change the quantities
+            by; that of time derivatives is not known, unless they are states.
+
+        Raises
+        ------
+        OptionError
+            If an expression has something that the solution does not hold.
+        EvaluationError
+            If a quantity is not finite somewhere in the box, or a level is not crossed.
+        ConvergenceError
+            If the time limit is reached before there is anything.
+        RankoneError
+            If SymPy is not installed.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        return Solution(*with_outputs(self, quantities, rtol, max_seconds))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.

@@ -73,13 +73,15 @@ def parse_expression(
     *,
     where: str,
     equation: int | None = None,
+    further: Mapping[str, Callable[..., sp.Expr]] | None = None,
 ) -> sp.Expr:
     """Translate a formula into a SymPy expression.
 
     It is one in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls of
     :data:`FUNCTIONS`. What the user's ``names`` stand for comes before :data:`CONSTANTS`; one that
     stands for an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say
-    ``where`` the formula is, ``"right-hand side of `x`"``, and the number of the equation.
+    ``where`` the formula is, ``"right-hand side of `x`"``, and the number of the equation. There
+    may be ``further`` functions, of any number of arguments.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def parse_expression(
     """
     try:
         tree = ast.parse(_protect_keywords(" ".join(text.split())), mode="eval")
-        value: sp.Expr = _Translator(text, names, where, equation).visit(tree.body)
+        value: sp.Expr = _Translator(text, names, where, equation, further).visit(tree.body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, ProblemError):
             raise
@@ -126,12 +128,18 @@ class _Translator(ast.NodeVisitor):
         return super().visit(node)
 
     def __init__(
-        self, text: str, names: Mapping[str, sp.Expr], where: str, equation: int | None
+        self,
+        text: str,
+        names: Mapping[str, sp.Expr],
+        where: str,
+        equation: int | None,
+        further: Mapping[str, Callable[..., sp.Expr]] | None,
     ) -> None:
         self.text = text
         self.names = names
         self.where = where
         self.equation = equation
+        self.further = further or {}
 
     def error(self, message: str, remedy: str | None = None) -> ProblemError:
         return ProblemError(
@@ -203,11 +211,13 @@ class _Translator(ast.NodeVisitor):
             return self._applied(name, [self.visit(argument) for argument in node.args])
         if name == "Piecewise":
             return self._piecewise(node.args)
+        if name in self.further:
+            return self._further(name, [self.visit(argument) for argument in node.args])
         if name not in FUNCTIONS:
-            hint = did_you_mean(name, [*FUNCTIONS, *self.names])
+            known = [*FUNCTIONS, *self.further, "Piecewise"]
             raise self.error(
-                f"unknown function {quote(name)}{hint}",
-                f"the functions known are {', '.join(sorted([*FUNCTIONS, 'Piecewise']))}",
+                f"unknown function {quote(name)}{did_you_mean(name, [*known, *self.names])}",
+                f"the functions known are {', '.join(sorted(known))}",
             )
         if len(node.args) > _MOST_ARGUMENTS:
             raise self.error(f"{quote(name)} has {len(node.args)} arguments")
@@ -219,6 +229,14 @@ class _Translator(ast.NodeVisitor):
         if name == "gamma" and arguments[0].is_number and not abs(arguments[0]) < _LARGEST_GAMMA:
             raise self.error(f"{quote(f'gamma({arguments[0]})')} is too large a number")
         return self._value(name, arguments)
+
+    def _further(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
+        """One of the further functions."""
+        try:
+            return self.further[name](*arguments)
+        except (TypeError, ValueError):
+            called = f"{name}({', '.join(map(str, arguments))})"
+            raise self.error(f"{quote(called)} is not understood") from None
 
     def _value(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
         """A function of arguments; SymPy takes exponentially long where functions are nested."""

@@ -51,7 +51,7 @@ def test_trajectories_are_held_in_a_growing_basis(trajectories):
     first = trajectories(points[:20])
     second = trajectories(points[20:])
     assert len(second) >= len(first)
-    basis = trajectories.basis
+    basis = trajectories.basis.vectors
     np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-10)
     states = trajectories.states(second)
     exact = trajectories._integrated(points[20:])

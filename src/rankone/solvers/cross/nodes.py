@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -21,7 +21,10 @@ from rankone.solvers.breakpoints import Breakpoints, resolving_pieces
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 
-__all__ = ["divided", "first_bases", "more_nodes"]
+__all__ = ["Sampled", "divided", "first_bases", "more_nodes", "resolving_bases"]
+
+Sampled = Callable[[Array], Array]
+"""Coefficients of columns at points (m, d): shape (rank, m)."""
 
 _KNOWN = 0.1
 """What an element may miss of the known functions of its parameter, in the same unit."""
@@ -57,16 +60,31 @@ def first_bases(
 ) -> tuple[Basis1D, ...]:
     """Bases that resolve the trajectories on two lines for each parameter.
 
+    Where known functions of a parameter are narrow, kink or jump is known before: elements begin
+    with pieces on each of which they are resolved.
+    """
+    count = _count(rtol, options)
+    known = [_known(trajectories, j, count, rtol) for j in range(len(domain.box))]
+    return resolving_bases(trajectories, domain, rtol, options, known)
+
+
+def resolving_bases(
+    sampled: Sampled,
+    domain: Domain,
+    rtol: float,
+    options: CrossOptions,
+    known: Sequence[tuple[Sequence[float], int]],
+) -> tuple[Basis1D, ...]:
+    """Bases that resolve columns on two lines for each parameter.
+
     One line goes through the centre of the box, one past it. The modes of a smooth function fall
-    geometrically, which tells how many are needed beyond those of the line. Where known functions
-    of a parameter are narrow, kink or jump is known before: elements begin with pieces on each of
-    which they are resolved.
+    geometrically, which tells how many are needed beyond those of the line. What is ``known`` of
+    each parameter is where elements begin, and the least number of nodes.
     """
     kind = BASES[options.basis]
     count = _count(rtol, options)
     bases = [kind(lower, upper, count) for lower, upper in domain.box]
-    known = [_known(trajectories, j, count, rtol) for j in range(len(bases))]
-    lines = Lines(trajectories, domain)
+    lines = Lines(sampled, domain)
     values = lines([(j, basis.nodes) for j, basis in enumerate(bases)])
     found = []
     for j, basis in enumerate(bases):
@@ -104,7 +122,7 @@ def _known(trajectories: Trajectories, j: int, nodes: int, rtol: float) -> tuple
 
 def divided(
     bases: Sequence[Basis1D],
-    trajectories: Trajectories,
+    sampled: Sampled,
     domain: Domain,
     rtol: float,
     options: CrossOptions,
@@ -112,10 +130,10 @@ def divided(
 ) -> tuple[Basis1D, ...]:
     """The same bases, but elements where one of many nodes does no better.
 
-    Elements resolve the trajectories on further lines through some of the ``steep`` points (m, d).
+    Elements resolve the columns on further lines through some of the ``steep`` points (m, d).
     """
     count = _count(rtol, options)
-    lines = Lines(trajectories, domain, steep)
+    lines = Lines(sampled, domain, steep)
     found = list(bases)
     for j, basis in enumerate(bases):
         if basis.elements == 1 and basis.size > _STEEP * count:
@@ -173,15 +191,13 @@ def _missed(piece: Basis1D, values: Array, points: Array, exact: Array) -> float
 
 
 class Lines:
-    """Trajectories on lines for each parameter: through the centre of the box, and past it.
+    """Columns on lines for each parameter: through the centre of the box, and past it.
 
     With several parameters also through some of the ``steep`` points (m, d), if there are any.
     """
 
-    def __init__(
-        self, trajectories: Trajectories, domain: Domain, steep: Array | None = None
-    ) -> None:
-        self.trajectories = trajectories
+    def __init__(self, sampled: Sampled, domain: Domain, steep: Array | None = None) -> None:
+        self.sampled = sampled
         lower, upper = domain.bounds.T
         centre = 0.5 * (lower + upper)
         sides = np.random.default_rng(20140).choice([-1.0, 1.0], centre.size)
@@ -198,7 +214,7 @@ class Lines:
                 line = np.tile(point, (where.size, 1))
                 line[:, j] = where
                 points.append(line)
-        values = self.trajectories(np.concatenate(points))
+        values = self.sampled(np.concatenate(points))
         sizes = np.cumsum([len(self.points) * where.size for _, where in places])[:-1]
         parts = np.split(values, sizes, axis=1)
         return [part.reshape(len(part), len(self.points), -1) for part in parts]

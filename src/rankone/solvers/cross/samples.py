@@ -1,15 +1,14 @@
-"""Trajectories at nodes of the parameter grid, each integrated once."""
+"""Columns at nodes of the parameter grid, such as trajectories, each computed once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D
-from rankone.solvers.cross.trajectories import Trajectories
 
 __all__ = ["Samples"]
 
@@ -17,17 +16,18 @@ Integers = NDArray[np.int64]
 
 
 class Samples:
-    """A table of trajectories by the indices of their nodes.
+    """A table of columns by the indices of their nodes.
 
     Parameters
     ----------
-    trajectories : Trajectories
+    sampled : callable
+        Coefficients (rank, m) of columns at points (m, d), such as Trajectories; the rank grows.
     bases : sequence of Basis1D
         One for each parameter.
     """
 
-    def __init__(self, trajectories: Trajectories, bases: Sequence[Basis1D]) -> None:
-        self.trajectories, self.nodes = trajectories, [basis.nodes for basis in bases]
+    def __init__(self, sampled: Callable[[Array], Array], bases: Sequence[Basis1D]) -> None:
+        self.sampled, self.nodes = sampled, [basis.nodes for basis in bases]
         self._sizes = np.array([basis.size for basis in bases], dtype=np.int64)
         self._strides = np.cumprod(np.concatenate([[1], self._sizes[:-1]])).astype(np.int64)
         self._codes = np.zeros(0, dtype=np.int64)  # ascending, of the columns in _places
@@ -35,7 +35,7 @@ class Samples:
         self._values = np.zeros((0, 0))
 
     def __call__(self, indices: Integers) -> Array:
-        """Coefficients of the trajectories at nodes (m, d): shape (rank of the basis, m)."""
+        """Coefficients of the columns at nodes (m, d): shape (rank of the basis, m)."""
         codes, inverse = np.unique(indices @ self._strides, return_inverse=True)
         new = np.setdiff1d(codes, self._codes, assume_unique=True)
         if new.size:
@@ -46,7 +46,7 @@ class Samples:
     def _add(self, codes: Integers) -> None:
         where = (codes[:, None] // self._strides) % self._sizes
         points = np.stack([x[where[:, j]] for j, x in enumerate(self.nodes)], axis=1)
-        found = self.trajectories(points)
+        found = self.sampled(points)
         rank, known = self._values.shape
         values = np.zeros((len(found), known + codes.size))
         values[:rank, :known], values[:, known:] = self._values, found

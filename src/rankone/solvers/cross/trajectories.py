@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.solvers.cross.growing_basis import GrowingBasis
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.solvers.cross.workers import Workers
 from rankone.solvers.integration import Stack, quickest
@@ -30,10 +30,6 @@ _BEARABLE = 400
 _TIGHTEST = 1e-13
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
-_SEEN = 1e-6
-"""Singular values, over the largest, that can be told from a Gram matrix."""
-_LOST = 0.3
-"""Singular values left out of the basis, relative to the tolerance."""
 
 
 class TooManyTrajectories(Exception):
@@ -89,7 +85,7 @@ class Trajectories:
         self.tightness = _STIFF if self.stiff else tightness
         self.count = 0
         self.units = yardstick.states * np.sqrt(grid.times.size)
-        self.basis = np.zeros((self.units.size * grid.times.size, 0))
+        self.basis = GrowingBasis(self.units.size * grid.times.size)
         self.highest = np.zeros(grid.slabs)
 
     def __call__(self, points: Array) -> Array:
@@ -100,7 +96,7 @@ class Trajectories:
         self.count += len(points)
         highest = self.grid.highest_modes(self._in_sizes(found))
         self.highest = np.maximum(self.highest, highest)
-        return self._coefficients(found)
+        return self.basis.coefficients(found, self.lost)
 
     @property
     def sizes(self) -> Array:
@@ -123,8 +119,8 @@ class Trajectories:
 
     def states(self, coefficients: Array) -> Array:
         """States at the nodes from coefficients (rank, r): shape (n, T, r)."""
-        rank, columns = coefficients.shape
-        values = (self.basis[:, :rank] @ coefficients).reshape(self.units.size, -1, columns)
+        columns = self.basis.columns(coefficients)
+        values = columns.reshape(self.units.size, -1, coefficients.shape[1])
         return np.asarray(values * self.units[:, None, None])
 
     def _first(self, points: Array) -> Array:
@@ -178,23 +174,6 @@ class Trajectories:
         most = _STACKED_STIFF if self.stiff else _STACKED
         return min(max(_STACKED_STATES // int(self.units.size), _FEWEST), most)
 
-    def _coefficients(self, trajectories: Array) -> Array:
-        """Coefficients in the basis, which grows by what it misses."""
-        found = self.basis.T @ trajectories
-        if self.basis.shape[1] == len(self.basis):
-            return found
-        rest = trajectories - self.basis @ found
-        sizes = np.linalg.norm(rest, axis=0)
-        if sizes.max(initial=0.0) <= self.lost and self.basis.shape[1]:
-            return found
-        large = sizes > _LOST * self.lost
-        if not large.any():  # so far all are negligible
-            large = sizes == sizes.max(initial=0.0)
-        new = _span(rest[:, large], _LOST * self.lost)
-        new, _ = np.linalg.qr(new - self.basis @ (self.basis.T @ new))
-        self.basis = np.concatenate([self.basis, new], axis=1)
-        return np.concatenate([found, new.T @ rest])
-
 
 def _integrated(
     system: System,
@@ -220,32 +199,6 @@ def _integrated(
     units = sizes * np.sqrt(times.size)
     scaled = record.values.transpose(1, 0, 2) / units[:, None, None]
     return np.asarray(scaled.reshape(-1, len(points)))
-
-
-def _span(columns: Array, tolerance: float) -> Array:
-    """Orthonormal columns in whose span most of the columns lie up to the tolerance.
-
-    By eigenvectors of Gram matrices, several times faster than singular vectors: each gives the
-    directions that are not lost in its rounding errors, and the next is one of what is left.
-    """
-    found = np.zeros((len(columns), 0))
-    while True:
-        check_time()
-        wide = columns.shape[1] > columns.shape[0]
-        values, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
-        values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
-        seen = max(tolerance, _SEEN * values[0])
-        keep = max(int(np.count_nonzero(values > seen)), 1)
-        new = (
-            vectors[:, :keep]
-            if wide
-            else columns @ (vectors[:, :keep] / np.maximum(values[:keep], 1e-300))
-        )
-        new, _ = np.linalg.qr(new - found @ (found.T @ new))
-        found = np.concatenate([found, new], axis=1)
-        if seen == tolerance or found.shape[1] >= len(found):
-            return found
-        columns = columns - new @ (new.T @ columns)
 
 
 class _AtNodes:

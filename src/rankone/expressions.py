@@ -1,0 +1,283 @@
+"""Quantities of interest: SymPy expressions of a solution's unknowns as functions of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import sympy as sp
+from scipy import special
+from sympy.core.function import AppliedUndef
+
+from rankone.codegen.printer import numpy_text, readable_text
+from rankone.coordinates import name_of
+from rankone.errors import OptionError, RankoneError
+from rankone.functions import known_applied
+from rankone.metadata import SolutionMetadata
+from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.symbolic.over_time import first_crossing, maximum, minimum
+from rankone.symbolic.parsing import parse_expression
+from rankone.wording import did_you_mean, listing, quote, shown
+
+__all__ = ["quantities_of"]
+
+_REDUCTIONS = (maximum, minimum, first_crossing, sp.Integral)
+_KINDS = {maximum: Kind.MAXIMUM, minimum: Kind.MINIMUM, first_crossing: Kind.CROSSING}
+
+
+def quantities_of(
+    given: Any, metadata: SolutionMetadata, horizon: tuple[float, float]
+) -> Quantities:
+    """What is asked of a solution.
+
+    Parameters
+    ----------
+    given : mapping of str to Expr or str
+    metadata : SolutionMetadata
+        Of the solution.
+    horizon : (float, float)
+        Start and end of what was solved.
+
+    Raises
+    ------
+    OptionError
+        If it is no such mapping, or an expression has something that the solution does not hold.
+    """
+    if not isinstance(given, Mapping) or not given:
+        raise OptionError(
+            f"{shown(given)} is not a mapping from names to expressions",
+            term=given,
+            remedy='give for example {"energy": x**2 / 2}',
+        )
+    for name in given:
+        _check_name(name, metadata)
+    translator = _Translator(metadata, horizon)
+    expressions = {name: _expression(name, value, metadata) for name, value in given.items()}
+    values = [translator.translated(name, value) for name, value in expressions.items()]
+    texts = [f"{name} = {readable_text(value)}" for name, value in expressions.items()]
+    known = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
+    written = {
+        **known,
+        sp.Symbol(metadata.time): "t",
+        **{symbol: f"s[{i}]" for i, symbol in enumerate(translator.sources.values())},
+        **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
+    }
+    moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
+    timeless = metadata.timeless or not any(value.free_symbols & moving for value in values)
+    return Quantities(
+        names=tuple(expressions),
+        texts=tuple(texts),
+        timeless=timeless,
+        sources=tuple(translator.sources),
+        integrands=_function("t, s, p", translator.integrands, written),
+        reductions=tuple(translator.reductions),
+        values=_function("t, s, p, r", values, written),
+    )
+
+
+def _check_name(name: Any, metadata: SolutionMetadata) -> None:
+    """Raise unless an output can be called so."""
+    if not isinstance(name, str) or not name.strip():
+        raise OptionError(
+            f"the name of an output is {shown(name)}, not text", term=name, remedy="give it a name"
+        )
+    if name in (metadata.time, *metadata.parameters):
+        raise OptionError(
+            f"the output {quote(name)} has the name of a coordinate",
+            term=name,
+            remedy="give it another name",
+        )
+
+
+def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
+    """An expression, or a text as one, in plain symbols."""
+    t = sp.Symbol(metadata.time)
+    if isinstance(value, str):
+        names = {
+            metadata.time: t,
+            **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
+            **{state: sp.Function(state)(t) for state in metadata.states},
+        }
+        further = {
+            **{kind.__name__: kind for kind in _KINDS},
+            "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
+        }
+        where = f"output {quote(name)}"
+        return parse_expression(value, names, where=where, further=further)
+    try:
+        expression = sp.sympify(value, strict=True)
+    except (sp.SympifyError, TypeError):
+        expression = None
+    if not isinstance(expression, sp.Expr):
+        raise OptionError(
+            f"the output {quote(name)} is {shown(value)}, not an expression",
+            term=value,
+            remedy="give an expression of the unknowns, parameters and time, or its text",
+        )
+    plain = {symbol: sp.Symbol(symbol.name) for symbol in expression.atoms(sp.Symbol)}
+    return expression.xreplace({k: v for k, v in plain.items() if not isinstance(k, sp.Dummy)})
+
+
+@dataclass
+class _Translator:
+    """Expressions in symbols of what is needed of the solution and of reductions."""
+
+    metadata: SolutionMetadata
+    horizon: tuple[float, float]
+    sources: dict[Source, sp.Dummy] = field(default_factory=dict)
+    integrands: list[sp.Expr] = field(default_factory=list)
+    reductions: list[Reduction] = field(default_factory=list)
+    reduced: list[sp.Dummy] = field(default_factory=list)
+    running: list[sp.Dummy] = field(default_factory=list)
+
+    def translated(self, name: str, expression: sp.Expr) -> sp.Expr:
+        """An expression of sources, reductions, parameters and time."""
+        found = _outermost(expression, _REDUCTIONS)
+        if found and self.metadata.timeless:
+            raise OptionError(
+                f"the output {quote(name)} has {quote(found[0])}, but nothing depends on time",
+                term=expression,
+                remedy="ask the solution that depends on time",
+            )
+        replaced = {part: self._reduction(name, part) for part in found}
+        return self._in_sources(name, expression.xreplace(replaced))
+
+    def _reduction(self, name: str, part: sp.Expr) -> sp.Dummy:
+        """The symbol of a reduction, which is added."""
+        start, end = self.horizon
+        kind, direction = _KINDS.get(part.func, Kind.INTEGRAL), 0
+        if isinstance(part, sp.Integral):
+            kind, inner, start, end = self._integral(name, part)
+        elif isinstance(part, first_crossing):
+            inner, direction = part.parts
+            if direction not in (-1, 0, 1):
+                raise OptionError(
+                    f"the direction of {quote(part)} is {quote(direction)}",
+                    term=part,
+                    remedy="give 1 (upwards), -1 (downwards) or 0",
+                )
+        else:
+            (inner,) = part.args
+        if inner.has(*_REDUCTIONS):
+            raise OptionError(
+                f"the output {quote(name)} has {quote(part)}, one function of time inside another",
+                term=part,
+                remedy="make the inner one an output, and go on from there",
+            )
+        self.integrands.append(self._in_sources(name, inner))
+        given = kind, len(self.integrands) - 1, start, end, int(direction), readable_text(part)
+        self.reductions.append(Reduction(*given))
+        symbol = sp.Dummy(f"r{len(self.reduced)}")
+        self.reduced.append(symbol)
+        if kind is Kind.RUNNING:
+            self.running.append(symbol)
+        return symbol
+
+    def _integral(self, name: str, part: sp.Integral) -> tuple[Kind, sp.Expr, float, float]:
+        """Kind, integrand and limits of an integral."""
+        start, end = self.horizon
+        t = sp.Symbol(self.metadata.time)
+        (limits, *others) = part.limits
+        variable, *ends = limits
+        if others:
+            raise self._wrong_integral(name, part, "it has several variables")
+        inner = part.function.xreplace({variable: t})
+        if not ends and variable == t:
+            return Kind.INTEGRAL, inner, start, end
+        if len(ends) != 2:
+            raise self._wrong_integral(name, part, "it has no two limits")
+        lower, upper = ends
+        if not lower.is_number or not (upper.is_number or upper == t):
+            raise self._wrong_integral(name, part, "its limits are no numbers")
+        low, high = float(lower), end if upper == t else float(upper)
+        if not start <= low <= high <= end:
+            raise self._wrong_integral(name, part, f"its limits are not in [{start:g}, {end:g}]")
+        return Kind.RUNNING if upper == t else Kind.INTEGRAL, inner, low, high
+
+    def _wrong_integral(self, name: str, part: sp.Integral, why: str) -> OptionError:
+        start, t = self.horizon[0], self.metadata.time
+        return OptionError(
+            f"the output {quote(name)} has {quote(part)}: {why}",
+            term=part,
+            remedy=f"write Integral(x, ({t}, {start:g}, {self.horizon[1]:g})), or "
+            f"Integral(x, ({t}, {start:g}, {t})) for a function of time",
+        )
+
+    def _in_sources(self, name: str, expression: sp.Expr) -> sp.Expr:
+        """An expression with symbols for states and their derivatives."""
+        parts = _outermost(expression, (sp.Derivative, AppliedUndef))
+        plain = expression.xreplace({part: self._source(name, part) for part in parts})
+        known = {*self.sources.values(), *self.reduced}
+        names = self.metadata.coordinates
+        for symbol in sorted(plain.free_symbols - known, key=str):
+            if symbol.name in names:
+                continue
+            if symbol.name in self.metadata.states:
+                state = sp.Function(symbol.name)(sp.Symbol(self.metadata.time))
+                plain = plain.xreplace({symbol: self._source(name, state)})
+                continue
+            raise OptionError(
+                f"the output {quote(name)} has {quote(symbol)}"
+                f"{did_you_mean(symbol.name, [*self.metadata.states, *names])}",
+                term=symbol,
+                remedy=f"the solution knows {listing([*self.metadata.states, *names])}",
+            )
+        if plain.has(sp.I, sp.nan, sp.zoo, sp.oo):
+            raise OptionError(
+                f"the output {quote(name)}, {quote(expression)}, is not real and finite",
+                term=expression,
+            )
+        return plain
+
+    def _source(self, name: str, part: sp.Expr) -> sp.Dummy:
+        """The symbol of a state or a derivative of one."""
+        try:
+            wanted = name_of(part, self.metadata.time)
+        except RankoneError as error:
+            raise OptionError(f"the output {quote(name)}: {error}", term=part) from None
+        orders = part.derivative_count if isinstance(part, sp.Derivative) else 0
+        state = name_of(part.expr if orders else part, self.metadata.time)
+        if orders and self.metadata.timeless:
+            raise OptionError(
+                f"the output {quote(name)} has {quote(part)}, but nothing depends on time",
+                term=part,
+                remedy="ask the solution that depends on time",
+            )
+        states = self.metadata.states
+        for order in range(orders + 1):
+            held = wanted[: len(wanted) - order] if order < orders else state
+            if held in states:
+                source = Source(states.index(held), order)
+                return self.sources.setdefault(source, sp.Dummy(f"s{len(self.sources)}"))
+        raise OptionError(
+            f"the output {quote(name)} has {quote(part)}{did_you_mean(state, states)}",
+            term=part,
+            remedy=f"the solution holds {listing(states)}",
+        )
+
+
+def _outermost(expression: sp.Expr, kinds: tuple[type, ...]) -> list[sp.Expr]:
+    """Parts of some kinds that are in no other such part, each once."""
+    found: dict[sp.Expr, None] = {}
+    walk = sp.preorder_traversal(expression)
+    for part in walk:
+        if isinstance(part, kinds):
+            found.setdefault(part)
+            walk.skip()
+    return list(found)
+
+
+def _function(
+    arguments: str, expressions: Iterable[sp.Expr], written: Mapping[sp.Symbol, str]
+) -> Callable[..., Sequence[Any]]:
+    """A function of arrays from expressions."""
+    listed = list(expressions)
+    texts = [numpy_text(expression, dict(written)) for expression in listed]
+    called = {part.written(): type(part)._imp_ for part in known_applied(listed)}
+    namespace = {"np": np, "special": special, **called}
+    made: Callable[..., Sequence[Any]] = eval(
+        f"lambda {arguments}: [{', '.join(texts)}]", namespace
+    )
+    return made

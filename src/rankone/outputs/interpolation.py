@@ -1,0 +1,306 @@
+"""From values of quantities at parameter points to a solution, and how good it is.
+
+By cross interpolation, as the cross engine does it with trajectories; its error is that of the
+interpolation, measured at further points, and what the errors of the solution make of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.deadline import OutOfTimeError, time_limit
+from rankone.discretization import Basis1D
+from rankone.domain import Domain
+from rankone.errors import ConvergenceError
+from rankone.outputs.quantities import Quantities
+from rankone.outputs.sampling import Sampler
+from rankone.solution_core import SolutionCore
+from rankone.solvers.cross.growing_basis import GrowingBasis
+from rankone.solvers.cross.nodes import divided, more_nodes, resolving_bases
+from rankone.solvers.cross.options import CrossOptions
+from rankone.solvers.cross.samples import Samples
+from rankone.solvers.cross.sweep import interpolate, left_points, rounded, with_points
+from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
+from rankone.solvers.outcome import Measured, Outcome, Status
+from rankone.solvers.reference import spread
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import apply_to_modes, mode_norms
+
+__all__ = ["solved_quantities"]
+
+_AIM = 0.1
+"""Error of the interpolation that is aimed at, over the tolerance."""
+_DEFAULT = 1.5
+"""The tolerance where none is given, over what errors of the solution's tolerance bring."""
+_SHARE = 0.1
+"""Share of a part of the interpolation in that."""
+_LEFT_POINTS = 7
+_ATTEMPTS = 8
+_POINTS, _CORNERS, _PROBES = 96, 32, 12
+"""Points where the error is measured, besides so many corners of the box at most, and points whose
+functions of time are resolved."""
+
+
+@dataclass(frozen=True)
+class _Check:
+    """Exact quantities at points of the box.
+
+    Attributes
+    ----------
+    points : ndarray (m, d)
+    values : ndarray (quantities, rows, m)
+    sizes : ndarray (quantities,)
+        Their largest values.
+    """
+
+    points: Array
+    values: Array
+    sizes: Array
+
+    @classmethod
+    def at(cls, sampler: Sampler, points: Array) -> _Check:
+        """A check at points (m, d)."""
+        values = sampler(points)
+        sizes: Array = np.abs(values).max(axis=(1, 2))
+        return cls(points, values, np.where(sizes == 0.0, 1.0, sizes))
+
+    def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:
+        """Error of trains over the sizes, (quantities, m)."""
+        carry = slabs[0].over_parameters(self.points.T)
+        if sampler.quantities.timeless:
+            found = slabs[0].on_grid(np.array([slabs[0].start]), carry)
+        else:
+            times = sampler.grid.times.reshape(len(slabs), -1)
+            parts = [slab.on_grid(t, carry) for slab, t in zip(slabs, times, strict=True)]
+            found = np.concatenate(parts, axis=2)
+        missed = np.abs(found.swapaxes(1, 2) - self.values).max(axis=1)
+        return np.asarray(missed / self.sizes[:, None])
+
+    def amplified(self, sampler: Sampler, rtol: float) -> Array:
+        """What errors of the sources change the quantities by, over their sizes.
+
+        Each source is shifted by ``rtol`` times its largest value, up and down.
+
+        Returns
+        -------
+        ndarray (sources, quantities, m)
+        """
+        largest = np.abs(sampler.sources(self.points)).max(axis=(1, 2), initial=0.0)
+        total = np.zeros((largest.size, *self.values.shape[::2]))
+        for change, shift in zip(total, np.diag(rtol * largest), strict=True):
+            both = [sampler(self.points, signed) for signed in (shift, -shift)]
+            change += np.max([np.abs(found - self.values).max(axis=1) for found in both], axis=0)
+        relative: Array = total / self.sizes[:, None]
+        return relative
+
+
+def solved_quantities(
+    solution: SolutionCore, quantities: Quantities, rtol: float | None, max_seconds: float
+) -> tuple[Outcome, float]:
+    """Quantities as an outcome over the box and the time that the solution holds.
+
+    Returns
+    -------
+    outcome : Outcome
+    rtol : float
+        The tolerance; if it is not given, what errors of the solution's tolerance would bring.
+
+    Raises
+    ------
+    EvaluationError
+        If a quantity is not finite somewhere.
+    ConvergenceError
+        If the time limit is reached before there is anything.
+    """
+    domain = Domain(solution.time, solution.metadata.box)
+    options = CrossOptions()
+    grid = _grid(solution, quantities, domain, options, _AIM * (rtol or solution.rtol))
+    slabs, names = solution.outcome.slabs, solution.metadata.parameters
+    sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
+    corners = _corners(domain)
+    spread_ones = _spread(domain, 2 * _POINTS if domain.box else 2)
+    aimed, further = np.split(spread_ones, 2)
+    check = _Check.at(sampler, np.concatenate([corners, further]))
+    amplified = check.amplified(sampler, solution.rtol)
+    if rtol is None:
+        most = float(amplified.sum(axis=0).max(initial=0.0))
+        rtol = _DEFAULT * max(solution.rtol, most)
+    given = _Check.at(sampler, np.concatenate([corners, aimed])), domain, options, _AIM * rtol
+    found = _interpolated(sampler, *given, max_seconds)
+    errors = list(solution.errors.values())
+    shares = [
+        np.nan if source.order else errors[source.row] / solution.rtol
+        for source in quantities.sources
+    ]
+    brought = np.tensordot(np.array(shares), amplified, 1)
+    return _outcome(found, check.missed(found, sampler), brought, len(corners), rtol), rtol
+
+
+def _grid(
+    solution: SolutionCore,
+    quantities: Quantities,
+    domain: Domain,
+    options: CrossOptions,
+    level: float,
+) -> TimeGrid:
+    """Slabs that resolve the integrands, and what is no reduction, at some points."""
+    slabs, names = solution.outcome.slabs, solution.metadata.parameters
+    start, end = domain.horizon
+    if solution.metadata.timeless:
+        return TimeGrid((start, end), 1)
+    limits = [x for r in quantities.reductions for x in (r.start, r.end) if start < x < end]
+    edges = [start, *sorted({*(slab.start for slab in slabs[1:]), *limits}), end]
+    count = options.nodes_in_time(level)
+    first = Sampler(slabs, names, quantities, TimeGrid(tuple(edges), count), solution.rtol)
+    points = _spread(domain, _PROBES)
+    found = np.abs(first.at(first.grid.times, points))
+    sizes = np.maximum(found.max(axis=(1, 2), where=np.isfinite(found), initial=0.0), 1e-300)
+
+    def values(times: Array) -> Array:
+        exact = first.at(times, points) / sizes[:, None, None]
+        return np.asarray(np.nan_to_num(exact.swapaxes(1, 2), posinf=0.0, neginf=0.0))
+
+    breaks = resolving_breaks(values, edges, count, level, 4 * options.max_slabs)
+    return TimeGrid(tuple(edges) if breaks is None else breaks, count)
+
+
+def _interpolated(
+    sampler: Sampler,
+    check: _Check,
+    domain: Domain,
+    options: CrossOptions,
+    level: float,
+    max_seconds: float,
+) -> tuple[SlabTrain, ...]:
+    """The best trains by a check."""
+    function = _Columns(sampler, check.sizes, _SHARE * level)
+    bases: tuple[Basis1D, ...] = ()
+    best: tuple[float, tuple[SlabTrain, ...]] | None = None
+    left_count, inner, worst = _LEFT_POINTS, level, None
+    with time_limit(max_seconds):
+        for attempt in range(_ATTEMPTS):
+            try:
+                if not attempt:
+                    known: list[tuple[Sequence[float], int]] = [([], 0)] * len(domain.box)
+                    bases = resolving_bases(function, domain, inner, options, known)
+                else:
+                    bases = divided(bases, function, domain, inner, options, worst)
+                slabs, spectra = _one(function, bases, left_count, inner, options, worst)
+            except OutOfTimeError:
+                break
+            missed = check.missed(slabs, sampler)
+            error = float(missed.max())
+            if best is None or error < best[0]:
+                best = error, slabs
+            if error <= level or not domain.box:
+                break
+            worst = check.points[np.argsort(-missed.max(axis=0))[:_LEFT_POINTS]]
+            left_count = -(-3 * left_count // 2)
+            finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
+            if finer == bases:
+                inner *= max(min(0.5, level / error), 0.05)
+                finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
+            bases = finer
+    if best is None:
+        raise ConvergenceError(
+            "the time limit was reached before anything was interpolated",
+            remedy="give more time by max_seconds, or restrict the solution",
+        )
+    return best[1]
+
+
+class _Columns:
+    """Quantities at points as coefficients in a growing basis, in units of their sizes."""
+
+    def __init__(self, sampler: Sampler, sizes: Array, lost: float) -> None:
+        self.sampler, self.lost = sampler, lost
+        self.units = sizes * np.sqrt(sampler.rows)
+        self.basis = GrowingBasis(sizes.size * sampler.rows)
+
+    def __call__(self, points: Array) -> Array:
+        values = self.sampler(points) / self.units[:, None, None]
+        return self.basis.coefficients(values.reshape(-1, len(points)), self.lost)
+
+    def values(self, coefficients: Array) -> Array:
+        """Quantities (quantities, rows, m) from coefficients (rank, m)."""
+        columns = self.basis.columns(coefficients)
+        shape = self.units.size, self.sampler.rows, coefficients.shape[1]
+        return np.asarray(columns.reshape(shape) * self.units[:, None, None])
+
+
+def _one(
+    function: _Columns,
+    bases: Sequence[Basis1D],
+    left_count: int,
+    level: float,
+    options: CrossOptions,
+    doubtful: Array | None,
+) -> tuple[tuple[SlabTrain, ...], list[Array]]:
+    """One interpolation: slabs, and the norms of the modes of each parameter."""
+    if bases:
+        left = left_points([basis.size for basis in bases], left_count, 20140)
+        if doubtful is not None:
+            left = with_points(left, [basis.nodes for basis in bases], doubtful)
+        tolerance = _SHARE * level / np.sqrt(len(bases))
+        samples = Samples(function, bases)
+        cores = interpolate(samples, bases, left, tolerance, options.max_rank).cores
+        cores = rounded(cores, _SHARE * level)
+    else:
+        cores = [function(np.zeros((1, 0)))]
+    modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
+    first, grid = function.values(cores[0]), function.sampler.grid
+    if function.sampler.quantities.timeless:
+        grid = TimeGrid((grid.breaks[0], grid.breaks[-1]), 1)
+    return tuple(grid.trains(first, modal[1:], bases)), mode_norms(modal)
+
+
+def _outcome(
+    slabs: tuple[SlabTrain, ...], missed: Array, brought: Array, corners: int, rtol: float
+) -> Outcome:
+    """What was found and how good it is; the first points are corners."""
+    interpolation = f"{missed.max():.1e} of the interpolation"
+    if np.isnan(brought).any():
+        return Outcome(
+            slabs,
+            Status.UNCHECKED,
+            f"the error is not known: {interpolation}, and that of the solution's states or of "
+            "their derivatives, which was not measured",
+            None,
+            (),
+        )
+    total = missed + brought
+    measured = Measured(
+        interior=tuple(map(float, total.max(axis=1))),
+        corners=tuple(map(float, total[:, :corners].max(axis=1))) if corners else (),
+        points=total.shape[1],
+        method="solution",
+        cover="box",
+    )
+    status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
+    message = f"{status.value}: {interpolation}, {brought.max():.1e} of the solution"
+    return Outcome(slabs, status, message, measured, ())
+
+
+def _spread(domain: Domain, count: int) -> Array:
+    """Points of the box, evenly spread, the centre first: (count, d)."""
+    lower, upper = domain.bounds.T
+    shares = spread(count, lower.size, np.random.default_rng(20145))
+    shares = np.concatenate([np.full((1, lower.size), 0.5), shares[1:]])
+    return np.asarray(lower + (upper - lower) * shares)
+
+
+def _corners(domain: Domain) -> Array:
+    """Corners of the box, all or some: (m, d)."""
+    bounds = domain.bounds
+    count = len(bounds)
+    if not count:
+        return np.zeros((0, 0))
+    if 2**count <= _CORNERS:
+        which = np.stack(np.unravel_index(np.arange(2**count), (2,) * count), axis=1)
+    else:
+        which = np.random.default_rng(20146).integers(0, 2, (_CORNERS, count))
+    return np.asarray(np.take_along_axis(bounds.T, which, axis=0))

@@ -1,0 +1,135 @@
+"""Integrals, extremes and crossings of functions of time that are polynomials on slabs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.discretization import legendre_derivative, legendre_values
+from rankone.solvers.cross.time_grid import TimeGrid
+
+__all__ = ["Polynomials"]
+
+_DENSE = 4
+"""Points of a slab where extremes and crossings are looked for, over its nodes."""
+_NEWTON, _BISECTIONS = 8, 60
+
+
+class Polynomials:
+    """Functions of time, by their values at the nodes of a grid.
+
+    Parameters
+    ----------
+    grid : TimeGrid
+    values : ndarray (T, m)
+        At the nodes of the grid.
+    """
+
+    def __init__(self, grid: TimeGrid, values: Array) -> None:
+        self.grid = grid
+        self.breaks = np.array(grid.breaks)
+        self.half = 0.5 * np.diff(self.breaks)
+        local = values.reshape(grid.slabs, grid.count, -1)
+        self.modes = np.asarray(np.linalg.solve(_at_nodes(grid.count), local))
+
+    def integral(self, start: float, end: float) -> Array:
+        """Integral from one break of the grid to another, (m,)."""
+        inside = (self.breaks[:-1] >= start) & (self.breaks[1:] <= end)
+        return np.asarray(2.0 * self.half[inside] @ self.modes[inside, 0])
+
+    def running(self, start: float) -> Array:
+        """Integrals from a break of the grid to all nodes, (T, m)."""
+        whole = 2.0 * self.half[:, None] * self.modes[:, 0]
+        before = np.concatenate([np.zeros((1, whole.shape[1])), np.cumsum(whole, axis=0)])
+        before -= before[int(np.searchsorted(self.breaks, start))]
+        inside = _from_start(self.grid.count) @ self.modes * self.half[:, None, None]
+        return np.asarray((before[:-1, None] + inside).reshape(-1, whole.shape[1]))
+
+    def maximum(self) -> Array:
+        """Largest values, (m,): of points of every slab, and from the best by Newton steps."""
+        points = _dense_points(self.grid.count)
+        dense = legendre_values(points, self.grid.count) @ self.modes
+        best = dense.argmax(axis=1)
+        lower, upper = (
+            points[np.maximum(best - 1, 0)],
+            points[np.minimum(best + 1, points.size - 1)],
+        )
+        slope = legendre_derivative(self.grid.count)
+        first = slope @ self.modes
+        second = slope @ first
+        at = points[best]
+        for _ in range(_NEWTON):
+            bend = _sum(second, at)
+            step = np.where(bend < 0.0, _sum(first, at) / np.where(bend < 0.0, bend, 1.0), 0.0)
+            at = np.clip(at - step, lower, upper)
+        found = np.maximum(_sum(self.modes, at), dense.max(axis=1))
+        return np.asarray(found.max(axis=0))
+
+    def first_crossing(self, direction: int, nothing: float) -> Array:
+        """First times of a change of sign, (m,); NaN where there is none.
+
+        Values below ``nothing`` times the largest one have no sign: a function may begin at zero.
+        """
+        points = _dense_points(self.grid.count)
+        times = (self.breaks[:-1, None] + self.half[:, None] * (points + 1.0)).ravel()
+        dense = legendre_values(points, self.grid.count) @ self.modes
+        dense = dense.reshape(times.size, -1)
+        signs = np.sign(dense)
+        signs[np.abs(dense) <= nothing * np.abs(dense).max(axis=0)] = 0.0
+        places = np.where(signs != 0.0, np.arange(times.size)[:, None], -1)
+        last = np.maximum.accumulate(places, axis=0)[:-1]
+        before = np.where(last >= 0, np.take_along_axis(signs, np.maximum(last, 0), axis=0), 0.0)
+        change = signs[1:] * before < 0.0
+        if direction:
+            change &= signs[1:] == direction
+        crossed = change.any(axis=0)
+        where = np.argmax(change, axis=0)
+        columns = np.arange(where.size)
+        left, right = times[np.maximum(last[where, columns], 0)], times[where + 1]
+        found = self._root(left, right, signs[where + 1, columns])
+        return np.where(crossed, found, np.nan)
+
+    def _root(self, left: Array, right: Array, sign: Array) -> Array:
+        """Where a function takes the sign that it has at the right end, (m,)."""
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (left + right)
+            over = self._at(middle) * sign > 0.0
+            left, right = np.where(over, left, middle), np.where(over, middle, right)
+        return np.asarray(0.5 * (left + right))
+
+    def _at(self, times: Array) -> Array:
+        """Values of each function at a time of its own, (m,)."""
+        slab = np.clip(np.searchsorted(self.breaks, times, side="right") - 1, 0, self.half.size - 1)
+        xi = (times - self.breaks[slab]) / self.half[slab] - 1.0
+        return _sum(self.modes[slab, :, np.arange(times.size)].T, xi)
+
+
+def _at_nodes(count: int) -> Array:
+    """Values of the Legendre polynomials at the nodes of a slab."""
+    return legendre_values(np.polynomial.legendre.leggauss(count)[0], count)
+
+
+def _from_start(count: int) -> Array:
+    """Integrals of the Legendre polynomials from -1 to the nodes: (nodes, count).
+
+    ``(2 n + 1) P_n`` is the derivative of ``P_{n+1} - P_{n-1}`` (DLMF 18.9.21).
+    """
+    xi = np.polynomial.legendre.leggauss(count)[0]
+    plain = legendre_values(xi, count + 1) / np.sqrt(2.0 * np.arange(count + 1) + 1.0)
+    degrees = np.arange(1, count)
+    found = np.empty((count, count))
+    found[:, 0] = xi + 1.0
+    found[:, 1:] = (plain[:, 2:] - plain[:, :-2]) / np.sqrt(2.0 * degrees + 1.0)
+    return found
+
+
+def _dense_points(count: int) -> Array:
+    """Points of [-1, 1] with its ends, denser there."""
+    return np.asarray(-np.cos(np.pi * np.arange(_DENSE * count + 1) / (_DENSE * count)))
+
+
+def _sum(modes: Array, xi: Array) -> Array:
+    """Sums of Legendre polynomials with coefficients (..., count, m) at points (..., m)."""
+    count = modes.shape[-2]
+    values = legendre_values(xi.ravel(), count).T.reshape(count, *xi.shape)
+    return np.asarray((np.moveaxis(modes, -2, 0) * values).sum(axis=0))

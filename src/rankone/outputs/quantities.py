@@ -1,0 +1,83 @@
+"""What is asked for, as functions of arrays: no symbols any more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from rankone.arrays import Array
+
+__all__ = ["Kind", "Quantities", "Reduction", "Source"]
+
+
+class Kind(Enum):
+    """What is made of a function of time."""
+
+    INTEGRAL = "integral"
+    RUNNING = "running integral"
+    MAXIMUM = "maximum"
+    MINIMUM = "minimum"
+    CROSSING = "first crossing"
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What is made of an integrand, a function of time.
+
+    Attributes
+    ----------
+    kind : Kind
+    integrand : int
+        Which of the integrands.
+    start, end : float
+        Limits of an integral; of the horizon otherwise. A running integral has no end.
+    direction : int
+        Of a crossing of zero: 1 upwards, -1 downwards, 0 either.
+    text : str
+        For messages.
+    """
+
+    kind: Kind
+    integrand: int
+    start: float
+    end: float
+    direction: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is needed of a solution: a state, or its time derivative of some order."""
+
+    row: int
+    order: int = 0
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """Functions of states, time and parameters.
+
+    Attributes
+    ----------
+    names, texts : tuple of str
+        Of each quantity, and what it is.
+    timeless : bool
+        Whether none depends on time.
+    sources : tuple of Source
+    integrands : callable
+        From times (T, 1), the sources (k, T, m), parameters (d, m) to a sequence of arrays that
+        broadcast to (T, m).
+    reductions : tuple of Reduction
+    values : callable
+        From times, sources and parameters as before, and a sequence of reductions, (m,) or (T, m),
+        to a sequence of arrays that broadcast to (T, m).
+    """
+
+    names: tuple[str, ...]
+    texts: tuple[str, ...]
+    timeless: bool
+    sources: tuple[Source, ...]
+    integrands: Callable[[Array, Array, Array], Sequence[Array]]
+    reductions: tuple[Reduction, ...]
+    values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]

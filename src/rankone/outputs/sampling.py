@@ -1,0 +1,167 @@
+"""Values of quantities of a solution at parameter points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import EvaluationError
+from rankone.outputs.over_time import Polynomials
+from rankone.outputs.quantities import Kind, Quantities, Reduction
+from rankone.solvers.cross.time_grid import TimeGrid
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["Sampler"]
+
+_NUMBERS = 1 << 21
+"""Numbers of a chunk of trajectories."""
+_SIGNS, _LEAST = 10.0, 1e-9
+"""What has a sign at all, relative to the largest value: over the tolerance, and at least."""
+
+
+class Sampler:
+    """Quantities of a solution on a time grid.
+
+    Parameters
+    ----------
+    slabs : sequence of SlabTrain
+        Of the solution.
+    parameters : sequence of str
+    quantities : Quantities
+    grid : TimeGrid
+        No slab of it crosses the ends of those of the solution.
+    rtol : float
+        Tolerance of the solution: changes of sign that are not far above it are none.
+    """
+
+    def __init__(
+        self,
+        slabs: Sequence[SlabTrain],
+        parameters: Sequence[str],
+        quantities: Quantities,
+        grid: TimeGrid,
+        rtol: float,
+    ) -> None:
+        self.slabs, self.parameters, self.quantities = slabs, parameters, quantities
+        self.grid = grid
+        self._nothing = max(_SIGNS * rtol, _LEAST)
+        self._orders: dict[int, Sequence[SlabTrain]] = {0: slabs}
+        for order in range(1, 1 + max((s.order for s in quantities.sources), default=0)):
+            self._orders[order] = [slab.derivative() for slab in self._orders[order - 1]]
+
+    @property
+    def rows(self) -> int:
+        """Times at which a quantity is held."""
+        return 1 if self.quantities.timeless else self.grid.times.size
+
+    def __call__(self, points: Array, shifts: Array | None = None) -> Array:
+        """Quantities at points (m, d): shape (quantities, rows, m).
+
+        Parameters
+        ----------
+        shifts : ndarray (sources,), optional
+            What is added to the sources.
+
+        Raises
+        ------
+        EvaluationError
+            If one is not finite somewhere, or does not cross.
+        """
+        per_point = (4 + len(self.quantities.sources)) * self.grid.times.size
+        pieces = -(-len(points) * per_point // _NUMBERS)
+        chunks = np.array_split(points, max(pieces, 1))
+        return np.concatenate([self._chunk(chunk, shifts) for chunk in chunks], axis=2)
+
+    def at(self, times: Array, points: Array) -> Array:
+        """Integrands and, without reductions, values at times (T,): shape (functions, T, m)."""
+        given = times[:, None], self._sources(times, points), points.T
+        shape = times.size, len(points)
+        with np.errstate(all="ignore"):
+            found = list(self.quantities.integrands(*given))
+            if not self.quantities.reductions:
+                found += self.quantities.values(*given, [])
+        return np.array([np.broadcast_to(part, shape) for part in found])
+
+    def sources(self, points: Array) -> Array:
+        """The states or derivatives that are needed, at the nodes: shape (sources, T, m)."""
+        return self._sources(self.grid.times, points)
+
+    def _chunk(self, points: Array, shifts: Array | None) -> Array:
+        times, sources = self.grid.times[:, None], self.sources(points)
+        if shifts is not None:
+            sources = sources + shifts[:, None, None]
+        with np.errstate(all="ignore"):
+            integrands = self.quantities.integrands(times, sources, points.T)
+            reduced = [
+                self._reduced(reduction, integrands[reduction.integrand], points)
+                for reduction in self.quantities.reductions
+            ]
+            given = times[: self.rows], sources[:, : self.rows], points.T
+            found = self.quantities.values(*given, reduced)
+            shape = self.rows, len(points)
+            values = np.array([np.broadcast_to(part, shape) for part in found])
+        self._check(values, points)
+        return values
+
+    def _reduced(self, reduction: Reduction, values: Array, points: Array) -> Array:
+        """A reduction of values that broadcast to (T, m): (m,), or (T, m) for a running one."""
+        values = np.broadcast_to(values, (self.grid.times.size, len(points)))
+        if not np.isfinite(values).all():
+            wrong = ~np.isfinite(values).all(axis=0)
+            raise self._not_finite(reduction.text, points[wrong])
+        functions = Polynomials(self.grid, values)
+        match reduction.kind:
+            case Kind.INTEGRAL:
+                return functions.integral(reduction.start, reduction.end)
+            case Kind.RUNNING:
+                return functions.running(reduction.start)
+            case Kind.MAXIMUM:
+                return functions.maximum()
+            case Kind.MINIMUM:
+                return -Polynomials(self.grid, -values).maximum()
+        found = functions.first_crossing(reduction.direction, self._nothing)
+        if np.isnan(found).any():
+            raise EvaluationError(
+                f"`{reduction.text}` does not happen at {self._named(points[np.isnan(found)][0])}",
+                term=reduction.text,
+                remedy="restrict the solution to parameters where it does: solution.restrict(...)",
+            )
+        return found
+
+    def _check(self, values: Array, points: Array) -> None:
+        for text, part in zip(self.quantities.texts, values, strict=True):
+            wrong = ~np.isfinite(part).all(axis=0)
+            if wrong.any():
+                raise self._not_finite(text, points[wrong])
+
+    def _not_finite(self, text: str, points: Array) -> EvaluationError:
+        where = self._named(points[0])
+        return EvaluationError(
+            f"`{text}` is not finite{where and f' at {where}'}",
+            term=text,
+            remedy="restrict the solution to parameters where it is: solution.restrict(...)",
+        )
+
+    def _named(self, point: Array) -> str:
+        """A parameter point as text."""
+        pairs = zip(self.parameters, point, strict=True)
+        return ", ".join(f"{name} = {value:.6g}" for name, value in pairs)
+
+    def _sources(self, times: Array, points: Array) -> Array:
+        """Sources at times (T,) in any order and points (m, d): shape (sources, T, m)."""
+        starts = np.array([slab.start for slab in self.slabs[1:]])
+        owner = np.searchsorted(starts, times, side="right")
+        found = np.empty((len(self.quantities.sources), times.size, len(points)))
+        carry, last = np.empty(0), None
+        for k in np.unique(owner):
+            here, slab = owner == k, self.slabs[k]
+            if last is None or not slab.shares_parameters(last):
+                carry, last = slab.over_parameters(points.T), slab
+            for order, slabs in self._orders.items():
+                first = slabs[k].in_time(times[here])
+                for i, source in enumerate(self.quantities.sources):
+                    if source.order == order:
+                        found[i, here] = first[source.row] @ carry
+        return found

@@ -1,0 +1,210 @@
+"""Outputs against SciPy: trajectories, quadrature, extremes and events of its own."""
+
+import functools
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.optimize
+import sympy as sp
+
+import rankone as ro
+from rankone.errors import EvaluationError, OptionError, RankoneError
+from tests.problems import EXAMPLES
+
+t, x0, y0, k = sp.symbols("t x0 y0 k")
+x, y, u = (sp.Function(name)(t) for name in "xyu")
+POINTS = np.array([[8.0, 4.0], [8.3, 5.7], [9.7, 4.2], [11.1, 5.1], [12.0, 6.0]])
+
+
+@functools.cache
+def prey():
+    return ro.solve(EXAMPLES["lotka_volterra"].problem, rtol=1e-7)
+
+
+@functools.cache
+def trajectory(a, b):
+    """x, y and the integral of x*y along one trajectory."""
+
+    def rhs(_, s):
+        return [s[0] * (1.5 - s[1]), -s[1] * (3 - s[0]), s[0] * s[1], s[0]]
+
+    given = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12, "dense_output": True}
+    return scipy.integrate.solve_ivp(rhs, (0, 6), [a, b, 0, 0], **given).sol
+
+
+def largest(function):
+    """The largest value over time, by a dense grid and Brent's method from its best point."""
+    times = np.linspace(0, 6, 20001)
+    best = times[np.argmax(function(times))]
+    ends = max(best - 1e-3, 0), min(best + 1e-3, 6)
+    found = scipy.optimize.minimize_scalar(
+        lambda s: -function(s), bounds=ends, method="bounded", options={"xatol": 1e-13}
+    )
+    return max(-found.fun, function(0.0), function(6.0))
+
+
+def crossing(function, direction):
+    """The first time of a crossing, by a dense grid and Brent's method."""
+    times = np.linspace(0, 6, 20001)
+    signs = np.sign(function(times))
+    change = signs[1:] * signs[:-1] < 0
+    if direction:
+        change &= signs[1:] == direction
+    first = np.argmax(change)
+    return scipy.optimize.brentq(function, times[first], times[first + 1], xtol=1e-14)
+
+
+CONSTANT = {
+    "integral": (sp.Integral(x * y, (t, 0, 6)), lambda s: s(6.0)[2]),
+    "part": (sp.Integral(x, (t, 1, 2.5)), lambda s: s(2.5)[3] - s(1.0)[3]),
+    "maximum": (ro.maximum(x), lambda s: largest(lambda r: s(r)[0])),
+    "minimum": (ro.minimum(x - y), lambda s: -largest(lambda r: s(r)[1] - s(r)[0])),
+    "crossing": (ro.first_crossing(x, 2), lambda s: crossing(lambda r: s(r)[0] - 2, 0)),
+    "upwards": (ro.first_crossing(x, 2, 1), lambda s: crossing(lambda r: s(r)[0] - 2, 1)),
+    "both": (
+        ro.maximum(y) * x0 / sp.Integral(x, (t, 0, 6)),
+        lambda s: largest(lambda r: s(r)[1]) * s(0.0)[0] / s(6.0)[3],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONSTANT)
+def test_numbers_of_whole_trajectories(name):
+    expression, exact = CONSTANT[name]
+    output = prey().output({"q": expression}, rtol=1e-4)
+    assert output.success, output.message
+    assert output.metadata.timeless
+    wanted = np.array([exact(trajectory(*point)) for point in POINTS])
+    found = output["q"](x0=POINTS[:, 0], y0=POINTS[:, 1])
+    assert np.abs(found - wanted).max() <= 2 * output.error * np.abs(wanted).max()
+
+
+MOVING = {
+    "product": (x * y / (1 + y), lambda s, r: s[0] * s[1] / (1 + s[1])),
+    "sum": (x + 2 * y, lambda s, r: s[0] + 2 * s[1]),
+    "with parameters": (
+        x / x0 + sp.sin(t) * y0,
+        lambda s, r: s[0] / s[0, :1] + np.sin(r) * s[1, 0],
+    ),
+    "running": (sp.Integral(x * y, (t, 0, t)), lambda s, r: s[2]),
+}
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_functions_of_time(name):
+    expression, exact = MOVING[name]
+    output = prey().output({"q": expression})
+    assert output.success, output.message
+    assert prey().rtol <= output.rtol <= 20 * prey().rtol
+    times = np.linspace(0, 6, 201)
+    wanted = np.array([exact(trajectory(*point)(times), times) for point in POINTS])
+    found = output["q"](t=times, x0=POINTS[:, :1], y0=POINTS[:, 1:])
+    assert np.abs(found - wanted).max() <= 2 * output.error * np.abs(wanted).max()
+
+
+def test_time_derivatives_have_no_known_error():
+    output = prey().output({"rate": x.diff(t) - x * (1.5 - y)})
+    assert not output.success
+    assert "not known" in output.message
+    times = np.linspace(0.1, 5.9, 50)
+    sizes = np.abs(prey().diff("t")["x"](t=times, x0=9.3, y0=4.8)).max()
+    assert np.abs(output["rate"](t=times, x0=9.3, y0=4.8)).max() < 1e-4 * sizes
+
+
+def test_derivatives_that_are_states_have_one():
+    solution = ro.solve(EXAMPLES["decay"].problem, rtol=1e-8)
+    m = sp.Symbol("m")
+    oscillator = ro.Problem(
+        [sp.Eq(m * x.diff(t, 2) + 4 * x, 0)], (t, 0, 3), {m: (0.9, 1.1)}, {x: 1, x.diff(t): 0}
+    )
+    solution = ro.solve(oscillator, rtol=1e-8)
+    energy = solution.output({"energy": m * x.diff(t) ** 2 / 2 + 2 * x**2})
+    assert energy.success
+    assert np.allclose(energy(t=[0.3, 1.7], m=1.03), 2.0, rtol=1e-7)
+
+
+def test_a_level_is_not_crossed_where_a_function_begins_at_it():
+    v, g = sp.symbols("v g")
+    ball = ro.Problem(
+        [sp.Eq(x.diff(t, 2), -g)], (t, 0, 3), {v: (8, 12), g: (9, 10)}, {x: 0, x.diff(t): v}
+    )
+    output = ro.solve(ball, rtol=1e-8).output(
+        {"landing": ro.first_crossing(x), "height": ro.maximum(x)}
+    )
+    found = output(v=[8.5, 11.9], g=[9.1, 9.9])
+    v, g = np.array([8.5, 11.9]), np.array([9.1, 9.9])
+    assert np.allclose(found, [2 * v / g, v**2 / (2 * g)], rtol=1e-7)
+
+
+def test_outputs_of_outputs_files_statistics_and_models(tmp_path):
+    output = prey().output({"peak": "maximum(x)", "trough": "minimum(x)"})
+    span = output.output({"span": sp.Symbol("peak") - sp.Symbol("trough")})
+    values = output(x0=9.3, y0=4.8)
+    assert np.isclose(span["span"](x0=9.3, y0=4.8), values[0] - values[1], rtol=3e-7)
+    assert np.array_equal(ro.load(output.save(tmp_path / "o.npz"))(x0=9.3, y0=4.8), values)
+    assert output.mean().shape == (2,)
+    assert output.gradient(x0=9.3, y0=4.8).shape == (2, 2)
+    assert output.export(tmp_path / "peaks.py").exists()
+    assert prey().at(2.0).output({"r": x / y})["r"](x0=9.3, y0=4.8) == pytest.approx(
+        np.divide(*prey()(t=2.0, x0=9.3, y0=4.8))
+    )
+
+
+def test_integrals_and_crossings_see_jumps():
+    """A dose after half of the time; exact solutions."""
+    problem = ro.Problem(
+        [sp.Eq(u.diff(t), -k * u)], (t, 0, 2), {k: (0.5, 1)}, {u: 1}, jumps={1.0: {u: u + 1}}
+    )
+    output = ro.solve(problem, rtol=1e-8).output(
+        {"auc": sp.Integral(u, (t, 0, 2)), "peak": ro.maximum(u), "up": ro.first_crossing(u, 1.2)}
+    )
+    rate = np.array([0.55, 0.9])
+    once = (1 - np.exp(-rate)) / rate
+    found = output(k=rate)
+    assert np.allclose(found[0], once + (np.exp(-rate) + 1) * once, rtol=1e-7)
+    assert np.allclose(found[1], 1 + np.exp(-rate), rtol=1e-7)
+    assert np.allclose(found[2], 1.0, rtol=1e-7)
+
+
+def test_an_output_that_is_not_resolved_says_so():
+    output = prey().output({"kink": abs(x0 + 0.3 * y0 - 11.12345)}, rtol=1e-9, max_seconds=2)
+    assert not output.success
+    assert output.error > 1e-9
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({}, "not a mapping from names"),
+        ("x", "not a mapping from names"),
+        ({"q": "x*"}, "not a formula"),
+        ({"q": "xx"}, "unknown name `xx`"),
+        ({"q": sp.Symbol("xx")}, "the solution knows"),
+        ({"q": sp.Function("z")(t)}, "`z"),
+        ({"q": sp.Function("x")(k)}, "not a name, a symbol or a function of `t`"),
+        ({"x0": x}, "name of a coordinate"),
+        ({3: x}, "not text"),
+        ({"q": object()}, "not an expression"),
+        ({"q": x > 2}, "not an expression"),
+        ({"q": sp.sqrt(-1) * x}, "not real"),
+        ({"q": ro.maximum(ro.maximum(x) * y)}, "inside another"),
+        ({"q": sp.Integral(x, (t, 0, 7))}, "not in"),
+        ({"q": sp.Integral(x, (t, 0, x0))}, "no numbers"),
+        ({"q": sp.Integral(x, (t, 0, 1), (x0, 8, 9))}, "several variables"),
+        ({"q": ro.first_crossing(x, 2, 3)}, "direction"),
+        ({"q": "maximum(x, y)"}, "not understood"),
+    ],
+)
+def test_what_is_refused(given, match):
+    with pytest.raises(RankoneError, match=match):
+        prey().output(given)
+
+
+def test_what_does_not_happen():
+    with pytest.raises(EvaluationError, match=r"does not happen at x0 = .*restrict"):
+        prey().output({"q": ro.first_crossing(x, 1000)})
+    with pytest.raises(EvaluationError, match="not finite at"):
+        prey().output({"q": 1 / (x0 - 10)})
+    with pytest.raises(OptionError, match="nothing depends on time"):
+        prey().at(1.0).output({"q": ro.maximum(x)})
