@@ -1,20 +1,12 @@
-"""Plots of a solution's history and of its base functions.
-
-They need Matplotlib: ``pip install matplotlib``, or ``pip install ".[plot]"`` in the folder of the
-sources.
-
-Every function returns a Matplotlib figure and shows nothing: ``figure.savefig(...)`` writes it,
-``matplotlib.pyplot.show()`` shows it.
-"""
+"""What happened in the loops of a solve: `plot_history`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from rankone.errors import EvaluationError, OptionError, RankoneError
+from rankone.errors import EvaluationError, OptionError
+from rankone.plotting.style import panels
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
@@ -26,10 +18,8 @@ if TYPE_CHECKING:
 
     from rankone.solution import Solution
 
-__all__ = ["plot_history", "plot_modes"]
+__all__ = ["plot_history"]
 
-_POINTS = 301
-"""Points at which a base function is drawn."""
 _MOST_NAMED = 8
 """Lines up to which each one is named."""
 
@@ -63,7 +53,7 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
         return _plot_attempts(solution, records[-1].slabs)
     chosen = _chosen(records, slab)
     if isinstance(chosen, GreedySlabRecord) and chosen.equations:
-        figure, axes = _panels(4)
+        figure, axes = panels(4)
         over = f"slab [{chosen.start:.3g}, {chosen.end:.3g}]"
         figure.suptitle(f"{solution.metadata.method}, {over}; updates of all slabs")
         _plot_fixed_points(axes[0], chosen.equations)
@@ -71,63 +61,10 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
         _plot_amplitudes(axes[2], chosen.equations)
         _plot_changes(axes[3], records, "update of the lagged terms")
         return figure
-    figure, axes = _panels(2)
+    figure, axes = panels(2)
     figure.suptitle(f"{solution.metadata.method}, {count(len(records), 'slab')}")
     _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
     _plot_ranks(axes[1], records)
-    return figure
-
-
-def plot_modes(
-    solution: Solution, unknown: Any = None, *, modes: int = 5, rtol: float = 1e-3
-) -> Figure:
-    """Plot the base functions of one unknown, T_i(t), P_i(p), ..., and their amplitudes.
-
-    They are those of :meth:`rankone.Solution.to_canonical`: of unit mean square, and in one
-    parameter orthonormal.
-
-    Parameters
-    ----------
-    unknown : symbol or str, optional
-        May be left out if there is only one.
-    modes : int
-        Most modes drawn; the amplitudes are always shown for all.
-    rtol : float
-        Tolerance of the canonical form.
-
-    Raises
-    ------
-    RankoneError
-        If Matplotlib is not installed.
-    EvaluationError
-        If there are several unknowns and none was chosen, or there is no such unknown.
-    OptionError
-        If an option is out of its range.
-    """
-    if modes < 1:
-        raise OptionError(f"modes={modes!r} is too small", remedy="at least 1")
-    if unknown is None:
-        if len(solution.unknowns) > 1:
-            raise EvaluationError(
-                f"there are {len(solution.unknowns)} unknowns: {', '.join(solution.unknowns)}",
-                remedy="choose one: plot_modes(solution, unknown)",
-            )
-        unknown = solution.unknowns[0]
-    name = solution[unknown].name
-    form = solution.to_canonical(rtol)[name]
-    figure, axes = _panels(len(form.axes) + 1)
-    figure.suptitle(f"{name}: {form.rank} modes, mean square error {form.error:.1e}")
-    shown = min(modes, form.rank)
-    for panel, axis in zip(axes, form.axes, strict=False):
-        points = np.linspace(axis.breaks[0], axis.breaks[-1], _POINTS)
-        values = axis.interpolate(form.factors[axis.name][:, :shown], points)
-        for i in range(shown):
-            panel.plot(points, values[:, i], label=f"{i + 1}")
-        panel.set(xlabel=axis.name, title=f"functions of {axis.name}")
-    if shown:
-        axes[0].legend(title="mode", fontsize="small")
-        axes[-1].semilogy(range(1, form.rank + 1), form.amplitudes, "o-")
-    axes[-1].set(xlabel="mode", title="amplitudes")
     return figure
 
 
@@ -188,7 +125,7 @@ def _plot_changes(axes: Axes, records: Sequence[SlabRecord], step: str) -> None:
 def _plot_attempts(solution: Solution, slabs: int) -> Figure:
     """For each parameter its highest modes and the rank before it, a line for each attempt."""
     records = solution.history
-    figure, axes = _panels(2)
+    figure, axes = panels(2)
     figure.suptitle(f"cross, {count(slabs, 'slab')}, {count(len(records), 'attempt')}")
     names = solution.metadata.parameters
     for record in records:
@@ -232,22 +169,3 @@ def _chosen(records: Sequence[SlabRecord], slab: int) -> SlabRecord:
     if not -len(accepted) <= slab < len(accepted):
         raise OptionError(f"slab={slab!r} is out of range", remedy=f"there are {len(accepted)}")
     return accepted[slab]
-
-
-def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure with a number of axes, at most three in a row (four as two by two)."""
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise RankoneError(
-            "plots need Matplotlib, which is not installed", remedy="pip install matplotlib"
-        ) from error
-    columns = 2 if count in (2, 4) else min(count, 3)
-    rows = -(-count // columns)
-    figure, grid = plt.subplots(
-        rows, columns, figsize=(3.7 * columns, 2.9 * rows), layout="constrained", squeeze=False
-    )
-    axes: list[Axes] = [*grid.flat]
-    for unused in axes[count:]:
-        unused.remove()
-    return figure, axes[:count]

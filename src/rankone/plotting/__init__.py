@@ -1,0 +1,29 @@
+"""Plots of a solution: its values, statistics and base functions, and how it was found.
+
+They need Matplotlib: ``pip install matplotlib``, or ``pip install ".[plot]"`` in the folder of the
+sources.
+
+Nothing is shown: ``ax.figure.savefig("name.png")`` writes a figure, ``matplotlib.pyplot.show()``
+shows it. Plots of values and statistics draw into the axes given as ``ax``, or into those of a
+new figure, and return the axes. :func:`plot_history` and :func:`plot_modes` have several panels
+and return a new figure.
+"""
+
+from rankone.plotting.bands import plot_bands
+from rankone.plotting.fits import plot_fit
+from rankone.plotting.loops import plot_history
+from rankone.plotting.modes import plot_modes
+from rankone.plotting.sensitivities import plot_main_effects, plot_sobol
+from rankone.plotting.surfaces import plot_surface
+from rankone.plotting.trajectories import plot_trajectories
+
+__all__ = [
+    "plot_bands",
+    "plot_fit",
+    "plot_history",
+    "plot_main_effects",
+    "plot_modes",
+    "plot_sobol",
+    "plot_surface",
+    "plot_trajectories",
+]

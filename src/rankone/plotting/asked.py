@@ -1,0 +1,142 @@
+"""What a plot was asked for: unknowns, times, and the labels of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import EvaluationError, OptionError
+from rankone.wording import listing, quote, shown
+
+if TYPE_CHECKING:
+    from rankone.solution import Solution
+
+__all__ = [
+    "is_timeless",
+    "label_of",
+    "labels_of",
+    "one_time",
+    "states_of",
+    "times_of",
+    "unknown_of",
+    "unknowns_of",
+]
+
+
+def label_of(solution: Solution, name: str) -> str:
+    """Name of an unknown or a coordinate, with its unit: ``x [m]``."""
+    return _with_unit(name, _units(solution).get(name))
+
+
+def labels_of(solution: Solution, names: Sequence[str]) -> str:
+    """Names of several unknowns; the unit once where all have the same: ``x, y [m]``."""
+    units = _units(solution)
+    if len({units.get(name) for name in names}) == 1:
+        return _with_unit(", ".join(names), units.get(names[0]))
+    return ", ".join(label_of(solution, name) for name in names)
+
+
+def _units(solution: Solution) -> dict[str, str]:
+    return dict(getattr(solution.metadata, "units", ()))
+
+
+def _with_unit(name: str, unit: str | None) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def is_timeless(solution: Solution) -> bool:
+    """Whether the solution is one of equations without time."""
+    return bool(getattr(solution.metadata, "timeless", False))
+
+
+# --- unknowns ----------------------------------------------------------------------------------
+
+
+def states_of(solution: Solution, asked: Any) -> list[str]:
+    """Names of one or several unknowns or derivatives that are states; all unknowns for None.
+
+    Raises
+    ------
+    EvaluationError
+        If there is no such state.
+    OptionError
+        If nothing is asked for, or one of them twice.
+    """
+    if asked is None:
+        return list(solution.unknowns)
+    several = asked if isinstance(asked, list | tuple) else [asked]
+    names = [solution[one].name for one in several]
+    if not names or len(set(names)) < len(names):
+        problem = "one of them is there twice" if names else "there are none"
+        raise OptionError(
+            f"the unknowns are {shown(asked)}: {problem}",
+            term=asked,
+            remedy=f"choose from {listing(solution.states)}",
+        )
+    return names
+
+
+def unknowns_of(solution: Solution, asked: Any) -> list[str]:
+    """The same for statistics, which are those of unknowns alone."""
+    names = states_of(solution, asked)
+    for name in names:
+        if name not in solution.unknowns:
+            raise EvaluationError(
+                f"{quote(name)} is a state, not an unknown; there are statistics of "
+                f"{listing(solution.unknowns)}",
+                term=name,
+                remedy="solution.diff gives derivatives as a solution with statistics of its own",
+            )
+    return names
+
+
+def unknown_of(solution: Solution, asked: Any) -> str:
+    """The one unknown asked for; the first for None."""
+    if isinstance(asked, list | tuple):
+        raise OptionError(
+            f"unknown={shown(asked)} are several", term=asked, remedy="one unknown for each plot"
+        )
+    return unknowns_of(solution, asked)[0] if asked is not None else solution.unknowns[0]
+
+
+# --- times -------------------------------------------------------------------------------------
+
+
+def times_of(solution: Solution, t: Any, count: int) -> Array:
+    """Times that were given, (times,), or so many over the horizon.
+
+    Raises
+    ------
+    EvaluationError
+        If a time is outside of the horizon.
+    OptionError
+        If there are no times, or in more than one dimension.
+    """
+    if t is None:
+        return np.linspace(*solution.time, count)
+    times = np.atleast_1d(solution._coordinates.checked(0, t))
+    if times.ndim > 1 or not times.size:
+        what = "more than one dimension" if times.ndim > 1 else "no entry"
+        raise OptionError(f"the times have {what}", term=t, remedy="give a list of times")
+    return times
+
+
+def one_time(solution: Solution, t: Any) -> float:
+    """The one time that was given.
+
+    Raises
+    ------
+    OptionError
+        If there is none, or there are several.
+    """
+    start, end = solution.time
+    remedy = f"give a number in [{start:g}, {end:g}]"
+    if t is None:
+        raise OptionError("a plot for one time needs it", remedy=remedy)
+    times = times_of(solution, t, 1)
+    if times.size > 1:
+        raise OptionError(f"t={shown(t)} are several times", term=t, remedy=remedy)
+    return float(times[0])

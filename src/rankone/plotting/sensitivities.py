@@ -1,0 +1,264 @@
+"""What the parameters do to an unknown: `plot_sobol` and `plot_main_effects`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import EvaluationError, OptionError
+from rankone.plotting.asked import is_timeless, label_of, one_time, times_of, unknown_of
+from rankone.plotting.main_effects import main_effects_of
+from rankone.plotting.style import PALETTE, axes_for, beside, name_ends
+from rankone.wording import did_you_mean, quote, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rankone.solution import Solution
+
+__all__ = ["plot_main_effects", "plot_sobol"]
+
+_TIMES = 201
+_VALUES = 101
+_WORDS = {"first": "first-order", "total": "total"}
+
+Kind = Literal["total", "first", "both"]
+
+
+def plot_sobol(
+    solution: Solution,
+    unknown: Any = None,
+    t: Any = None,
+    *,
+    kind: Kind = "total",
+    under: Mapping[Any, Any] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot the Sobol indices of one unknown: lines over time, or bars at one time.
+
+    Parameters
+    ----------
+    solution : Solution
+    unknown : symbol or str, optional
+        The first if left out.
+    t : float or array_like, optional
+        One time for bars, or times; 201 over the horizon if left out. Of solutions without time
+        there are bars.
+    kind : {"total", "first", "both"}
+        Total indices, or first-order ones: over time their shares of the variance are stacked, and
+        what is left to one is that of interactions. Or both as lines.
+    under : mapping, optional
+        Distributions of parameters, as for :meth:`rankone.Solution.mean`.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into; those of a new figure if left out.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    EvaluationError
+        If there is no such unknown or no parameter, a time is outside of the horizon, or the
+        variance vanishes at all times.
+    OptionError
+        If ``kind`` is unknown or ``under`` does not fit.
+    """
+    name = unknown_of(solution, unknown)
+    if kind not in get_args(Kind):
+        raise OptionError(
+            f"kind={shown(kind)} is unknown{did_you_mean(str(kind), get_args(Kind))}",
+            term=kind,
+            remedy="choose 'total', 'first' or 'both'",
+        )
+    _needs_parameters(solution)
+    timeless = is_timeless(solution)
+    at = () if timeless else (times_of(solution, t, _TIMES),)
+    found = solution.sobol(*at, under=under)
+    row, count = found.unknowns.index(name), len(found.parameters)
+    kinds = ("total", "first") if kind == "both" else (kind,)
+    shares = {one: np.reshape(getattr(found, one)[row], (count, -1)) for one in kinds}
+    if not any(np.isfinite(one).any() for one in shares.values()):
+        raise EvaluationError(
+            f"the variance of {quote(name)} vanishes: there are no Sobol indices",
+            term=name,
+            remedy="choose a time at which it depends on the parameters",
+        )
+    axes = axes_for(ax)
+    if timeless or at[0].size == 1:
+        when = "" if timeless else _at(solution, float(at[0][0]))
+        _draw_bars(axes, found.parameters, {one: s[:, 0] for one, s in shares.items()})
+        axes.set_xlabel(_title(kinds, name) + when)
+        return axes
+    axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=_title(kinds, name))
+    if kind == "first":
+        _draw_stack(axes, found.parameters, at[0], shares["first"])
+    else:
+        _draw_lines(axes, found.parameters, at[0], shares)
+    axes.set_ylim(0.0, 1.0 if kind == "first" else 1.02 * max(1.0, np.nanmax(shares["total"])))
+    axes.margins(x=0.0)
+    return axes
+
+
+def plot_main_effects(
+    solution: Solution,
+    unknown: Any = None,
+    t: Any = None,
+    *,
+    under: Mapping[Any, Any] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot the mean of an unknown given one parameter, as a function of each parameter.
+
+    All curves share the abscissa, on which the range of each parameter has the length one. The
+    dotted line is the mean over all parameters.
+
+    Parameters
+    ----------
+    solution : Solution
+    unknown : symbol or str, optional
+        The first if left out.
+    t : float
+        The time; left out for solutions without time.
+    under : mapping, optional
+        Distributions of parameters, as for :meth:`rankone.Solution.mean`.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into; those of a new figure if left out.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    EvaluationError
+        If there is no such unknown or no parameter, or the time is outside of the horizon.
+    OptionError
+        If there is no time, or ``under`` does not fit.
+    """
+    name = unknown_of(solution, unknown)
+    _needs_parameters(solution)
+    timeless = is_timeless(solution)
+    time = None if timeless else one_time(solution, t)
+    found = main_effects_of(solution, time, _VALUES, under)
+    row = solution.unknowns.index(name)
+    mean = solution.mean(*(() if timeless else (time,)), under=under)[row]
+    axes = axes_for(ax)
+    for i, parameter in enumerate(found.parameters):
+        values = found.values[parameter]
+        lower, upper = solution.parameters[parameter]
+        means = np.reshape(found.means[parameter][row], values.shape)
+        axes.plot(
+            (values - lower) / (upper - lower),
+            means,
+            color=PALETTE[i % len(PALETTE)],
+            label=_range(solution, parameter),
+        )
+    axes.axhline(float(np.ravel(mean)[0]), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
+    when = "" if time is None else _at(solution, time)
+    axes.set(
+        xlabel="parameter, from its smallest to its largest value",
+        ylabel=f"mean of {label_of(solution, name)}{when}",
+        xticks=[0.0, 0.25, 0.5, 0.75, 1.0],
+        xticklabels=["smallest", "", "middle", "", "largest"],
+    )
+    axes.margins(x=0.0)
+    beside(axes, axes.get_legend_handles_labels()[0][-len(found.parameters) :])
+    return axes
+
+
+def _needs_parameters(solution: Solution) -> None:
+    if not solution.parameters:
+        raise EvaluationError(
+            "the solution has no parameters: there is nothing that varies",
+            remedy="plot_trajectories plots its unknowns over time",
+        )
+
+
+def _at(solution: Solution, time: float) -> str:
+    name = solution.metadata.time
+    unit = label_of(solution, name).removeprefix(name).strip(" []")
+    return f" at {name} = {time:.4g} {unit}".rstrip()
+
+
+def _title(kinds: Sequence[str], name: str) -> str:
+    words = " and ".join(_WORDS[kind] for kind in kinds)
+    return f"{words} Sobol indices of {name}"
+
+
+def _range(solution: Solution, parameter: str) -> str:
+    lower, upper = solution.parameters[parameter]
+    unit = label_of(solution, parameter).removeprefix(parameter).strip(" []")
+    return f"{parameter}: {lower:.4g} to {upper:.4g} {unit}".rstrip()
+
+
+# --- forms of the indices ----------------------------------------------------------------------
+
+
+def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array]) -> None:
+    """Horizontal bars, the largest on top; first-order indices inside of total ones."""
+    order = np.argsort(next(iter(shares.values())), kind="stable")
+    longest = np.max([*shares.values()], axis=0)[order]
+    places = np.arange(len(order))
+    for kind, values in shares.items():
+        inner = kind == "first" and len(shares) > 1
+        ax.barh(
+            places,
+            values[order],
+            height=0.36 if inner else 0.68,
+            color=PALETTE[0] if inner or len(shares) == 1 else PALETTE[5],
+            label=_WORDS[kind],
+        )
+    for place, length in zip(places, longest, strict=True):
+        ax.annotate(
+            f"{length:.2f}",
+            (length, place),
+            xytext=(4, 0),
+            textcoords="offset points",
+            verticalalignment="center",
+        )
+    ax.set_yticks(places, [parameters[i] for i in order])
+    ax.tick_params(axis="y", length=0)
+    ax.grid(False, axis="y")
+    ax.set_xlim(0.0, max(1.0, 1.1 * float(longest.max())))
+    if len(shares) > 1:
+        ax.legend(loc="lower right", fontsize="small", framealpha=0.8)
+
+
+def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array) -> None:
+    """Shares of the variance above each other; the rest is that of interactions."""
+    from matplotlib.patches import Patch
+
+    rest = np.clip(1.0 - shares.sum(axis=0), 0.0, None)
+    colours = [PALETTE[i % len(PALETTE)] for i in range(len(parameters))]
+    colours, names = [*colours, "0.85"], [*parameters, "interactions"]
+    ax.stackplot(times, np.vstack([shares, rest]), colors=colours, edgecolor="white", linewidth=0.5)
+    pairs = zip(names, colours, strict=True)
+    entries = [Patch(color=colour, label=name) for name, colour in pairs]
+    beside(ax, entries[::-1])
+
+
+def _draw_lines(
+    ax: Axes, parameters: Sequence[str], times: Array, shares: Mapping[str, Array]
+) -> None:
+    """A line for each parameter, first-order indices dashed."""
+    from matplotlib.lines import Line2D
+
+    lines = []
+    for kind, stroke in (("total", "-"), ("first", "--")):
+        for i, values in enumerate(shares.get(kind, ())):
+            label = parameters[i] if kind == "total" else f"_{parameters[i]}"
+            (line,) = ax.plot(times, values, stroke, color=PALETTE[i % len(PALETTE)], label=label)
+            lines += [line] if kind == "total" else []
+    if len(shares) > 1:
+        strokes = (("total", "-"), ("first-order", "--"))
+        entries = [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes]
+        ax.legend(handles=entries, fontsize="small", framealpha=0.8)
+    name_ends(ax, lines, parameters)

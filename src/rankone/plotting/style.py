@@ -1,0 +1,149 @@
+"""Figures and axes, how they look, and labels: what all plots share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.optimize
+
+from rankone.errors import OptionError, RankoneError
+from rankone.wording import shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["MOST_NAMED", "PALETTE", "axes_for", "beside", "name_ends", "panels", "stacked"]
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#444444", "#8C6D31")
+"""Colours that people with any kind of colour vision tell apart (after Okabe & Ito, 2008)."""
+MOST_NAMED = 8
+"""Lines up to which each one is named."""
+
+_SIZE = (5.6, 3.5)
+"""Width and height of a figure of one plot, in inches."""
+_LINE = 1.25
+"""Height of a line of labels, in units of the size of their letters."""
+
+
+def panels(count: int) -> tuple[Figure, list[Axes]]:
+    """A figure with a number of axes, at most three in a row (four as two by two)."""
+    columns = 2 if count in (2, 4) else min(count, 3)
+    rows = -(-count // columns)
+    figure, grid = _pyplot().subplots(
+        rows, columns, figsize=(3.7 * columns, 2.9 * rows), layout="constrained", squeeze=False
+    )
+    axes: list[Axes] = [*grid.flat]
+    for unused in axes[count:]:
+        unused.remove()
+    return figure, axes[:count]
+
+
+def stacked(*heights: float) -> tuple[Axes, ...]:
+    """Axes of a new figure below each other, with one common abscissa."""
+    width, height = _SIZE
+    _, grid = _pyplot().subplots(
+        len(heights),
+        figsize=(width, height * sum(heights)),
+        height_ratios=heights,
+        sharex=True,
+        layout="constrained",
+        squeeze=False,
+    )
+    return tuple(_dressed(axes) for axes in grid.flat)
+
+
+def axes_for(ax: Any) -> Axes:
+    """The axes that were given, or those of a new figure.
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    OptionError
+        If what was given are no axes.
+    """
+    pyplot = _pyplot()
+    if ax is None:
+        _, ax = pyplot.subplots(figsize=_SIZE, layout="constrained")
+        return _dressed(ax)
+    from matplotlib.axes import Axes
+
+    if not isinstance(ax, Axes):
+        raise OptionError(
+            f"ax={shown(ax)} are not axes of Matplotlib",
+            term=ax,
+            remedy="figure, ax = matplotlib.pyplot.subplots()",
+        )
+    return ax
+
+
+def _dressed(ax: Axes) -> Axes:
+    """Axes with a light grid and without a box around."""
+    ax.grid(True, color="0.9", linewidth=0.7)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def beside(ax: Axes, handles: Sequence[Any] | None = None, **options: Any) -> None:
+    """A legend to the right of the axes, where it hides nothing."""
+    given = {} if handles is None else {"handles": handles}
+    ax.legend(
+        **given,
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.0,
+        frameon=False,
+        fontsize="small",
+        **options,
+    )
+
+
+def name_ends(ax: Axes, lines: Sequence[Any], names: Sequence[str]) -> None:
+    """Write names at the right ends of lines, moved apart; in a legend if there are many."""
+    ends = np.array([[float(np.asarray(part)[-1]) for part in line.get_data()] for line in lines])
+    if len(lines) > MOST_NAMED or not np.isfinite(ends).all():
+        for line, name in zip(lines, names, strict=True):
+            line.set_label(name)
+        beside(ax, lines)
+        return
+    from matplotlib.font_manager import FontProperties
+
+    letter = FontProperties(size="medium").get_size_in_points()
+    figure = ax.get_figure()
+    assert figure is not None
+    ax.autoscale_view()
+    heights = ax.transData.transform(ends)[:, 1] * 72.0 / figure.dpi
+    places = _apart(heights, _LINE * letter)
+    for line, name, end, move in zip(lines, names, ends, places - heights, strict=True):
+        ax.annotate(
+            name,
+            tuple(end),
+            xytext=(0.5 * letter, move),
+            textcoords="offset points",
+            color=line.get_color(),
+            verticalalignment="center",
+            annotation_clip=False,
+        )
+
+
+def _apart(wanted: Any, gap: float) -> Any:
+    """Places with gaps that are closest to those wanted, in the mean square."""
+    order = np.argsort(wanted, kind="stable")
+    steps = gap * np.arange(len(order))
+    found = np.empty(len(order))
+    found[order] = scipy.optimize.isotonic_regression(np.asarray(wanted)[order] - steps).x + steps
+    return found
+
+
+def _pyplot() -> Any:
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise RankoneError(
+            "plots need Matplotlib, which is not installed", remedy="pip install matplotlib"
+        ) from error
+    return plt
