@@ -25,6 +25,9 @@ __all__ = [
     "unknowns_of",
 ]
 
+_MOST_IN_LABEL = 4
+"""Unknowns that are named beside an axis."""
+
 
 def label_of(solution: Solution, name: str) -> str:
     """Name of an unknown or a coordinate, with its unit: ``x [m]``."""
@@ -34,8 +37,11 @@ def label_of(solution: Solution, name: str) -> str:
 def labels_of(solution: Solution, names: Sequence[str]) -> str:
     """Names of several unknowns; the unit once where all have the same: ``x, y [m]``."""
     units = _units(solution)
+    many = len(names) > _MOST_IN_LABEL
     if len({units.get(name) for name in names}) == 1:
-        return _with_unit(", ".join(names), units.get(names[0]))
+        return _with_unit("unknowns" if many else ", ".join(names), units.get(names[0]))
+    if many:
+        return "unknowns"
     return ", ".join(label_of(solution, name) for name in names)
 
 

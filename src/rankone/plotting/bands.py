@@ -11,7 +11,7 @@ from rankone.arrays import Array
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
 from rankone.plotting.asked import is_timeless, label_of, labels_of, times_of, unknowns_of
-from rankone.plotting.style import PALETTE, axes_for, beside, name_ends
+from rankone.plotting.style import axes_for, beside, colours_for, name_ends
 from rankone.wording import shown
 
 if TYPE_CHECKING:
@@ -117,12 +117,12 @@ def _draw(
     from matplotlib.patches import Patch
 
     lines = []
-    for i, (lower, mean, upper) in enumerate(zip(*band, strict=True)):
-        colour = PALETTE[i % len(PALETTE)]
+    colours = colours_for(ax, len(names))
+    for name, colour, lower, mean, upper in zip(names, colours, *band, strict=True):
         ax.fill_between(times, lower, upper, color=colour, alpha=0.2, linewidth=0)
-        lines += ax.plot(times, mean, color=colour, label=f"mean of {names[i]}")
+        lines += ax.plot(times, mean, color=colour, label=f"mean of {name}")
     alone = len(names) == 1
-    colour = PALETTE[0] if alone else "0.3"
+    colour = colours[0] if alone else "0.3"
     band_entry = Patch(color=colour, alpha=0.2, linewidth=0, label=meaning)
     entries = [Line2D([], [], color=colour, label="mean"), band_entry]
     if alone or np.isfinite(band[1][:, -1]).all():

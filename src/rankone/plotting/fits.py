@@ -10,7 +10,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.errors import OptionError
 from rankone.plotting.asked import label_of, labels_of
-from rankone.plotting.style import PALETTE, axes_for, name_ends, stacked
+from rankone.plotting.style import axes_for, colours_for, name_ends, stacked
 from rankone.wording import shown
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def plot_fit(fit: FitLike, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[
     times = np.asarray(fit.times, dtype=float)
     data = np.asarray(fit.data, dtype=float).reshape(len(names), times.size)
     sigma = _deviations(fit.sigma, data)
-    fine = np.unique(np.concatenate([np.linspace(*solution.time, _TIMES), times]))
+    fine = np.linspace(solution.time[0], times.max(), _TIMES)
     curves = np.array([solution[name](fine, fit.x) for name in names])
     _draw_data(axes[0], names, times, data, sigma, fine, curves)
     axes[0].set_ylabel(labels_of(solution, names))
@@ -130,8 +130,8 @@ def _draw_data(
 ) -> None:
     """Measurements and curve of each output."""
     lines = []
-    for i, name in enumerate(names):
-        colour = PALETTE[i % len(PALETTE)]
+    colours = colours_for(ax, len(names))
+    for i, (name, colour) in enumerate(zip(names, colours, strict=True)):
         ax.errorbar(
             times,
             data[i],
@@ -156,12 +156,12 @@ def _draw_residuals(
 ) -> None:
     """What is left of each measurement."""
     scaled = rest if sigma is None else rest / sigma
+    colours = colours_for(ax, len(names))
+    for i, (name, colour) in enumerate(zip(names, colours, strict=True)):
+        ax.plot(times, scaled[i], "o", color=colour, markersize=4, label=name)
     if sigma is not None:
         ax.axhspan(-2.0, 2.0, color="0.93", zorder=0)
-    ax.axhline(0.0, color="0.4", linewidth=1)
-    for i, name in enumerate(names):
-        colour = PALETTE[i % len(PALETTE)]
-        ax.plot(times, scaled[i], "o", color=colour, markersize=4, label=name)
+    ax.axhline(0.0, color="0.4", linewidth=1, zorder=1.5)
     largest = float(np.nanmax(np.abs(scaled), initial=0.0))
     limit = 1.15 * max(largest, 2.3 if sigma is not None else 0.0)
     if limit > 0.0:

@@ -67,7 +67,7 @@ def plot_modes(
             panel.plot(points, values[:, i], label=f"{i + 1}")
         panel.set(xlabel=axis.name, title=f"functions of {axis.name}")
     if shown:
-        axes[0].legend(title="mode", fontsize="small")
+        figure.legend(handles=axes[0].get_lines(), title="mode", loc="outside right upper")
         axes[-1].semilogy(range(1, form.rank + 1), form.amplitudes, "o-")
     axes[-1].set(xlabel="mode", title="amplitudes")
     return figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -11,7 +11,7 @@ from rankone.arrays import Array
 from rankone.errors import EvaluationError, OptionError
 from rankone.plotting.asked import is_timeless, label_of, one_time, times_of, unknown_of
 from rankone.plotting.main_effects import main_effects_of
-from rankone.plotting.style import PALETTE, axes_for, beside, name_ends
+from rankone.plotting.style import PALETTE, axes_for, beside, colours_for, name_ends
 from rankone.wording import did_you_mean, quote, shown
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ __all__ = ["plot_main_effects", "plot_sobol"]
 
 _TIMES = 201
 _VALUES = 101
+_ROUNDING = 1e-12
 _WORDS = {"first": "first-order", "total": "total"}
 
 Kind = Literal["total", "first", "both"]
@@ -38,6 +39,8 @@ def plot_sobol(
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the Sobol indices of one unknown: lines over time, or bars at one time.
+
+    Where the standard deviation is not above the measured error of the solution, there are none.
 
     Parameters
     ----------
@@ -64,8 +67,8 @@ def plot_sobol(
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If there is no such unknown or no parameter, a time is outside of the horizon, or the
-        variance vanishes at all times.
+        If there is no such unknown or no parameter, a time is outside of the horizon, or there
+        are no indices at any time.
     OptionError
         If ``kind`` is unknown or ``under`` does not fit.
     """
@@ -77,31 +80,34 @@ def plot_sobol(
             remedy="choose 'total', 'first' or 'both'",
         )
     _needs_parameters(solution)
-    timeless = is_timeless(solution)
-    at = () if timeless else (times_of(solution, t, _TIMES),)
-    found = solution.sobol(*at, under=under)
+    times = None if is_timeless(solution) else times_of(solution, t, _TIMES)
+    found = _over_box(solution.sobol, times, under)
     row, count = found.unknowns.index(name), len(found.parameters)
     kinds = ("total", "first") if kind == "both" else (kind,)
-    shares = {one: np.reshape(getattr(found, one)[row], (count, -1)) for one in kinds}
+    sure = _varies(solution, row, times, under)
+    shares = {
+        one: np.where(sure, np.reshape(getattr(found, one)[row], (count, -1)), np.nan)
+        for one in kinds
+    }
     if not any(np.isfinite(one).any() for one in shares.values()):
         raise EvaluationError(
-            f"the variance of {quote(name)} vanishes: there are no Sobol indices",
+            f"{quote(name)} does not vary by more than its error: there are no Sobol indices",
             term=name,
             remedy="choose a time at which it depends on the parameters",
         )
     axes = axes_for(ax)
-    if timeless or at[0].size == 1:
-        when = "" if timeless else _at(solution, float(at[0][0]))
+    if times is None or times.size == 1:
+        when = "" if times is None else _at(solution, float(times[0]))
         _draw_bars(axes, found.parameters, {one: s[:, 0] for one, s in shares.items()})
         axes.set_xlabel(_title(kinds, name) + when)
         return axes
     axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=_title(kinds, name))
     if kind == "first":
-        _draw_stack(axes, found.parameters, at[0], shares["first"])
+        _draw_stack(axes, found.parameters, times, shares["first"])
     else:
-        _draw_lines(axes, found.parameters, at[0], shares)
+        _draw_lines(axes, found.parameters, times, shares)
+    axes.set_xlim(times.min(), times.max())
     axes.set_ylim(0.0, 1.0 if kind == "first" else 1.02 * max(1.0, np.nanmax(shares["total"])))
-    axes.margins(x=0.0)
     return axes
 
 
@@ -145,26 +151,26 @@ def plot_main_effects(
     """
     name = unknown_of(solution, unknown)
     _needs_parameters(solution)
-    timeless = is_timeless(solution)
-    time = None if timeless else one_time(solution, t)
+    time = None if is_timeless(solution) else one_time(solution, t)
     found = main_effects_of(solution, time, _VALUES, under)
     row = solution.unknowns.index(name)
-    mean = solution.mean(*(() if timeless else (time,)), under=under)[row]
+    mean = _over_box(solution.mean, time, under)[row]
     axes = axes_for(ax)
-    for i, parameter in enumerate(found.parameters):
+    colours = colours_for(axes, len(found.parameters))
+    for parameter, colour in zip(found.parameters, colours, strict=True):
         values = found.values[parameter]
         lower, upper = solution.parameters[parameter]
         means = np.reshape(found.means[parameter][row], values.shape)
         axes.plot(
             (values - lower) / (upper - lower),
             means,
-            color=PALETTE[i % len(PALETTE)],
+            color=colour,
             label=_range(solution, parameter),
         )
     axes.axhline(float(np.ravel(mean)[0]), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
     when = "" if time is None else _at(solution, time)
     axes.set(
-        xlabel="parameter, from its smallest to its largest value",
+        xlabel="parameter within its range",
         ylabel=f"mean of {label_of(solution, name)}{when}",
         xticks=[0.0, 0.25, 0.5, 0.75, 1.0],
         xticklabels=["smallest", "", "middle", "", "largest"],
@@ -182,6 +188,24 @@ def _needs_parameters(solution: Solution) -> None:
         )
 
 
+def _over_box(method: Callable[..., Any], times: Any, under: Mapping[Any, Any] | None) -> Any:
+    """A statistic at times; None for a solution without time."""
+    return method(under=under) if times is None else method(times, under=under)
+
+
+def _varies(
+    solution: Solution, row: int, times: Array | None, under: Mapping[Any, Any] | None
+) -> Array:
+    """Whether the spread of an unknown at each time is above its measured error."""
+    everywhere = None if times is None else times_of(solution, None, _TIMES)
+    mean = np.ravel(_over_box(solution.mean, everywhere, under)[row])
+    std = np.ravel(_over_box(solution.std, everywhere, under)[row])
+    size = float(np.hypot(mean, std).max())
+    error = solution.errors[solution.unknowns[row]]
+    least = size * (error if np.isfinite(error) else _ROUNDING)
+    return np.asarray(np.ravel(_over_box(solution.std, times, under)[row]) > least)
+
+
 def _at(solution: Solution, time: float) -> str:
     name = solution.metadata.time
     unit = label_of(solution, name).removeprefix(name).strip(" []")
@@ -189,8 +213,9 @@ def _at(solution: Solution, time: float) -> str:
 
 
 def _title(kinds: Sequence[str], name: str) -> str:
-    words = " and ".join(_WORDS[kind] for kind in kinds)
-    return f"{words} Sobol indices of {name}"
+    return " ".join(
+        [_WORDS[kind] for kind in kinds if len(kinds) == 1] + [f"Sobol indices of {name}"]
+    )
 
 
 def _range(solution: Solution, parameter: str) -> str:
@@ -237,8 +262,8 @@ def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array
     from matplotlib.patches import Patch
 
     rest = np.clip(1.0 - shares.sum(axis=0), 0.0, None)
-    colours = [PALETTE[i % len(PALETTE)] for i in range(len(parameters))]
-    colours, names = [*colours, "0.85"], [*parameters, "interactions"]
+    colours = [*colours_for(ax, len(parameters)), "0.85"]
+    names = [*parameters, "interactions"]
     ax.stackplot(times, np.vstack([shares, rest]), colors=colours, edgecolor="white", linewidth=0.5)
     pairs = zip(names, colours, strict=True)
     entries = [Patch(color=colour, label=name) for name, colour in pairs]
@@ -252,10 +277,11 @@ def _draw_lines(
     from matplotlib.lines import Line2D
 
     lines = []
+    colours = colours_for(ax, len(parameters))
     for kind, stroke in (("total", "-"), ("first", "--")):
-        for i, values in enumerate(shares.get(kind, ())):
-            label = parameters[i] if kind == "total" else f"_{parameters[i]}"
-            (line,) = ax.plot(times, values, stroke, color=PALETTE[i % len(PALETTE)], label=label)
+        for name, colour, values in zip(parameters, colours, shares.get(kind, ()), strict=False):
+            label = name if kind == "total" else f"_{name}"
+            (line,) = ax.plot(times, values, stroke, color=colour, label=label)
             lines += [line] if kind == "total" else []
     if len(shares) > 1:
         strokes = (("total", "-"), ("first-order", "--"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.optimize
 
+from rankone.arrays import Array
 from rankone.errors import OptionError, RankoneError
 from rankone.wording import shown
 
@@ -15,13 +16,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["MOST_NAMED", "PALETTE", "axes_for", "beside", "name_ends", "panels", "stacked"]
+__all__ = [
+    "MOST_NAMED",
+    "PALETTE",
+    "axes_for",
+    "beside",
+    "colours_for",
+    "name_ends",
+    "panels",
+    "stacked",
+]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#444444", "#8C6D31")
 """Colours that people with any kind of colour vision tell apart (after Okabe & Ito, 2008)."""
 MOST_NAMED = 8
 """Lines up to which each one is named."""
 
+_SHADES = (0.05, 0.87)
+"""Part of the colour map that is used: neither too dark nor too light."""
 _SIZE = (5.6, 3.5)
 """Width and height of a figure of one plot, in inches."""
 _LINE = 1.25
@@ -38,7 +50,7 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     axes: list[Axes] = [*grid.flat]
     for unused in axes[count:]:
         unused.remove()
-    return figure, axes[:count]
+    return figure, [_dressed(one) for one in axes[:count]]
 
 
 def stacked(*heights: float) -> tuple[Axes, ...]:
@@ -56,7 +68,7 @@ def stacked(*heights: float) -> tuple[Axes, ...]:
 
 
 def axes_for(ax: Any) -> Axes:
-    """The axes that were given, or those of a new figure.
+    """The axes that were given, or those of a new figure; empty ones get a light grid.
 
     Raises
     ------
@@ -68,7 +80,6 @@ def axes_for(ax: Any) -> Axes:
     pyplot = _pyplot()
     if ax is None:
         _, ax = pyplot.subplots(figsize=_SIZE, layout="constrained")
-        return _dressed(ax)
     from matplotlib.axes import Axes
 
     if not isinstance(ax, Axes):
@@ -77,11 +88,28 @@ def axes_for(ax: Any) -> Axes:
             term=ax,
             remedy="figure, ax = matplotlib.pyplot.subplots()",
         )
-    return ax
+    return ax if ax.has_data() or ax.name != "rectilinear" else _dressed(ax)
+
+
+def colours_for(ax: Axes, count: int) -> list[Any]:
+    """Colours of new lines, which go on where those that are there stop; of a scale for many."""
+    if count > len(PALETTE):
+        return shades(np.linspace(0.0, 1.0, count))
+    first = len(ax.get_lines())
+    return [PALETTE[(first + i) % len(PALETTE)] for i in range(count)]
+
+
+def shades(shares: Array) -> list[Any]:
+    """Colours of a scale that gets lighter, for numbers from 0 to 1."""
+    from matplotlib import colormaps
+
+    darkest, lightest = _SHADES
+    return list(colormaps["viridis"](darkest + (lightest - darkest) * shares))
 
 
 def _dressed(ax: Axes) -> Axes:
     """Axes with a light grid and without a box around."""
+    ax.set_prop_cycle(color=PALETTE)
     ax.grid(True, color="0.9", linewidth=0.7)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
@@ -94,7 +122,7 @@ def beside(ax: Axes, handles: Sequence[Any] | None = None, **options: Any) -> No
     ax.legend(
         **given,
         loc="upper left",
-        bbox_to_anchor=(1.0, 1.0),
+        bbox_to_anchor=(1.02, 1.0),
         borderaxespad=0.0,
         frameon=False,
         fontsize="small",

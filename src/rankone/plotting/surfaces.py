@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_surface"]
 
-_LEVELS = 16
+_LEVELS = 20
 
 
 def plot_surface(
@@ -142,7 +142,7 @@ def _draw(ax: Axes, x: Array, y: Array, heights: Array, label: str) -> None:
     assert figure is not None
     if ax.name == "3d":
         ax.plot_surface(  # type: ignore[attr-defined]
-            *np.meshgrid(x, y), heights, cmap="viridis", linewidth=0, rcount=80, ccount=80
+            *np.meshgrid(x, y), heights, cmap="viridis", linewidth=0, rcount=len(y), ccount=len(x)
         )
         ax.set_zlabel(label)  # type: ignore[attr-defined]
         return
@@ -153,7 +153,7 @@ def _draw(ax: Axes, x: Array, y: Array, heights: Array, label: str) -> None:
         lowest, highest = lowest - 0.5, highest + 0.5
     levels = MaxNLocator(_LEVELS).tick_values(lowest, highest)
     filled = ax.contourf(x, y, heights, levels, cmap="viridis")
-    ax.contour(x, y, heights, levels, colors="white", linewidths=0.4, alpha=0.6)
+    ax.contour(x, y, heights, levels, colors="white", linestyles="solid", linewidths=0.4, alpha=0.6)
     ax.grid(False)
     bar = figure.colorbar(filled, ax=ax, label=label, pad=0.02)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)

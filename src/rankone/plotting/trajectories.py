@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import EvaluationError, OptionError
 from rankone.plotting.asked import is_timeless, label_of, labels_of, states_of, times_of
-from rankone.plotting.style import MOST_NAMED, PALETTE, axes_for, beside, name_ends
+from rankone.plotting.style import (
+    MOST_NAMED,
+    PALETTE,
+    axes_for,
+    beside,
+    colours_for,
+    name_ends,
+    shades,
+)
 from rankone.smaller import merged
 
 if TYPE_CHECKING:
@@ -22,9 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_trajectories"]
 
 _TIMES = 401
-_STYLES = ("-", "--", ":", "-.")
-_SHADES = (0.05, 0.87)
-"""Part of the colour map that is used: neither too dark nor too light."""
+_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
 
 @dataclass(frozen=True)
@@ -137,9 +143,10 @@ def _family(solution: Solution, given: Mapping[str, Any]) -> _Family:
 
 def _draw_single(ax: Axes, names: Sequence[str], times: Array, curves: Sequence[Array]) -> None:
     """One curve for each unknown, named at its end."""
+    colours = colours_for(ax, len(names))
     lines = [
-        ax.plot(times, curve, color=PALETTE[i % len(PALETTE)], label=name)[0]
-        for i, (name, curve) in enumerate(zip(names, curves, strict=True))
+        ax.plot(times, curve, color=colour, label=name)[0]
+        for name, curve, colour in zip(names, curves, colours, strict=True)
     ]
     if len(lines) > 1:
         name_ends(ax, lines, names)
@@ -183,32 +190,25 @@ def _draw_family(
 
 def _colours(family: _Family) -> list[Any]:
     """A colour for each curve: of its value where one parameter varies."""
-    from matplotlib import colormaps
+    count = family.values.shape[1]
+    if len(family.names) == 1:
+        row = family.values[0]
+        return shades((row - row.min()) / np.ptp(row))
+    if count <= MOST_NAMED:
+        return list(PALETTE[:count])
+    from matplotlib.colors import to_rgba
 
-    if len(family.names) > 1:
-        if family.values.shape[1] <= MOST_NAMED:
-            return list(PALETTE[: family.values.shape[1]])
-        return [(*_rgb(PALETTE[0]), 0.35)] * family.values.shape[1]
-    row = family.values[0]
-    shares = (row - row.min()) / np.ptp(row)
-    return [colormaps["viridis"](_SHADES[0] + (_SHADES[1] - _SHADES[0]) * s) for s in shares]
-
-
-def _rgb(colour: str) -> Any:
-    from matplotlib.colors import to_rgb
-
-    return to_rgb(colour)
+    return [to_rgba(PALETTE[0], 0.35)] * count
 
 
 def _scale(ax: Axes, label: str, values: Array) -> None:
     """A colour scale beside the axes."""
-    from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    shades = colormaps["viridis"](np.linspace(*_SHADES, 256))
-    mappable = ScalarMappable(Normalize(values.min(), values.max()), ListedColormap(shades))
+    colours = ListedColormap(shades(np.linspace(0.0, 1.0, 256)))
+    mappable = ScalarMappable(Normalize(values.min(), values.max()), colours)
     figure = ax.get_figure()
     assert figure is not None
     bar = figure.colorbar(mappable, ax=ax, label=label, pad=0.02)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
