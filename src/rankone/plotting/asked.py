@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from rankone.solution import Solution
 
 __all__ = [
-    "is_timeless",
     "label_of",
     "labels_of",
+    "needs_time",
     "one_time",
+    "range_of",
+    "sometimes_of",
     "states_of",
     "times_of",
     "unknown_of",
     "unknowns_of",
+    "value_of",
 ]
 
 _MOST_IN_LABEL = 4
@@ -32,6 +35,17 @@ _MOST_IN_LABEL = 4
 def label_of(solution: Solution, name: str) -> str:
     """Name of an unknown or a coordinate, with its unit: ``x [m]``."""
     return _with_unit(name, _units(solution).get(name))
+
+
+def value_of(solution: Solution, name: str, value: float) -> str:
+    """A value of a coordinate with its unit: ``t = 2 s``."""
+    return f"{name} = {value:.4g} {_units(solution).get(name, '')}".rstrip()
+
+
+def range_of(solution: Solution, name: str) -> str:
+    """The interval of a parameter with its unit: ``m: 1 to 2 kg``."""
+    lower, upper = solution.parameters[name]
+    return f"{name}: {lower:.4g} to {upper:.4g} {_units(solution).get(name, '')}".rstrip()
 
 
 def labels_of(solution: Solution, names: Sequence[str]) -> str:
@@ -46,16 +60,11 @@ def labels_of(solution: Solution, names: Sequence[str]) -> str:
 
 
 def _units(solution: Solution) -> dict[str, str]:
-    return dict(getattr(solution.metadata, "units", ()))
+    return dict(solution.metadata.units)
 
 
 def _with_unit(name: str, unit: str | None) -> str:
     return f"{name} [{unit}]" if unit else name
-
-
-def is_timeless(solution: Solution) -> bool:
-    """Whether the solution is one of equations without time."""
-    return bool(getattr(solution.metadata, "timeless", False))
 
 
 # --- unknowns ----------------------------------------------------------------------------------
@@ -130,8 +139,30 @@ def times_of(solution: Solution, t: Any, count: int) -> Array:
     return times
 
 
-def one_time(solution: Solution, t: Any) -> float:
-    """The one time that was given.
+def needs_time(solution: Solution, what: str) -> None:
+    """Raise an EvaluationError if the values do not depend on time."""
+    if solution.metadata.timeless:
+        raise EvaluationError(
+            f"the values do not depend on time: there are no {what} over it",
+            remedy="plot_surface, plot_sobol and plot_main_effects plot them over the parameters",
+        )
+
+
+def sometimes_of(solution: Solution, t: Any, count: int) -> Array | None:
+    """The same as :func:`times_of`; None if nothing depends on time."""
+    if not solution.metadata.timeless:
+        return times_of(solution, t, count)
+    if t is not None:
+        raise EvaluationError(
+            f"t={shown(t)} is given, but the values do not depend on time",
+            term=t,
+            remedy="leave t out",
+        )
+    return None
+
+
+def one_time(solution: Solution, t: Any) -> float | None:
+    """The one time that was given; None if nothing depends on time.
 
     Raises
     ------
@@ -140,9 +171,11 @@ def one_time(solution: Solution, t: Any) -> float:
     """
     start, end = solution.time
     remedy = f"give a number in [{start:g}, {end:g}]"
+    times = sometimes_of(solution, t, 1)
+    if times is None:
+        return None
     if t is None:
         raise OptionError("a plot for one time needs it", remedy=remedy)
-    times = times_of(solution, t, 1)
     if times.size > 1:
         raise OptionError(f"t={shown(t)} are several times", term=t, remedy=remedy)
     return float(times[0])

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.errors import EvaluationError, OptionError
+from rankone.errors import OptionError
 from rankone.options import checked_number
-from rankone.plotting.asked import is_timeless, label_of, labels_of, times_of, unknowns_of
+from rankone.plotting.asked import label_of, labels_of, needs_time, times_of, unknowns_of
 from rankone.plotting.style import axes_for, beside, colours_for, name_ends
 from rankone.wording import shown
 
@@ -66,8 +66,7 @@ def plot_bands(
     OptionError
         If quantiles or sigmas are out of their range or both given, or ``under`` does not fit.
     """
-    if is_timeless(solution):
-        raise EvaluationError("the solution has no time, and no band over it")
+    needs_time(solution, "bands")
     names = unknowns_of(solution, unknown)
     ends = _checked(quantiles, sigmas)
     times = times_of(solution, t, _TIMES)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.coordinates import name_of
 from rankone.errors import OptionError
-from rankone.plotting.asked import label_of, labels_of
+from rankone.plotting.asked import label_of, labels_of, needs_time, states_of, times_of
 from rankone.plotting.style import axes_for, colours_for, name_ends, stacked
-from rankone.wording import shown
+from rankone.wording import quote, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,12 +31,12 @@ class FitLike(Protocol):
     Attributes
     ----------
     solution : Solution
-    times : ndarray (times,)
-    data : ndarray (outputs, times)
+    times : ndarray (times,), or dict of str to them
+    data : ndarray (outputs, times) or (times,), or dict of str to ndarray (times,)
         Measurements; NaN where there is none.
     observe : tuple of str
         The unknown, or derivative that is a state, of each row of the data.
-    sigma : float or ndarray (outputs,) or (outputs, times), or None
+    sigma : float or ndarray (outputs,) or that of the data, or dict of them, or None
         Standard deviations of the measurements; None if they are not known.
     x : dict of str to float
         The parameters found, and those that were fixed.
@@ -71,6 +73,8 @@ def plot_fit(fit: FitLike, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[
     ------
     RankoneError
         If Matplotlib is not installed.
+    EvaluationError
+        If a time or a parameter of the fit is outside of its interval.
     OptionError
         If ``ax`` are not one or two axes, or ``fit`` is no fit.
     """
@@ -82,21 +86,91 @@ def plot_fit(fit: FitLike, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[
             remedy="give what solution.fit(...) returns",
         )
     axes = _axes(ax)
+    outputs = _outputs(fit)
+    names = [output.name for output in outputs]
     solution: Solution = fit.solution
-    names = [solution[one].name for one in fit.observe]
-    times = np.asarray(fit.times, dtype=float)
-    data = np.asarray(fit.data, dtype=float).reshape(len(names), times.size)
-    sigma = _deviations(fit.sigma, data)
-    fine = np.linspace(solution.time[0], times.max(), _TIMES)
-    curves = np.array([solution[name](fine, fit.x) for name in names])
-    _draw_data(axes[0], names, times, data, sigma, fine, curves)
+    _draw_data(axes[0], outputs)
     axes[0].set_ylabel(labels_of(solution, names))
     axes[-1].set_xlabel(label_of(solution, solution.metadata.time))
     if len(axes) > 1:
-        rest = data - np.array([solution[name](times, fit.x) for name in names])
-        _draw_residuals(axes[1], names, times, rest, sigma)
-        axes[1].set_ylabel("residual" if sigma is None else "residual\n[std]")
+        _draw_residuals(axes[1], outputs)
+        known = all(output.sigma is not None for output in outputs)
+        axes[1].set_ylabel("residual\n[std]" if known else "residual")
     return axes
+
+
+@dataclass(frozen=True)
+class _Output:
+    """What was measured of one state, and the curve fitted.
+
+    Attributes
+    ----------
+    name : str
+    times, data, fitted : ndarray (times,)
+    sigma : ndarray (times,) or None
+    curve : (ndarray, ndarray)
+        Times and values of the curve fitted.
+    """
+
+    name: str
+    times: Array
+    data: Array
+    fitted: Array
+    sigma: Array | None
+    curve: tuple[Array, Array]
+
+    @property
+    def residuals(self) -> Array:
+        """Measurement less curve, in standard deviations if these are known."""
+        return (self.data - self.fitted) / (1.0 if self.sigma is None else self.sigma)
+
+
+def _outputs(fit: FitLike) -> list[_Output]:
+    """The outputs of a fit.
+
+    Raises
+    ------
+    OptionError
+        If shapes do not fit.
+    """
+    solution: Solution = fit.solution
+    needs_time(solution, "curves of a fit")
+    keys = fit.observe if isinstance(fit.observe, list | tuple) else (fit.observe,)
+    names = states_of(solution, list(keys))
+    found = []
+    for i, name in enumerate(names):
+        times = times_of(solution, _part(fit.times, name, None), 1)
+        data = np.ravel(np.asarray(_part(fit.data, name, i), dtype=float))
+        sigma = None if fit.sigma is None else _sigma(fit, name, i, len(names))
+        if data.shape != times.shape or (sigma is not None and sigma.shape not in ((), data.shape)):
+            raise OptionError(
+                f"the data of {quote(name)} or their sigma do not fit {times.size} times",
+                term=fit,
+                remedy="give what solution.fit(...) returns",
+            )
+        fine = np.linspace(solution.time[0], times.max(), _TIMES)
+        one = solution[name]
+        sigma = None if sigma is None else np.broadcast_to(sigma, data.shape)
+        curve = fine, one(fine, fit.x)
+        found.append(_Output(name, times, data, one(times, fit.x), sigma, curve))
+    return found
+
+
+def _part(given: Any, name: str, row: int | None) -> Any:
+    """What was given for one output: by its name, by its row, or the same for all."""
+    if isinstance(given, Mapping):
+        by_name = {name_of(key): value for key, value in given.items()}
+        return by_name[name]
+    array = np.asarray(given)
+    return array[row] if row is not None and array.ndim > 1 else array
+
+
+def _sigma(fit: FitLike, name: str, row: int, outputs: int) -> Array:
+    """Standard deviations of one output."""
+    given = fit.sigma
+    if not isinstance(given, Mapping) and np.shape(given) == (outputs,) != np.shape(fit.data):
+        given = given[row]
+    return np.asarray(_part(given, name, row), dtype=float)
 
 
 def _axes(ax: Any) -> tuple[Axes, ...]:
@@ -109,60 +183,39 @@ def _axes(ax: Any) -> tuple[Axes, ...]:
     return tuple(axes_for(one) for one in several)
 
 
-def _deviations(sigma: Any, data: Array) -> Array | None:
-    """Standard deviations for each measurement."""
-    if sigma is None:
-        return None
-    given = np.asarray(sigma, dtype=float)
-    if given.ndim == 1 and given.size == len(data):
-        given = given[:, None]
-    return np.broadcast_to(given, data.shape)
-
-
-def _draw_data(
-    ax: Axes,
-    names: Sequence[str],
-    times: Array,
-    data: Array,
-    sigma: Array | None,
-    fine: Array,
-    curves: Array,
-) -> None:
+def _draw_data(ax: Axes, outputs: Sequence[_Output]) -> None:
     """Measurements and curve of each output."""
     lines = []
-    colours = colours_for(ax, len(names))
-    for i, (name, colour) in enumerate(zip(names, colours, strict=True)):
+    several = len(outputs) > 1
+    for output, colour in zip(outputs, colours_for(ax, len(outputs)), strict=True):
+        before = f"{output.name}, " if several else ""
         ax.errorbar(
-            times,
-            data[i],
-            None if sigma is None else sigma[i],
+            output.times,
+            output.data,
+            output.sigma,
             fmt="o",
             color=colour,
             markersize=4,
             markerfacecolor="white",
             elinewidth=1,
-            label=f"{name}, measured" if len(names) > 1 else "measured",
+            label=f"{before}measured",
         )
-        label = f"{name}, fitted" if len(names) > 1 else "fitted"
-        lines += ax.plot(fine, curves[i], color=colour, label=label)
-    if len(names) > 1:
-        name_ends(ax, lines, names)
+        lines += ax.plot(*output.curve, color=colour, label=f"{before}fitted")
+    if several:
+        name_ends(ax, lines, [output.name for output in outputs])
     else:
         ax.legend(fontsize="small", framealpha=0.8)
 
 
-def _draw_residuals(
-    ax: Axes, names: Sequence[str], times: Array, rest: Array, sigma: Array | None
-) -> None:
+def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:
     """What is left of each measurement."""
-    scaled = rest if sigma is None else rest / sigma
-    colours = colours_for(ax, len(names))
-    for i, (name, colour) in enumerate(zip(names, colours, strict=True)):
-        ax.plot(times, scaled[i], "o", color=colour, markersize=4, label=name)
-    if sigma is not None:
+    for output, colour in zip(outputs, colours_for(ax, len(outputs)), strict=True):
+        ax.plot(output.times, output.residuals, "o", color=colour, markersize=4, label=output.name)
+    known = all(output.sigma is not None for output in outputs)
+    if known:
         ax.axhspan(-2.0, 2.0, color="0.93", zorder=0)
     ax.axhline(0.0, color="0.4", linewidth=1, zorder=1.5)
-    largest = float(np.nanmax(np.abs(scaled), initial=0.0))
-    limit = 1.15 * max(largest, 2.3 if sigma is not None else 0.0)
+    largest = float(np.nanmax(np.abs([r for o in outputs for r in o.residuals]), initial=0.0))
+    limit = 1.15 * max(largest, 2.3 if known else 0.0)
     if limit > 0.0:
         ax.set_ylim(-limit, limit)

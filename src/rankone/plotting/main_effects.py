@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.plotting.asked import is_timeless
 from rankone.statistics.moments import TrainMoments
-from rankone.statistics.solution_statistics import measures_of
 
 if TYPE_CHECKING:
     from rankone.solution import Solution
@@ -43,19 +41,18 @@ class MainEffects:
 def main_effects_of(
     solution: Solution, time: float | None, count: int, under: Mapping[Any, Any] | None
 ) -> MainEffects:
-    """The main effects of all parameters at one time; None for a solution without time."""
+    """The main effects of all parameters at one time; None if nothing depends on time."""
     method = getattr(solution, "main_effects", None)
-    at = () if is_timeless(solution) else (time,)
     if method is not None:
-        found: MainEffects = method(*at, count=count, under=under)
+        found: MainEffects = method(time, count=count, under=under)
         return found
     names, box = solution.metadata.parameters, solution.metadata.box
-    measures = measures_of(names, box, under)
+    statistics = solution._statistics(under)
+    slabs = statistics.slabs
     when = solution.time[0] if time is None else time
-    slabs = solution.outcome.slabs
     slab = slabs[int(np.searchsorted([s.start for s in slabs[1:]], when, side="right"))]
-    moments = TrainMoments(slab.cores[1:], slab.bases, measures)
-    first = slab.in_time(np.array([when]))[list(solution.metadata.unknown_rows), 0]
+    moments = TrainMoments(slab.cores[1:], slab.bases, statistics.measures)
+    first = slab.in_time(np.array([when]))[statistics.rows, 0]
     values, means = {}, {}
     for j, name in enumerate(names):
         values[name] = np.linspace(*box[j], count)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import EvaluationError, OptionError
-from rankone.plotting.asked import is_timeless, label_of, one_time, times_of, unknown_of
+from rankone.plotting.asked import (
+    label_of,
+    one_time,
+    range_of,
+    sometimes_of,
+    unknown_of,
+    value_of,
+)
 from rankone.plotting.main_effects import main_effects_of
 from rankone.plotting.style import PALETTE, axes_for, beside, colours_for, name_ends
 from rankone.wording import did_you_mean, quote, shown
@@ -80,8 +87,8 @@ def plot_sobol(
             remedy="choose 'total', 'first' or 'both'",
         )
     _needs_parameters(solution)
-    times = None if is_timeless(solution) else times_of(solution, t, _TIMES)
-    found = _over_box(solution.sobol, times, under)
+    times = sometimes_of(solution, t, _TIMES)
+    found = solution.sobol(times, under=under)
     row, count = found.unknowns.index(name), len(found.parameters)
     kinds = ("total", "first") if kind == "both" else (kind,)
     sure = _varies(solution, row, times, under)
@@ -97,7 +104,7 @@ def plot_sobol(
         )
     axes = axes_for(ax)
     if times is None or times.size == 1:
-        when = "" if times is None else _at(solution, float(times[0]))
+        when = _at(solution, None if times is None else float(times[0]))
         _draw_bars(axes, found.parameters, {one: s[:, 0] for one, s in shares.items()})
         axes.set_xlabel(_title(kinds, name) + when)
         return axes
@@ -151,10 +158,10 @@ def plot_main_effects(
     """
     name = unknown_of(solution, unknown)
     _needs_parameters(solution)
-    time = None if is_timeless(solution) else one_time(solution, t)
+    time = one_time(solution, t)
     found = main_effects_of(solution, time, _VALUES, under)
     row = solution.unknowns.index(name)
-    mean = _over_box(solution.mean, time, under)[row]
+    mean = solution.mean(time, under=under)[row]
     axes = axes_for(ax)
     colours = colours_for(axes, len(found.parameters))
     for parameter, colour in zip(found.parameters, colours, strict=True):
@@ -165,10 +172,10 @@ def plot_main_effects(
             (values - lower) / (upper - lower),
             means,
             color=colour,
-            label=_range(solution, parameter),
+            label=range_of(solution, parameter),
         )
     axes.axhline(float(np.ravel(mean)[0]), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
-    when = "" if time is None else _at(solution, time)
+    when = _at(solution, time)
     axes.set(
         xlabel="parameter within its range",
         ylabel=f"mean of {label_of(solution, name)}{when}",
@@ -188,40 +195,27 @@ def _needs_parameters(solution: Solution) -> None:
         )
 
 
-def _over_box(method: Callable[..., Any], times: Any, under: Mapping[Any, Any] | None) -> Any:
-    """A statistic at times; None for a solution without time."""
-    return method(under=under) if times is None else method(times, under=under)
-
-
 def _varies(
     solution: Solution, row: int, times: Array | None, under: Mapping[Any, Any] | None
 ) -> Array:
     """Whether the spread of an unknown at each time is above its measured error."""
-    everywhere = None if times is None else times_of(solution, None, _TIMES)
-    mean = np.ravel(_over_box(solution.mean, everywhere, under)[row])
-    std = np.ravel(_over_box(solution.std, everywhere, under)[row])
+    everywhere = sometimes_of(solution, None, _TIMES)
+    mean = np.ravel(solution.mean(everywhere, under=under)[row])
+    std = np.ravel(solution.std(everywhere, under=under)[row])
     size = float(np.hypot(mean, std).max())
     error = solution.errors[solution.unknowns[row]]
     least = size * (error if np.isfinite(error) else _ROUNDING)
-    return np.asarray(np.ravel(_over_box(solution.std, times, under)[row]) > least)
+    return np.asarray(np.ravel(solution.std(times, under=under)[row]) > least)
 
 
-def _at(solution: Solution, time: float) -> str:
-    name = solution.metadata.time
-    unit = label_of(solution, name).removeprefix(name).strip(" []")
-    return f" at {name} = {time:.4g} {unit}".rstrip()
+def _at(solution: Solution, time: float | None) -> str:
+    return "" if time is None else f" at {value_of(solution, solution.metadata.time, time)}"
 
 
 def _title(kinds: Sequence[str], name: str) -> str:
     return " ".join(
         [_WORDS[kind] for kind in kinds if len(kinds) == 1] + [f"Sobol indices of {name}"]
     )
-
-
-def _range(solution: Solution, parameter: str) -> str:
-    lower, upper = solution.parameters[parameter]
-    unit = label_of(solution, parameter).removeprefix(parameter).strip(" []")
-    return f"{parameter}: {lower:.4g} to {upper:.4g} {unit}".rstrip()
 
 
 # --- forms of the indices ----------------------------------------------------------------------

@@ -91,7 +91,7 @@ def axes_for(ax: Any) -> Axes:
     return ax if ax.has_data() or ax.name != "rectilinear" else _dressed(ax)
 
 
-def colours_for(ax: Axes, count: int) -> list[Any]:
+def colours_for(ax: Axes, count: int) -> list[str]:
     """Colours of new lines, which go on where those that are there stop; of a scale for many."""
     if count > len(PALETTE):
         return shades(np.linspace(0.0, 1.0, count))
@@ -99,12 +99,14 @@ def colours_for(ax: Axes, count: int) -> list[Any]:
     return [PALETTE[(first + i) % len(PALETTE)] for i in range(count)]
 
 
-def shades(shares: Array) -> list[Any]:
+def shades(shares: Array) -> list[str]:
     """Colours of a scale that gets lighter, for numbers from 0 to 1."""
     from matplotlib import colormaps
+    from matplotlib.colors import to_hex
 
     darkest, lightest = _SHADES
-    return list(colormaps["viridis"](darkest + (lightest - darkest) * shares))
+    colours = colormaps["viridis"](darkest + (lightest - darkest) * shares)
+    return [to_hex(colour) for colour in colours]
 
 
 def _dressed(ax: Axes) -> Axes:

@@ -11,7 +11,7 @@ from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
-from rankone.plotting.asked import is_timeless, label_of, states_of
+from rankone.plotting.asked import label_of, states_of, value_of
 from rankone.plotting.style import axes_for
 from rankone.smaller import merged
 from rankone.wording import did_you_mean, listing, quote, shown
@@ -85,7 +85,8 @@ def plot_surface(
     _draw(drawn, axes_values[across], axes_values[up], heights, label_of(solution, name))
     drawn.set(xlabel=label_of(solution, across), ylabel=label_of(solution, up))
     if fixed_at:
-        drawn.set_title(_where(solution, fixed_at), fontsize="medium", loc="left")
+        where = (value_of(solution, name, float(value)) for name, value in fixed_at.items())
+        drawn.set_title(", ".join(where), fontsize="medium", loc="left")
     return drawn
 
 
@@ -99,8 +100,7 @@ def _state(solution: Solution, unknown: Any) -> str:
 
 def _coordinate(solution: Solution, key: Any) -> str:
     """Name of a coordinate along an axis."""
-    names = solution._coordinates.names
-    known = names[1:] if is_timeless(solution) else names
+    known = solution.metadata.coordinates
     name = name_of(key)
     if name not in known:
         raise EvaluationError(
@@ -125,15 +125,6 @@ def _fixed(given: Mapping[str, Any], across: str, up: str) -> dict[str, Any]:
                 f"{quote(name)} is {shown(value)}, not a number", term=name, remedy="fix one value"
             )
     return dict(given)
-
-
-def _where(solution: Solution, fixed: Mapping[str, Any]) -> str:
-    """The fixed values as a title, with units."""
-    parts = []
-    for name, value in fixed.items():
-        unit = label_of(solution, name).removeprefix(name).strip(" []")
-        parts.append(f"{name} = {float(value):.4g} {unit}".rstrip())
-    return ", ".join(parts)
 
 
 def _draw(ax: Axes, x: Array, y: Array, heights: Array, label: str) -> None:

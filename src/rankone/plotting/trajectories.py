@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.errors import EvaluationError, OptionError
-from rankone.plotting.asked import is_timeless, label_of, labels_of, states_of, times_of
+from rankone.errors import OptionError
+from rankone.plotting.asked import label_of, labels_of, needs_time, states_of, times_of
 from rankone.plotting.style import (
     MOST_NAMED,
     PALETTE,
@@ -95,11 +95,7 @@ def plot_trajectories(
     OptionError
         If a name is given twice, or there is nothing to plot.
     """
-    if is_timeless(solution):
-        raise EvaluationError(
-            "the solution has no time, and no curves over it",
-            remedy="plot_surface and plot_main_effects plot it over its parameters",
-        )
+    needs_time(solution, "curves")
     names = states_of(solution, unknowns)
     given = merged(values, named)
     time = solution.metadata.time
