@@ -134,19 +134,19 @@ def beside(ax: Axes, handles: Sequence[Any] | None = None, **options: Any) -> No
 
 def name_ends(ax: Axes, lines: Sequence[Any], names: Sequence[str]) -> None:
     """Write names at the right ends of lines, moved apart; in a legend if there are many."""
-    ends = np.array([[float(np.asarray(part)[-1]) for part in line.get_data()] for line in lines])
-    if len(lines) > MOST_NAMED or not np.isfinite(ends).all():
-        for line, name in zip(lines, names, strict=True):
-            line.set_label(name)
-        beside(ax, lines)
-        return
     from matplotlib.font_manager import FontProperties
 
-    letter = FontProperties(size="medium").get_size_in_points()
+    ends = np.array([[float(np.asarray(part)[-1]) for part in line.get_data()] for line in lines])
     figure = ax.get_figure()
     assert figure is not None
     ax.autoscale_view()
     heights = ax.transData.transform(ends)[:, 1] * 72.0 / figure.dpi
+    if len(lines) > MOST_NAMED or not np.isfinite(heights).all():
+        for line, name in zip(lines, names, strict=True):
+            line.set_label(name)
+        beside(ax, lines)
+        return
+    letter = FontProperties(size="medium").get_size_in_points()
     places = _apart(heights, _LINE * letter)
     for line, name, end, move in zip(lines, names, ends, places - heights, strict=True):
         ax.annotate(
