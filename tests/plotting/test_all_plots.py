@@ -8,11 +8,12 @@ import itertools
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import rankone as ro
-from examples import coupled, decay
+from examples import coupled, decay, doses
 from rankone import plotting
 from tests.plotting.drawn import legend, lines, populations, with_units
 
@@ -52,11 +53,25 @@ def test_nothing_is_clipped(name):
     assert drawn.y1 <= inside.y1 + 1
 
 
+@pytest.mark.parametrize("name", EACH)
+def test_what_is_no_solution(name):
+    with pytest.raises(ro.OptionError, match="not Problem; remedy: give what"):
+        EACH[name](decay.problem)
+
+
 def test_colours_go_on():
     ax = plotting.plot_bands(populations(), "x")
     plotting.plot_trajectories(populations(), x0=9, y0=5, unknowns="x", ax=ax)
     first, second = ax.get_lines()
     assert first.get_color() != second.get_color()
+
+
+def test_jumps_are_upright():
+    solution = ro.solve(doses.problem, rtol=1e-3)
+    for ax in (plotting.plot_bands(solution, "c"), plotting.plot_sobol(solution, "c")):
+        times, values = lines(ax)[0]
+        steps = np.diff(times)[np.argsort(np.abs(np.diff(values)))[-5:]]
+        assert steps.max() < 1e-9
 
 
 def test_many_unknowns_are_in_a_legend():

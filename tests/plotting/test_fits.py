@@ -57,7 +57,9 @@ def test_fits_given_by_name():
     times = {"x": np.array([0.5]), "y": np.array([1.0, 3.0])}
     data = {lotka_volterra.x: [1.0], "y": [0.5, 0.25]}
     upper, _ = plotting.plot_fit(fit_of(times=times, data=data, sigma={"x": 0.1, "y": [0.1, 0.2]}))
-    assert [len(found) for found, _ in lines(upper)] == [1, 401, 2, 401]
+    measured_x, curve_x, measured_y, curve_y = (found for found, _ in lines(upper))
+    assert (measured_x.tolist(), measured_y.tolist()) == ([0.5], [1.0, 3.0])
+    assert (curve_x[-1], curve_y[-1]) == (0.5, 3.0)
 
 
 def test_fits_into_axes():

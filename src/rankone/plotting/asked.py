@@ -9,12 +9,15 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import EvaluationError, OptionError
+from rankone.solution_core import SolutionCore
 from rankone.wording import listing, quote, shown
 
 if TYPE_CHECKING:
     from rankone.solution import Solution
 
 __all__ = [
+    "check_solution",
+    "fine_times",
     "label_of",
     "labels_of",
     "needs_time",
@@ -30,6 +33,16 @@ __all__ = [
 
 _MOST_IN_LABEL = 4
 """Unknowns that are named beside an axis."""
+
+
+def check_solution(function: str, given: Any) -> None:
+    """Raise an OptionError unless what a function was given is a solution."""
+    if not isinstance(given, SolutionCore):
+        raise OptionError(
+            f"{function} needs a Solution, not {type(given).__name__}",
+            term=given,
+            remedy="give what rankone.solve(problem) returns",
+        )
 
 
 def label_of(solution: Solution, name: str) -> str:
@@ -131,12 +144,20 @@ def times_of(solution: Solution, t: Any, count: int) -> Array:
         If there are no times, or in more than one dimension.
     """
     if t is None:
-        return np.linspace(*solution.time, count)
+        return fine_times(solution, solution.time[1], count)
     times = np.atleast_1d(solution._coordinates.checked(0, t))
     if times.ndim > 1 or not times.size:
         what = "more than one dimension" if times.ndim > 1 else "no entry"
         raise OptionError(f"the times have {what}", term=t, remedy="give a list of times")
     return times
+
+
+def fine_times(solution: Solution, end: float, count: int) -> Array:
+    """So many times up to an end, and both sides of where slabs meet: states may jump there."""
+    evenly = np.linspace(solution.time[0], end, count)
+    meetings = np.array([slab.start for slab in solution.outcome.slabs[1:]])
+    meetings = meetings[(meetings > evenly[0]) & (meetings < end)]
+    return np.unique(np.concatenate([evenly, np.nextafter(meetings, evenly[0]), meetings]))
 
 
 def needs_time(solution: Solution, what: str) -> None:

@@ -10,7 +10,14 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.errors import OptionError
 from rankone.options import checked_number
-from rankone.plotting.asked import label_of, labels_of, needs_time, times_of, unknowns_of
+from rankone.plotting.asked import (
+    check_solution,
+    label_of,
+    labels_of,
+    needs_time,
+    times_of,
+    unknowns_of,
+)
 from rankone.plotting.style import axes_for, beside, colours_for, name_ends
 from rankone.wording import shown
 
@@ -43,7 +50,7 @@ def plot_bands(
     unknown : symbol, str or list of them, optional
         All unknowns if left out.
     t : array_like, optional
-        Times; 201 over the horizon if left out.
+        Times; about 201 over the horizon if left out.
     quantiles : (float, float), optional
         Probabilities at the lower and the upper end of the band; 0.025 and 0.975 if left out.
     sigmas : float, optional
@@ -66,6 +73,7 @@ def plot_bands(
     OptionError
         If quantiles or sigmas are out of their range or both given, or ``under`` does not fit.
     """
+    check_solution("plot_bands", solution)
     needs_time(solution, "bands")
     names = unknowns_of(solution, unknown)
     ends = _checked(quantiles, sigmas)

@@ -11,7 +11,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import OptionError
-from rankone.plotting.asked import label_of, labels_of, needs_time, states_of, times_of
+from rankone.plotting.asked import fine_times, label_of, labels_of, needs_time, states_of, times_of
 from rankone.plotting.style import axes_for, colours_for, name_ends, stacked
 from rankone.wording import quote, shown
 
@@ -148,7 +148,7 @@ def _outputs(fit: FitLike) -> list[_Output]:
                 term=fit,
                 remedy="give what solution.fit(...) returns",
             )
-        fine = np.linspace(solution.time[0], times.max(), _TIMES)
+        fine = fine_times(solution, float(times.max()), _TIMES)
         one = solution[name]
         sigma = None if sigma is None else np.broadcast_to(sigma, data.shape)
         curve = fine, one(fine, fit.x)

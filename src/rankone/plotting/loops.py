@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rankone.errors import EvaluationError, OptionError
+from rankone.plotting.asked import check_solution
 from rankone.plotting.style import panels
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
@@ -48,6 +49,7 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
     OptionError
         If there is no such slab.
     """
+    check_solution("plot_history", solution)
     records = _last_attempt(solution)
     if isinstance(records[-1], CrossRecord):
         return _plot_attempts(solution, records[-1].slabs)

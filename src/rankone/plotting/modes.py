@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.errors import EvaluationError, OptionError
+from rankone.plotting.asked import check_solution
 from rankone.plotting.style import panels
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def plot_modes(
     OptionError
         If an option is out of its range.
     """
+    check_solution("plot_modes", solution)
     if modes < 1:
         raise OptionError(f"modes={modes!r} is too small", remedy="at least 1")
     if unknown is None:

@@ -10,6 +10,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.errors import EvaluationError, OptionError
 from rankone.plotting.asked import (
+    check_solution,
     label_of,
     one_time,
     range_of,
@@ -55,8 +56,8 @@ def plot_sobol(
     unknown : symbol or str, optional
         The first if left out.
     t : float or array_like, optional
-        One time for bars, or times; 201 over the horizon if left out. Of solutions without time
-        there are bars.
+        One time for bars, or times; about 201 over the horizon if left out. Where nothing depends
+        on time there are bars.
     kind : {"total", "first", "both"}
         Total indices, or first-order ones: over time their shares of the variance are stacked, and
         what is left to one is that of interactions. Or both as lines.
@@ -79,6 +80,7 @@ def plot_sobol(
     OptionError
         If ``kind`` is unknown or ``under`` does not fit.
     """
+    check_solution("plot_sobol", solution)
     name = unknown_of(solution, unknown)
     if kind not in get_args(Kind):
         raise OptionError(
@@ -156,6 +158,7 @@ def plot_main_effects(
     OptionError
         If there is no time, or ``under`` does not fit.
     """
+    check_solution("plot_main_effects", solution)
     name = unknown_of(solution, unknown)
     _needs_parameters(solution)
     time = one_time(solution, t)

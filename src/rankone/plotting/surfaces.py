@@ -11,7 +11,7 @@ from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
-from rankone.plotting.asked import label_of, states_of, value_of
+from rankone.plotting.asked import check_solution, label_of, states_of, value_of
 from rankone.plotting.style import axes_for
 from rankone.smaller import merged
 from rankone.wording import did_you_mean, listing, quote, shown
@@ -67,6 +67,7 @@ def plot_surface(
     OptionError
         If both coordinates are the same, one has a value as well, or a value is no number.
     """
+    check_solution("plot_surface", solution)
     name = _state(solution, unknown)
     points = checked_number("points", points, 2, 10_000)
     across, up = _coordinate(solution, x), _coordinate(solution, y)

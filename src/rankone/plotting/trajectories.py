@@ -10,7 +10,14 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import OptionError
-from rankone.plotting.asked import label_of, labels_of, needs_time, states_of, times_of
+from rankone.plotting.asked import (
+    check_solution,
+    label_of,
+    labels_of,
+    needs_time,
+    states_of,
+    times_of,
+)
 from rankone.plotting.style import (
     MOST_NAMED,
     PALETTE,
@@ -77,7 +84,7 @@ def plot_trajectories(
     unknowns : symbol, str or list of them, optional
         Unknowns, or derivatives that are states; all unknowns if left out.
     t : array_like, optional
-        Times; 401 over the horizon if left out.
+        Times; about 401 over the horizon if left out.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; those of a new figure if left out.
 
@@ -95,6 +102,7 @@ def plot_trajectories(
     OptionError
         If a name is given twice, or there is nothing to plot.
     """
+    check_solution("plot_trajectories", solution)
     needs_time(solution, "curves")
     names = states_of(solution, unknowns)
     given = merged(values, named)
