@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,10 +13,13 @@ import sympy as sp
 from scipy import special
 from sympy.core.function import AppliedUndef
 
+from rankone.codegen.narrow import peaks, steps
 from rankone.codegen.printer import numpy_text, readable_text
+from rankone.codegen.switching import boundaries, switches
 from rankone.coordinates import name_of
 from rankone.errors import OptionError, RankoneError
 from rankone.functions import known_applied
+from rankone.ir import Coordinate
 from rankone.metadata import SolutionMetadata
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.symbolic.over_time import first_crossing, maximum, minimum
@@ -24,6 +29,8 @@ from rankone.wording import did_you_mean, listing, quote, shown
 __all__ = ["quantities_of"]
 
 _REDUCTIONS = (maximum, minimum, first_crossing, sp.Integral)
+_MOST_PERIODS = 200
+"""Most points of a periodic function."""
 _KINDS = {maximum: Kind.MAXIMUM, minimum: Kind.MINIMUM, first_crossing: Kind.CROSSING}
 
 
@@ -64,6 +71,7 @@ def quantities_of(
         **{symbol: f"s[{i}]" for i, symbol in enumerate(translator.sources.values())},
         **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
     }
+    parts = [*translator.integrands, *values]
     moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
     timeless = metadata.timeless or not any(value.free_symbols & moving for value in values)
     return Quantities(
@@ -73,8 +81,51 @@ def quantities_of(
         sources=tuple(translator.sources),
         integrands=_function("t, s, p", translator.integrands, written),
         reductions=tuple(translator.reductions),
+        middles=_function("t, s, p", _middles(parts, moving - {*translator.running}), written),
+        ridges=_function("p", _ridges(parts, {*known}), written),
+        breaks=_breaks(parts, metadata, horizon),
         values=_function("t, s, p, r", values, written),
     )
+
+
+def _middles(parts: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
+    """What vanishes where functions of some symbols are narrow or steep."""
+
+    def own(expression: sp.Basic) -> set[sp.Basic]:
+        return {*(expression.free_symbols & symbols)}
+
+    found = [middle for _, middle in itertools.chain(peaks(parts, own), steps(parts, own))]
+    return [middle for middle in dict.fromkeys(found) if own(middle)]
+
+
+def _ridges(parts: Sequence[sp.Expr], parameters: set[sp.Symbol]) -> list[sp.Expr]:
+    """What vanishes where functions of several parameters alone are narrow, steep or kink."""
+    found = [*_middles(parts, parameters), *(boundary for boundary, _ in boundaries(parts))]
+    several = (f for f in dict.fromkeys(found) if len(f.free_symbols) > 1)
+    return [function for function in several if function.free_symbols <= parameters]
+
+
+def _breaks(
+    parts: Sequence[sp.Expr], metadata: SolutionMetadata, horizon: tuple[float, float]
+) -> tuple[tuple[float, ...], ...]:
+    """For time and each parameter where functions of it alone are not smooth, or narrow."""
+    intervals = (horizon, *metadata.box)
+    coordinates = [
+        Coordinate(name, sp.Symbol(name), *interval)
+        for name, interval in zip((metadata.time, *metadata.parameters), intervals, strict=True)
+    ]
+    found = []
+    for (lower, upper), places in zip(intervals, switches(coordinates, parts), strict=True):
+        points = set(places.points)
+        for first, period in places.periodic:
+            count = min(math.floor((upper - first) / period), _MOST_PERIODS)
+            start = math.ceil((lower - first) / period)
+            points |= {
+                first + period * i for i in range(start, min(count, start + _MOST_PERIODS) + 1)
+            }
+        near = 1e-12 * (upper - lower)
+        found.append(tuple(sorted(x for x in points if lower + near < x < upper - near)))
+    return tuple(found)
 
 
 def _check_name(name: Any, metadata: SolutionMetadata) -> None:

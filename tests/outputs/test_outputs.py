@@ -208,3 +208,52 @@ def test_what_does_not_happen():
         prey().output({"q": 1 / (x0 - 10)})
     with pytest.raises(OptionError, match="nothing depends on time"):
         prey().at(1.0).output({"q": ro.maximum(x)})
+
+
+a = sp.Symbol("a")
+
+
+@functools.cache
+def decaying():
+    problem = ro.Problem(
+        [sp.Eq(u.diff(t), -k * u)], (t, 0, 2), {k: (0.5, 2), a: (0.9, 1.1)}, {u: a}
+    )
+    return ro.solve(problem, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "narrow",
+    [
+        sp.exp(-(((k - 1.2345) / 1e-5) ** 2)),
+        1 / (1 + ((a - 0.98765) / 1e-6) ** 2),
+        u * sp.exp(-(((t - 0.7777) / 1e-5) ** 2)),
+        sp.exp(-(((k - a) / 1e-4) ** 2)),
+        sp.exp(-(((t - k) / 1e-4) ** 2)),
+        sp.exp(-(((u - 0.6123) / 1e-4) ** 2)),
+        ro.maximum(sp.exp(-(((u - 0.6123) / 1e-4) ** 2))),
+    ],
+    ids=str,
+)
+def test_what_is_narrow_is_not_missed(narrow):
+    output = decaying().output({"q": narrow}, max_seconds=2)
+    assert not output.success
+    assert output.error > output.rtol
+
+
+@pytest.mark.parametrize(
+    ("kinked", "exact"),
+    [
+        (sp.Abs(k - 1.2345) * u, lambda t, k, u: np.abs(k - 1.2345) * u),
+        (sp.Heaviside(k - 1.2345) * u, lambda t, k, u: (k > 1.2345) * u),
+        (sp.Abs(t - 0.7777) * u, lambda t, k, u: np.abs(t - 0.7777) * u),
+    ],
+    ids=["kink", "jump", "kink in time"],
+)
+def test_kinks_at_known_places_begin_elements(kinked, exact):
+    output = decaying().output({"q": kinked})
+    assert output.success
+    rng = np.random.default_rng(4)
+    at, rate, start = rng.uniform(0, 2, 500), rng.uniform(0.5, 2, 500), rng.uniform(0.9, 1.1, 500)
+    wanted = exact(at, rate, start * np.exp(-rate * at))
+    found = output["q"](t=at, k=rate, a=start)
+    assert np.abs(found - wanted).max() <= 2 * output.rtol * np.abs(wanted).max()

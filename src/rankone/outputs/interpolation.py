@@ -6,8 +6,8 @@ interpolation, measured at further points, and what the errors of the solution m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rankone.deadline import OutOfTimeError, time_limit
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError
+from rankone.outputs.check import Check, CheckPoints, split, spread_over
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solution_core import SolutionCore
@@ -26,7 +27,6 @@ from rankone.solvers.cross.samples import Samples
 from rankone.solvers.cross.sweep import interpolate, left_points, rounded, with_points
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.outcome import Measured, Outcome, Status
-from rankone.solvers.reference import spread
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, mode_norms
 
@@ -40,62 +40,8 @@ _SHARE = 0.1
 """Share of a part of the interpolation in that."""
 _LEFT_POINTS = 7
 _ATTEMPTS = 8
-_POINTS, _CORNERS, _PROBES = 96, 32, 12
-"""Points where the error is measured, besides so many corners of the box at most, and points whose
-functions of time are resolved."""
-
-
-@dataclass(frozen=True)
-class _Check:
-    """Exact quantities at points of the box.
-
-    Attributes
-    ----------
-    points : ndarray (m, d)
-    values : ndarray (quantities, rows, m)
-    sizes : ndarray (quantities,)
-        Their largest values.
-    """
-
-    points: Array
-    values: Array
-    sizes: Array
-
-    @classmethod
-    def at(cls, sampler: Sampler, points: Array) -> _Check:
-        """A check at points (m, d)."""
-        values = sampler(points)
-        sizes: Array = np.abs(values).max(axis=(1, 2))
-        return cls(points, values, np.where(sizes == 0.0, 1.0, sizes))
-
-    def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:
-        """Error of trains over the sizes, (quantities, m)."""
-        carry = slabs[0].over_parameters(self.points.T)
-        if sampler.quantities.timeless:
-            found = slabs[0].on_grid(np.array([slabs[0].start]), carry)
-        else:
-            times = sampler.grid.times.reshape(len(slabs), -1)
-            parts = [slab.on_grid(t, carry) for slab, t in zip(slabs, times, strict=True)]
-            found = np.concatenate(parts, axis=2)
-        missed = np.abs(found.swapaxes(1, 2) - self.values).max(axis=1)
-        return np.asarray(missed / self.sizes[:, None])
-
-    def amplified(self, sampler: Sampler, rtol: float) -> Array:
-        """What errors of the sources change the quantities by, over their sizes.
-
-        Each source is shifted by ``rtol`` times its largest value, up and down.
-
-        Returns
-        -------
-        ndarray (sources, quantities, m)
-        """
-        largest = np.abs(sampler.sources(self.points)).max(axis=(1, 2), initial=0.0)
-        total = np.zeros((largest.size, *self.values.shape[::2]))
-        for change, shift in zip(total, np.diag(rtol * largest), strict=True):
-            both = [sampler(self.points, signed) for signed in (shift, -shift)]
-            change += np.max([np.abs(found - self.values).max(axis=1) for found in both], axis=0)
-        relative: Array = total / self.sizes[:, None]
-        return relative
+_PROBES = 12
+"""Points whose functions of time are resolved."""
 
 
 def solved_quantities(
@@ -116,28 +62,41 @@ def solved_quantities(
     ConvergenceError
         If the time limit is reached before there is anything.
     """
-    domain = Domain(solution.time, solution.metadata.box)
-    options = CrossOptions()
-    grid = _grid(solution, quantities, domain, options, _AIM * (rtol or solution.rtol))
+    domain, options = Domain(solution.time, solution.metadata.box), CrossOptions()
     slabs, names = solution.outcome.slabs, solution.metadata.parameters
-    sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
-    corners = _corners(domain)
-    spread_ones = _spread(domain, 2 * _POINTS if domain.box else 2)
-    aimed, further = np.split(spread_ones, 2)
-    check = _Check.at(sampler, np.concatenate([corners, further]))
-    amplified = check.amplified(sampler, solution.rtol)
-    if rtol is None:
-        most = float(amplified.sum(axis=0).max(initial=0.0))
-        rtol = _DEFAULT * max(solution.rtol, most)
-    given = _Check.at(sampler, np.concatenate([corners, aimed])), domain, options, _AIM * rtol
-    found = _interpolated(sampler, *given, max_seconds)
+    points = CheckPoints.of(domain, quantities)
+    with _limited(max_seconds):
+        grid = _grid(solution, quantities, domain, options, _AIM * (rtol or solution.rtol))
+        sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
+        finer = Sampler(slabs, names, quantities, split(grid), solution.rtol)
+        check = Check.at(finer, points.further)
+        amplified = check.amplified(finer, solution.rtol)
+        if rtol is None:
+            most = float(amplified.sum(axis=0).max(initial=0.0))
+            rtol = _DEFAULT * max(solution.rtol, most)
+        target = Check.at(sampler, points.aimed)
+        found = _interpolated(sampler, target, domain, options, _AIM * rtol)
     errors = list(solution.errors.values())
     shares = [
         np.nan if source.order else errors[source.row] / solution.rtol
         for source in quantities.sources
     ]
     brought = np.tensordot(np.array(shares), amplified, 1)
-    return _outcome(found, check.missed(found, sampler), brought, len(corners), rtol), rtol
+    missed = check.missed(found, finer) + sampler.narrow(check.points)
+    return _outcome(found, missed, brought, points.corners, rtol), rtol
+
+
+@contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """Limit what is done inside, with an error of ours."""
+    try:
+        with time_limit(seconds):
+            yield
+    except OutOfTimeError:
+        raise ConvergenceError(
+            "the time limit was reached before anything was interpolated",
+            remedy="give more time by max_seconds, or restrict the solution",
+        ) from None
 
 
 def _grid(
@@ -153,10 +112,11 @@ def _grid(
     if solution.metadata.timeless:
         return TimeGrid((start, end), 1)
     limits = [x for r in quantities.reductions for x in (r.start, r.end) if start < x < end]
-    edges = [start, *sorted({*(slab.start for slab in slabs[1:]), *limits}), end]
+    cuts = {*(slab.start for slab in slabs[1:]), *limits, *quantities.breaks[0]}
+    edges = [start, *sorted(cuts), end]
     count = options.nodes_in_time(level)
     first = Sampler(slabs, names, quantities, TimeGrid(tuple(edges), count), solution.rtol)
-    points = _spread(domain, _PROBES)
+    points = spread_over(domain, _PROBES)
     found = np.abs(first.at(first.grid.times, points))
     sizes = np.maximum(found.max(axis=(1, 2), where=np.isfinite(found), initial=0.0), 1e-300)
 
@@ -170,46 +130,42 @@ def _grid(
 
 def _interpolated(
     sampler: Sampler,
-    check: _Check,
+    check: Check,
     domain: Domain,
     options: CrossOptions,
     level: float,
-    max_seconds: float,
 ) -> tuple[SlabTrain, ...]:
     """The best trains by a check."""
     function = _Columns(sampler, check.sizes, _SHARE * level)
     bases: tuple[Basis1D, ...] = ()
     best: tuple[float, tuple[SlabTrain, ...]] | None = None
     left_count, inner, worst = _LEFT_POINTS, level, None
-    with time_limit(max_seconds):
-        for attempt in range(_ATTEMPTS):
-            try:
-                if not attempt:
-                    known: list[tuple[Sequence[float], int]] = [([], 0)] * len(domain.box)
-                    bases = resolving_bases(function, domain, inner, options, known)
-                else:
-                    bases = divided(bases, function, domain, inner, options, worst)
-                slabs, spectra = _one(function, bases, left_count, inner, options, worst)
-            except OutOfTimeError:
-                break
-            missed = check.missed(slabs, sampler)
-            error = float(missed.max())
-            if best is None or error < best[0]:
-                best = error, slabs
-            if error <= level or not domain.box:
-                break
-            worst = check.points[np.argsort(-missed.max(axis=0))[:_LEFT_POINTS]]
-            left_count = -(-3 * left_count // 2)
+    for attempt in range(_ATTEMPTS):
+        try:
+            if not attempt:
+                known = [(borders, 0) for borders in sampler.quantities.breaks[1:]]
+                bases = resolving_bases(function, domain, inner, options, known)
+            else:
+                bases = divided(bases, function, domain, inner, options, worst)
+            slabs, spectra = _one(function, bases, left_count, inner, options, worst)
+        except OutOfTimeError:
+            if best is None:
+                raise
+            break
+        missed = check.missed(slabs, sampler)
+        error = float(missed.max())
+        if best is None or error < best[0]:
+            best = error, slabs
+        if error <= level or not domain.box:
+            break
+        worst = check.points[np.argsort(-missed.max(axis=0))[:_LEFT_POINTS]]
+        left_count = -(-3 * left_count // 2)
+        finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
+        if finer == bases:
+            inner *= max(min(0.5, level / error), 0.05)
             finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
-            if finer == bases:
-                inner *= max(min(0.5, level / error), 0.05)
-                finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
-            bases = finer
-    if best is None:
-        raise ConvergenceError(
-            "the time limit was reached before anything was interpolated",
-            remedy="give more time by max_seconds, or restrict the solution",
-        )
+        bases = finer
+    assert best is not None
     return best[1]
 
 
@@ -283,24 +239,3 @@ def _outcome(
     status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
     message = f"{status.value}: {interpolation}, {brought.max():.1e} of the solution"
     return Outcome(slabs, status, message, measured, ())
-
-
-def _spread(domain: Domain, count: int) -> Array:
-    """Points of the box, evenly spread, the centre first: (count, d)."""
-    lower, upper = domain.bounds.T
-    shares = spread(count, lower.size, np.random.default_rng(20145))
-    shares = np.concatenate([np.full((1, lower.size), 0.5), shares[1:]])
-    return np.asarray(lower + (upper - lower) * shares)
-
-
-def _corners(domain: Domain) -> Array:
-    """Corners of the box, all or some: (m, d)."""
-    bounds = domain.bounds
-    count = len(bounds)
-    if not count:
-        return np.zeros((0, 0))
-    if 2**count <= _CORNERS:
-        which = np.stack(np.unravel_index(np.arange(2**count), (2,) * count), axis=1)
-    else:
-        which = np.random.default_rng(20146).integers(0, 2, (_CORNERS, count))
-    return np.asarray(np.take_along_axis(bounds.T, which, axis=0))

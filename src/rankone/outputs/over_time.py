@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.discretization import legendre_derivative, legendre_values
@@ -26,11 +27,10 @@ class Polynomials:
     """
 
     def __init__(self, grid: TimeGrid, values: Array) -> None:
-        self.grid = grid
+        local = values.reshape(grid.slabs, grid.count, -1)
+        self.grid, self.modes = grid, np.asarray(np.linalg.solve(_at_nodes(grid.count), local))
         self.breaks = np.array(grid.breaks)
         self.half = 0.5 * np.diff(self.breaks)
-        local = values.reshape(grid.slabs, grid.count, -1)
-        self.modes = np.asarray(np.linalg.solve(_at_nodes(grid.count), local))
 
     def integral(self, start: float, end: float) -> Array:
         """Integral from one break of the grid to another, (m,)."""
@@ -70,10 +70,7 @@ class Polynomials:
 
         Values below ``nothing`` times the largest one have no sign: a function may begin at zero.
         """
-        points = _dense_points(self.grid.count)
-        times = (self.breaks[:-1, None] + self.half[:, None] * (points + 1.0)).ravel()
-        dense = legendre_values(points, self.grid.count) @ self.modes
-        dense = dense.reshape(times.size, -1)
+        times, dense = self._dense()
         signs = np.sign(dense)
         signs[np.abs(dense) <= nothing * np.abs(dense).max(axis=0)] = 0.0
         places = np.where(signs != 0.0, np.arange(times.size)[:, None], -1)
@@ -86,22 +83,38 @@ class Polynomials:
         where = np.argmax(change, axis=0)
         columns = np.arange(where.size)
         left, right = times[np.maximum(last[where, columns], 0)], times[where + 1]
-        found = self._root(left, right, signs[where + 1, columns])
+        found = self._root(left, right, signs[where + 1, columns], columns)
         return np.where(crossed, found, np.nan)
 
-    def _root(self, left: Array, right: Array, sign: Array) -> Array:
-        """Where a function takes the sign that it has at the right end, (m,)."""
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (left + right)
-            over = self._at(middle) * sign > 0.0
-            left, right = np.where(over, left, middle), np.where(over, middle, right)
-        return np.asarray(0.5 * (left + right))
+    def zeros(self, most: int) -> tuple[Array, NDArray[np.intp]]:
+        """Times of the first changes of sign and of which functions: (N,) each, N <= most m."""
+        times, dense = self._dense()
+        change = np.signbit(dense[1:]) != np.signbit(dense[:-1])
+        change &= np.cumsum(change, axis=0) <= most
+        where, columns = np.nonzero(change)
+        left, right, sign = times[where], times[where + 1], np.sign(dense[where + 1, columns])
+        return self._root(left, right, sign, columns), columns
 
-    def _at(self, times: Array) -> Array:
-        """Values of each function at a time of its own, (m,)."""
+    def at(self, times: Array, columns: NDArray[np.intp]) -> Array:
+        """Values of some of the functions, each at a time of its own: (N,) each."""
         slab = np.clip(np.searchsorted(self.breaks, times, side="right") - 1, 0, self.half.size - 1)
         xi = (times - self.breaks[slab]) / self.half[slab] - 1.0
-        return _sum(self.modes[slab, :, np.arange(times.size)].T, xi)
+        return _sum(self.modes[slab, :, columns].T, xi)
+
+    def _dense(self) -> tuple[Array, Array]:
+        """Times (N,), ascending, and values there, (N, m)."""
+        points = _dense_points(self.grid.count)
+        times = (self.breaks[:-1, None] + self.half[:, None] * (points + 1.0)).ravel()
+        dense = legendre_values(points, self.grid.count) @ self.modes
+        return times, dense.reshape(times.size, -1)
+
+    def _root(self, left: Array, right: Array, sign: Array, columns: NDArray[np.intp]) -> Array:
+        """Where some of the functions take the sign that they have at the right ends, (N,)."""
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (left + right)
+            over = self.at(middle, columns) * sign > 0.0
+            left, right = np.where(over, left, middle), np.where(over, middle, right)
+        return np.asarray(0.5 * (left + right))
 
 
 def _at_nodes(count: int) -> Array:

@@ -69,6 +69,13 @@ class Quantities:
         From times (T, 1), the sources (k, T, m), parameters (d, m) to a sequence of arrays that
         broadcast to (T, m).
     reductions : tuple of Reduction
+    middles : callable
+        From the same to functions that vanish where something narrow is largest or steepest.
+    ridges : callable
+        From parameters (d, m) alone to functions of several of them that vanish where something
+        narrow is largest or steepest.
+    breaks : tuple of tuple of float
+        For time and each parameter where functions of it alone are narrow, kink or jump.
     values : callable
         From times, sources and parameters as before, and a sequence of reductions, (m,) or (T, m),
         to a sequence of arrays that broadcast to (T, m).
@@ -80,4 +87,7 @@ class Quantities:
     sources: tuple[Source, ...]
     integrands: Callable[[Array, Array, Array], Sequence[Array]]
     reductions: tuple[Reduction, ...]
+    middles: Callable[[Array, Array, Array], Sequence[Array]]
+    ridges: Callable[[Array], Sequence[Array]]
+    breaks: tuple[tuple[float, ...], ...]
     values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.deadline import check_time
 from rankone.errors import EvaluationError
 from rankone.outputs.over_time import Polynomials
 from rankone.outputs.quantities import Kind, Quantities, Reduction
@@ -17,6 +18,8 @@ __all__ = ["Sampler"]
 
 _NUMBERS = 1 << 21
 """Numbers of a chunk of trajectories."""
+_MIDDLES = 4
+"""Most places of something narrow on each trajectory that are looked at."""
 _SIGNS, _LEAST = 10.0, 1e-9
 """What has a sign at all, relative to the largest value: over the tolerance, and at least."""
 
@@ -78,17 +81,60 @@ class Sampler:
         """Integrands and, without reductions, values at times (T,): shape (functions, T, m)."""
         given = times[:, None], self._sources(times, points), points.T
         shape = times.size, len(points)
+        return np.array([np.broadcast_to(part, shape) for part in self._functions(*given)])
+
+    def narrow(self, points: Array) -> float:
+        """What the grid misses where something narrow is, over the largest values.
+
+        Of the integrands, and of the values if there are no reductions.
+        """
+        times, sources = self.grid.times, self.sources(points)
+        shape = times.size, len(points)
+        given = times[:, None], sources, points.T
         with np.errstate(all="ignore"):
-            found = list(self.quantities.integrands(*given))
-            if not self.quantities.reductions:
-                found += self.quantities.values(*given, [])
-        return np.array([np.broadcast_to(part, shape) for part in found])
+            middles = self.quantities.middles(*given)
+        worst = 0.0
+        at_nodes = self._functions(*given) if middles else []
+        for middle in middles:
+            zeros = Polynomials(self.grid, np.broadcast_to(middle, shape)).zeros(_MIDDLES)
+            at, columns = zeros
+            there = self._paired(at, points[columns])
+            exact = self._functions(at[None, :], there[:, None, :], points[columns].T)
+            for values, here in zip(at_nodes, exact, strict=True):
+                values = np.broadcast_to(values, shape)
+                size = max(np.abs(values).max(), np.abs(here).max(initial=0.0), 1e-300)
+                found = Polynomials(self.grid, values).at(at, columns)
+                missed = np.abs(np.broadcast_to(here, (1, at.size))[0] - found)
+                worst = max(worst, float(missed.max(initial=0.0)) / size)
+        return worst
 
     def sources(self, points: Array) -> Array:
         """The states or derivatives that are needed, at the nodes: shape (sources, T, m)."""
         return self._sources(self.grid.times, points)
 
+    def _functions(self, times: Array, sources: Array, points: Array) -> list[Array]:
+        """Integrands and, without reductions, values."""
+        with np.errstate(all="ignore"):
+            found = list(self.quantities.integrands(times, sources, points))
+            if not self.quantities.reductions:
+                found += self.quantities.values(times, sources, points, [])
+        return found
+
+    def _paired(self, times: Array, points: Array) -> Array:
+        """Sources at pairs of times (N,) and points (N, d): shape (sources, N)."""
+        owner = np.searchsorted([slab.start for slab in self.slabs[1:]], times, side="right")
+        found = np.empty((len(self.quantities.sources), times.size))
+        for k in np.unique(owner):
+            here = owner == k
+            for order, slabs in self._orders.items():
+                states = slabs[k](times[here], points[here].T)
+                for i, source in enumerate(self.quantities.sources):
+                    if source.order == order:
+                        found[i, here] = states[source.row]
+        return found
+
     def _chunk(self, points: Array, shifts: Array | None) -> Array:
+        check_time()
         times, sources = self.grid.times[:, None], self.sources(points)
         if shifts is not None:
             sources = sources + shifts[:, None, None]

@@ -1,0 +1,170 @@
+"""Where quantities are compared with their interpolation: points of the box, and values there."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.domain import Domain
+from rankone.outputs.quantities import Quantities
+from rankone.outputs.sampling import Sampler
+from rankone.solvers.cross.time_grid import TimeGrid
+from rankone.solvers.reference import spread
+from rankone.tensors.slab import SlabTrain
+
+__all__ = ["Check", "CheckPoints", "split", "spread_over"]
+
+_POINTS, _CORNERS = 96, 32
+"""Points of the interior where an error is measured, and most corners of the box."""
+_FIRST_PART = 0.55
+"""Of a slab of the grid on which the error is measured, so that its nodes are others."""
+_MOST_BREAKS, _NEAR, _BISECTIONS = 32, 1e-6, 60
+"""Most places of a parameter that are looked at, how near, in widths of its interval, and steps to
+find places of several."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Exact quantities at points of the box.
+
+    Attributes
+    ----------
+    points : ndarray (m, d)
+    values : ndarray (quantities, rows, m)
+    sizes : ndarray (quantities,)
+        Their largest values.
+    """
+
+    points: Array
+    values: Array
+    sizes: Array
+
+    @classmethod
+    def at(cls, sampler: Sampler, points: Array) -> Check:
+        """A check at points (m, d)."""
+        values = sampler(points)
+        sizes: Array = np.abs(values).max(axis=(1, 2))
+        return cls(points, values, np.where(sizes == 0.0, 1.0, sizes))
+
+    def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:
+        """Error of trains over the sizes, (quantities, m)."""
+        carry = slabs[0].over_parameters(self.points.T)
+        if sampler.quantities.timeless:
+            found = slabs[0].on_grid(np.array([slabs[0].start]), carry)
+        else:
+            times = sampler.grid.times
+            owner = np.searchsorted([slab.start for slab in slabs[1:]], times, side="right")
+            parts = [slab.on_grid(times[owner == k], carry) for k, slab in enumerate(slabs)]
+            found = np.concatenate(parts, axis=2)
+        missed = np.abs(found.swapaxes(1, 2) - self.values).max(axis=1)
+        return np.asarray(missed / self.sizes[:, None])
+
+    def amplified(self, sampler: Sampler, rtol: float) -> Array:
+        """What errors of the sources change the quantities by, over their sizes.
+
+        Each source is shifted by ``rtol`` times its largest value, up and down.
+
+        Returns
+        -------
+        ndarray (sources, quantities, m)
+        """
+        largest = np.abs(sampler.sources(self.points)).max(axis=(1, 2), initial=0.0)
+        total = np.zeros((largest.size, *self.values.shape[::2]))
+        for change, shift in zip(total, np.diag(rtol * largest), strict=True):
+            both = [sampler(self.points, signed) for signed in (shift, -shift)]
+            change += np.max([np.abs(found - self.values).max(axis=1) for found in both], axis=0)
+        relative: Array = total / self.sizes[:, None]
+        return relative
+
+
+@dataclass(frozen=True)
+class CheckPoints:
+    """Points of the box for two checks: one that is aimed at, and one of further points.
+
+    Attributes
+    ----------
+    corners : int
+        Number of the first points of either, which are corners.
+    aimed, further : ndarray (m, d)
+        Corners, different points of the interior, and points beside places where the quantities
+        are narrow or not smooth as functions of parameters.
+    """
+
+    corners: int
+    aimed: Array
+    further: Array
+
+    @classmethod
+    def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
+        """The points for some quantities."""
+        corners = _corners(domain)
+        special = [_beside(domain, quantities.breaks[1:]), _on_ridges(domain, quantities)]
+        halves = np.split(spread_over(domain, 2 * _POINTS if domain.box else 2), 2)
+        aimed, further = (np.concatenate([corners, half, *special]) for half in halves)
+        return cls(len(corners), aimed, further)
+
+
+def spread_over(domain: Domain, count: int) -> Array:
+    """Points of the box, evenly spread, the centre first: (count, d)."""
+    lower, upper = domain.bounds.T
+    shares = spread(count, lower.size, np.random.default_rng(20145))
+    shares = np.concatenate([np.full((1, lower.size), 0.5), shares[1:]])
+    return np.asarray(lower + (upper - lower) * shares)
+
+
+def split(grid: TimeGrid) -> TimeGrid:
+    """A grid with two slabs, of unequal length, for each."""
+    pairs = itertools.pairwise(grid.breaks)
+    breaks = [x for a, b in pairs for x in (a, a + _FIRST_PART * (b - a))]
+    return TimeGrid((*breaks, grid.breaks[-1]), grid.count)
+
+
+def _beside(domain: Domain, breaks: Sequence[Sequence[float]]) -> Array:
+    """Points of the box beside places where functions of a parameter are not smooth: (m, d)."""
+    found = [np.zeros((0, len(domain.box)))]
+    for j, places in enumerate(breaks):
+        lower, upper = domain.box[j]
+        some = list(places)[:_MOST_BREAKS]
+        points = spread_over(domain, 2 * len(some) + 1)[1:]
+        width = _NEAR * (upper - lower)
+        points[:, j] = np.clip([x + s * width for x in some for s in (-1.0, 1.0)], lower, upper)
+        found.append(points)
+    return np.concatenate(found)
+
+
+def _on_ridges(domain: Domain, quantities: Quantities) -> Array:
+    """Points of the box where functions of several parameters are narrow or not smooth: (m, d)."""
+    points = spread_over(domain, 2 * _POINTS)
+    left, right = points[:_POINTS], points[_POINTS:]
+    found = [points[:0]]
+    with np.errstate(all="ignore"):
+        for k in range(len(quantities.ridges(points.T))):
+
+            def sign(at: Array, k: int = k) -> Array:
+                return np.sign(np.broadcast_to(quantities.ridges(at.T)[k], len(at)))
+
+            here = np.flatnonzero(sign(left) * sign(right) < 0.0)[:_MOST_BREAKS]
+            a, b = left[here], right[here]
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (a + b)
+                same = (sign(middle) == sign(a))[:, None]
+                a, b = np.where(same, middle, a), np.where(same, b, middle)
+            found.append(a)
+    return np.concatenate(found)
+
+
+def _corners(domain: Domain) -> Array:
+    """Corners of the box, all or some: (m, d)."""
+    bounds = domain.bounds
+    count = len(bounds)
+    if not count:
+        return np.zeros((0, 0))
+    if 2**count <= _CORNERS:
+        which = np.stack(np.unravel_index(np.arange(2**count), (2,) * count), axis=1)
+    else:
+        which = np.random.default_rng(20146).integers(0, 2, (_CORNERS, count))
+    return np.asarray(np.take_along_axis(bounds.T, which, axis=0))
