@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         separate,
         weak_form,
     )
-    from rankone.symbolic.over_time import first_crossing, maximum, minimum
+    from rankone.symbolic.over_time import duration, first_crossing, maximum, minimum
     from rankone.version import __version__
 
 __all__ = [
@@ -73,6 +73,7 @@ __all__ = [
     "WeakForm",
     "__version__",
     "compile",
+    "duration",
     "first_crossing",
     "first_order",
     "function",
@@ -113,6 +114,7 @@ _HOMES = {
     "WeakForm": ("symbolic", "WeakForm"),
     "__version__": ("version", "__version__"),
     "compile": ("compiled", "compile_problem"),
+    "duration": ("symbolic.over_time", "duration"),
     "first_crossing": ("symbolic.over_time", "first_crossing"),
     "first_order": ("symbolic", "first_order"),
     "function": ("functions", "function"),

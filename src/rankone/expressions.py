@@ -22,16 +22,21 @@ from rankone.functions import known_applied
 from rankone.ir import Coordinate
 from rankone.metadata import SolutionMetadata
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
-from rankone.symbolic.over_time import first_crossing, maximum, minimum
+from rankone.symbolic.over_time import duration, first_crossing, maximum, minimum
 from rankone.symbolic.parsing import parse_expression
 from rankone.wording import did_you_mean, listing, quote, shown
 
 __all__ = ["quantities_of"]
 
-_REDUCTIONS = (maximum, minimum, first_crossing, sp.Integral)
+_REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)
 _MOST_PERIODS = 200
 """Most points of a periodic function."""
-_KINDS = {maximum: Kind.MAXIMUM, minimum: Kind.MINIMUM, first_crossing: Kind.CROSSING}
+_KINDS = {
+    maximum: Kind.MAXIMUM,
+    minimum: Kind.MINIMUM,
+    first_crossing: Kind.CROSSING,
+    duration: Kind.DURATION,
+}
 
 
 def quantities_of(

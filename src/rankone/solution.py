@@ -230,7 +230,7 @@ class Solution(StatisticsOverBox):
         quantities : mapping of str to Expr or str
             For each name an expression of unknowns, their time derivatives, parameters and time.
             ``Integral(x, (t, a, b))`` is an integral over time, to ``t`` as upper limit a running
-            one; :func:`rankone.maximum`, :func:`rankone.minimum` and
+            one; :func:`rankone.maximum`, :func:`rankone.minimum`, :func:`rankone.duration` and
             :func:`rankone.first_crossing` are functions of a whole function of time. In a text
             write ``integral(x, a, b)``, ``maximum(x)`` and so on.
         rtol : float, optional

@@ -62,6 +62,10 @@ CONSTANT = {
     "minimum": (ro.minimum(x - y), lambda s: -largest(lambda r: s(r)[1] - s(r)[0])),
     "crossing": (ro.first_crossing(x, 2), lambda s: crossing(lambda r: s(r)[0] - 2, 0)),
     "upwards": (ro.first_crossing(x, 2, 1), lambda s: crossing(lambda r: s(r)[0] - 2, 1)),
+    "duration": (
+        ro.duration(x - 5),
+        lambda s: np.mean(s(np.linspace(0, 6, 2_000_001))[0] > 5) * 6,
+    ),
     "both": (
         ro.maximum(y) * x0 / sp.Integral(x, (t, 0, 6)),
         lambda s: largest(lambda r: s(r)[1]) * s(0.0)[0] / s(6.0)[3],

@@ -86,6 +86,17 @@ class Polynomials:
         found = self._root(left, right, signs[where + 1, columns], columns)
         return np.where(crossed, found, np.nan)
 
+    def duration(self) -> Array:
+        """For how long values are positive, (m,)."""
+        times, dense = self._dense()
+        positive = dense > 0.0
+        whole = np.diff(times) @ (positive[1:] & positive[:-1])
+        where, columns = np.nonzero(positive[1:] != positive[:-1])
+        left, right, rises = times[where], times[where + 1], positive[where + 1, columns]
+        root = self._root(left, right, np.where(rises, 1.0, -1.0), columns)
+        np.add.at(whole, columns, np.where(rises, right - root, root - left))
+        return np.asarray(whole)
+
     def zeros(self, most: int) -> tuple[Array, NDArray[np.intp]]:
         """Times of the first changes of sign and of which functions: (N,) each, N <= most m."""
         times, dense = self._dense()

@@ -19,6 +19,7 @@ class Kind(Enum):
     MAXIMUM = "maximum"
     MINIMUM = "minimum"
     CROSSING = "first crossing"
+    DURATION = "duration"
 
 
 @dataclass(frozen=True)

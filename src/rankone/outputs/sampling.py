@@ -167,6 +167,8 @@ class Sampler:
                 return functions.maximum()
             case Kind.MINIMUM:
                 return -Polynomials(self.grid, -values).maximum()
+            case Kind.DURATION:
+                return functions.duration()
         found = functions.first_crossing(reduction.direction, self._nothing)
         if np.isnan(found).any():
             raise EvaluationError(

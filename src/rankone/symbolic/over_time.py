@@ -1,4 +1,4 @@
-"""Functions of a whole function of time: its extremes, and when it first crosses a level."""
+"""Functions of a whole function of time: extremes, durations, the first crossing of a level."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import sympy as sp
 
-__all__ = ["first_crossing", "maximum", "minimum"]
+__all__ = ["duration", "first_crossing", "maximum", "minimum"]
 
 
 class maximum(sp.Function):  # type: ignore[misc]
@@ -25,6 +25,15 @@ class maximum(sp.Function):  # type: ignore[misc]
 
 class minimum(sp.Function):  # type: ignore[misc]
     """The smallest value over time of an expression, in :meth:`rankone.Solution.output`."""
+
+    nargs = 1
+
+
+class duration(sp.Function):  # type: ignore[misc]
+    """For how long an expression is positive, in :meth:`rankone.Solution.output`.
+
+    ``duration(x - level)`` is the time that x is above a level.
+    """
 
     nargs = 1
 
