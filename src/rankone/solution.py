@@ -14,6 +14,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.errors import EvaluationError
+from rankone.estimation.methods import EstimationFromData
 from rankone.outputs import with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solvers.outcome import SlabRecord
@@ -33,7 +34,7 @@ _WIDTH = 96
 _MOST_NAMES = 8
 
 
-class Solution(StatisticsOverBox):
+class Solution(StatisticsOverBox, EstimationFromData):
     """The unknowns as functions of time and of all parameters.
 
     It is evaluated like :class:`~rankone.solution_core.SolutionCore`, whose methods it has:

@@ -1,0 +1,1 @@
+"""Parameters from data, posterior distributions and best values, on a solved problem."""

@@ -1,0 +1,93 @@
+"""What is estimated from data and optimised, as methods of a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rankone.estimation.fit import Fit, fit
+from rankone.solution_core import SolutionCore
+
+__all__ = ["EstimationFromData"]
+
+
+class EstimationFromData(SolutionCore):
+    """A solution that is fitted to data."""
+
+    def fit(
+        self,
+        times: Any,
+        data: Any,
+        *,
+        observe: Any = None,
+        sigma: Any = None,
+        weights: Any = None,
+        fixed: Mapping[Any, Any] | None = None,
+        start: Mapping[Any, Any] | None = None,
+        bounds: Mapping[Any, Any] | None = None,
+        starts: int = 4,
+        level: float = 0.95,
+        missing: str = "error",
+    ) -> Fit:
+        """Parameters from data, by weighted least squares with exact derivatives.
+
+        Parameters
+        ----------
+        times : array_like (times,) or mapping
+            When the data were measured, in the unit of time; the same time may come more than
+            once. A mapping from outputs gives each its own times.
+        data : array_like (times,) or (outputs, times), or mapping
+            What was measured: of one output, of several, or for each by name.
+        observe : name, symbol or list of them, optional
+            The unknowns that were measured, or derivatives that are states. By default those
+            named by the data, or all unknowns.
+        sigma : float or array_like, optional
+            Standard deviation of the noise: a number, one for each output, or one for each datum.
+            If it is not given, one for all data is estimated from the residuals.
+        weights : array_like, optional
+            Instead of sigma, factors of the squares, in the same shapes: one over the variance up
+            to a factor, which is estimated.
+        fixed : mapping, optional
+            Parameters that are known, by names or symbols, and their values.
+        start : mapping, optional
+            A value of some parameters to start from; the others start in the middle.
+        bounds : mapping, optional
+            Intervals of some parameters, parts of the box; by default the box.
+        starts : int
+            Number of further starts, the best of points all over the box.
+        level : float
+            Of the intervals.
+        missing : {"error", "drop"}
+            Whether data that are NaN are an error, or left out.
+
+        Returns
+        -------
+        Fit
+            With the estimates ``x``, ``covariance``, ``interval()``, ``residuals``,
+            ``identifiable``, ``success`` and ``message``. It is a success if the search ended
+            inside of the bounds, every parameter is identified, the residuals are not far above
+            sigma, and the error of the solution is small beside the noise.
+
+        Raises
+        ------
+        OptionError
+            If shapes do not fit, data are NaN, there are fewer data than free parameters, sigma
+            is not positive, an unknown or a parameter is not known, all parameters are fixed or
+            a start is outside of its bounds.
+        EvaluationError
+            If a time is outside of the horizon, or a value outside of the box.
+        """
+        return fit(
+            self,
+            times,
+            data,
+            observe=observe,
+            sigma=sigma,
+            weights=weights,
+            fixed=fixed,
+            start=start,
+            bounds=bounds,
+            starts=starts,
+            level=level,
+            missing=missing,
+        )
