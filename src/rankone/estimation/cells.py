@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import legint, leggauss, legval, legvander
+from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
 from rankone.arrays import Array
 
@@ -21,13 +21,15 @@ __all__ = ["Cells", "adapted"]
 Density = Callable[[Array], Array]
 
 _NODES = {1: 10, 2: 7, 3: 5}
-_TOLERANCE = 1e-5
-"""Sum of the errors of all integrals, in shares of the whole."""
-_MOST_POINTS = 1_500_000
+_TOLERANCE = {1: 1e-8, 2: 1e-5, 3: 3e-4}
+"""Sum of the errors of the integrals over all cells, in shares of the whole."""
+_LEAST_SHARES = 50
+"""A cell may have this share of the tolerance, or that of all cells if they are more."""
+_MOST_POINTS = 2_000_000
 _ROUNDS = 60
 _FIRST = {1: 16, 2: 8, 3: 4}
 """Cells in each direction to begin with."""
-_NARROW = 2.0
+_NARROW = {1: 2.0, 2: 2.0, 3: 4.0}
 """Widest cells where the density is thought to be, in its standard deviations."""
 _BISECTIONS = 60
 
@@ -153,34 +155,42 @@ def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, 
         How far the density extends there in each direction, the others held.
     """
     lower, width = _first(likely, spread)
-    top = float(np.max(log_density(likely)))
     logs = _evaluated(log_density, lower, width)
-    points = logs.size
-    top = max(top, float(logs.max()))
-    for _ in range(_ROUNDS):
-        values = np.exp(logs - top)
-        whole = float(np.sum(values.reshape(len(values), -1) * _weights(width)))
-        halves = _halved(lower, width, values)
+    points, whole, error = logs.size, 0.0, 0.0
+    top = float(max(logs.max(), np.max(log_density(likely))))
+    done: list[tuple[Array, Array, Array]] = []
+    for turn in range(_ROUNDS):
+        halves = _halved(lower, width, np.exp(logs - top))
         finer = _evaluated(log_density, *halves)
         points += finer.size
-        risen = float(finer.max())
-        exact = np.exp(finer - max(top, risen)).reshape(len(finer), -1) * _weights(halves[1])
-        coarse = values.reshape(len(values), -1) * _weights(width) * np.exp(min(top - risen, 0.0))
-        top = max(top, risen)
-        errors = np.abs(coarse.sum(axis=1) - exact.sum(axis=1).reshape(2, -1).sum(axis=0))
-        whole = float(exact.sum())
-        error = float(errors.sum()) / whole
-        if error <= _TOLERANCE or points > _MOST_POINTS:
-            lower, width = halves
-            values = np.exp(finer - top) / whole
-            return Cells(lower, width, values, error, points), top + np.log(whole)
-        split = errors > 0.5 * _TOLERANCE * whole / len(errors)
-        both = np.tile(split, 2)
-        lower = np.concatenate([lower[~split], halves[0][both]])
-        width = np.concatenate([width[~split], halves[1][both]])
-        logs = np.concatenate([logs[~split], finer[both]])
+        higher = max(top, float(finer.max()))
+        whole, error = whole * np.exp(top - higher), error * np.exp(top - higher)
+        top = higher
+        fine = _integrals(halves[1], finer, top).reshape(2, -1).sum(axis=0)
+        errors = np.abs(_integrals(width, logs, top) - fine)
+        bound = (
+            _TOLERANCE[lower.shape[1]]
+            * (whole + float(fine.sum()))
+            / max(len(errors), _LEAST_SHARES)
+        )
+        good = errors <= bound
+        if points > _MOST_POINTS or turn == _ROUNDS - 1:
+            good[:] = True
+        whole, error = whole + float(fine[good].sum()), error + float(errors[good].sum())
+        both = np.tile(good, 2)
+        done.append((halves[0][both], halves[1][both], finer[both]))
+        lower, width, logs = halves[0][~both], halves[1][~both], finer[~both]
+        if not len(lower):
+            break
+    lower, width, logs = (np.concatenate(part) for part in zip(*done, strict=True))
     values = np.exp(logs - top) / whole
-    return Cells(lower, width, values, error, points), top + np.log(whole)
+    return Cells(lower, width, values, error / whole, points), top + float(np.log(whole))
+
+
+def _integrals(width: Array, logs: Array, top: float) -> Array:
+    """Integrals over cells (c,) of densities given by logarithms."""
+    values = np.exp(logs - top).reshape(len(logs), -1)
+    return np.asarray(np.sum(values * _weights(width), axis=1))
 
 
 def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
@@ -189,7 +199,7 @@ def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
     count = _FIRST[n]
     corners = np.array(list(itertools.product(range(count), repeat=n))) / count
     lower, width = corners, np.full(corners.shape, 1.0 / count)
-    narrow = np.maximum(_NARROW * spread, 1e-12)
+    narrow = np.maximum(_NARROW[n] * spread, 1e-12)
     for _ in range(200):
         wide = width > narrow
         inside = np.zeros(len(lower), dtype=bool)
@@ -249,5 +259,7 @@ def _evaluated(log_density: Density, lower: Array, width: Array) -> Array:
     """Logarithms at the nodes of cells, (c, *nodes)."""
     n = lower.shape[1]
     points = _nodes(lower, width).reshape(-1, n)
-    found = np.concatenate([log_density(part) for part in np.array_split(points, len(points) // 65536 + 1)])
+    found = np.concatenate(
+        [log_density(part) for part in np.array_split(points, len(points) // 65536 + 1)]
+    )
     return found.reshape(len(lower), *[_NODES[n]] * n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -26,12 +26,16 @@ _MODEL = 0.5
 class _Fit(Protocol):
     """What is looked at of a fit."""
 
-    observations: Any
-    solution: Any
-    chi2: Any
-    converged: Any
-    size: Any
-
+    @property
+    def observations(self) -> Observations: ...
+    @property
+    def solution(self) -> SolutionCore: ...
+    @property
+    def chi2(self) -> float: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def size(self) -> Array: ...
     @property
     def identifiable(self) -> dict[str, bool]: ...
     @property

@@ -1,9 +1,9 @@
-"""Parameters of a solution from data, by weighted least squares."""
+"""What a fit says: best values, intervals, what is identified, and what speaks against it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,23 +16,16 @@ from rankone.coordinates import name_of
 from rankone.errors import OptionError
 from rankone.estimation.expressions import gradient, quantity
 from rankone.estimation.findings import findings_of
-from rankone.estimation.free import Free, free_parameters
-from rankone.estimation.identification import Identification, identify
-from rankone.estimation.least_squares import LeastSquares, Minima
-from rankone.estimation.model import TrainModel
-from rankone.estimation.observations import Observations, observed
+from rankone.estimation.identification import Identification
+from rankone.estimation.least_squares import LeastSquares
+from rankone.estimation.observations import Observations
 from rankone.estimation.profiles import Best, Profile, Stop, profiles
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
-from rankone.solvers.reference import spread
 from rankone.wording import count, did_you_mean, listing, quote
 
-__all__ = ["Fit", "fit"]
+__all__ = ["Fit", "checked_level", "quantile_of"]
 
-_LOOKED_AT = 128
-"""Points of the box among which the starts are chosen."""
-_AS_GOOD = 1e-3
-"""Share of the mean square by which minima count as equally good."""
 _NULL = 1e-3
 """Share of a gradient along flat directions from which a quantity is not identified."""
 
@@ -48,15 +41,13 @@ class Fit:
     solution : SolutionCore
     observations : Observations
         What was measured, in a row.
-    fixed : dict of str to float
     level : float
         Level of intervals where none is asked for.
     chi2 : float
         Sum of squares of the residuals over sigma; with weights, or with sigma unknown, of the
         weighted residuals.
-    dof : int
-        Degrees of freedom: number of data less that of identified directions.
-    sigma_known : bool
+    converged : bool
+        Whether the search ended by itself.
     size : ndarray (m,)
         Largest values of the observed states over the box, for each datum.
     """
@@ -103,7 +94,7 @@ class Fit:
     @property
     def dof(self) -> int:
         """Number of data less that of directions that the data identify."""
-        return self.observations.size - self._known.root.shape[1]
+        return int(self.observations.size - self._known.root.shape[1])
 
     @property
     def sigma(self) -> float:
@@ -172,9 +163,7 @@ class Fit:
                 f"method={method!r} is unknown", remedy='choose "linear" or "profile"'
             )
         q = self._quantile(level)
-        return {
-            name: (self.x[name] - q * s, self.x[name] + q * s) for name, s in self.std.items()
-        }
+        return {name: (self.x[name] - q * s, self.x[name] + q * s) for name, s in self.std.items()}
 
     def interval_of(self, given: Any, level: float | None = None) -> Interval:
         """An interval for a quantity of the parameters, such as ``"C_D/m"``, by linearisation.
@@ -221,8 +210,8 @@ class Fit:
     def _quantile(self, level: float | None) -> float:
         """Half the length of an interval, in standard deviations."""
         if level is None:
-            return _quantile(self.level, self.observations.known, self.dof)
-        return _quantile(_level(level), self.observations.known, self.dof)
+            return quantile_of(self.level, self.observations.known, self.dof)
+        return quantile_of(checked_level(level), self.observations.known, self.dof)
 
     def _quantity(self, given: Any) -> tuple[float, float]:
         """A quantity at the estimate, and its standard deviation."""
@@ -294,110 +283,24 @@ class Fit:
         for text in self.combinations:
             low, high = self.interval_of(text)
             value = self.value_of(text)
-            lines.append(f"  {text}  {value:.6g}  {100 * self.level:g} % in [{low:.6g}, {high:.6g}]")
-        return "\n".join([*lines, f"  {'success' if self.success else 'no success'}: {self.message}"])
-
-
-def fit(
-    solution: SolutionCore,
-    times: Any,
-    data: Any,
-    *,
-    observe: Any = None,
-    sigma: Any = None,
-    weights: Any = None,
-    fixed: Mapping[Any, Any] | None = None,
-    start: Mapping[Any, Any] | None = None,
-    bounds: Mapping[Any, Any] | None = None,
-    starts: int = 4,
-    level: float = 0.95,
-    missing: str = "error",
-) -> Fit:
-    """Fit parameters to data; parameters and errors are those of :meth:`~rankone.Solution.fit`."""
-    solution._evaluator  # noqa: B018 - raises if nothing was solved
-    free = free_parameters(solution, fixed, bounds, start)
-    seen = observed(
-        solution, times, data, observe, sigma=sigma, weights=weights, missing=missing
-    )
-    level = _level(level)
-    starts = checked_number("starts", starts, 0 if start is not None else 1, _LOOKED_AT)
-    _enough(seen, free)
-    problem = LeastSquares(TrainModel(solution.outcome.slabs, seen.rows, seen.times), seen, free)
-    residuals, from_where = _starts(problem, starts)
-    minima = problem.minima(from_where)
-    k = _chosen(minima)
-    z, cost, jacobian = minima.z[k], float(minima.cost[k]), minima.jacobian[k]
-    dof = max(seen.size - len(free.names), 1)
-    unit = 1.0 if seen.known else math.sqrt(cost / dof)
-    q = _quantile(level, seen.known, dof)
-    known = identify(problem, z, cost, jacobian, q, unit)
-    values = np.abs(residuals / seen.scale + seen.values)
-    largest = values.max(axis=0)
-    size = np.array([largest[seen.owner == i].max() for i in range(len(seen.names))])[seen.owner]
-    return Fit(
-        solution,
-        seen,
-        level,
-        cost,
-        bool(minima.converged[k]),
-        problem,
-        z,
-        minima.residuals[k],
-        known,
-        size,
-    )
-
-
-def _enough(seen: Observations, free: Free) -> None:
-    """An error for fewer data than parameters."""
-    least = len(free.names) if seen.known else len(free.names) + 1
-    if seen.size < least:
-        spread_too = "" if seen.known else " and sigma"
-        raise OptionError(
-            f"there are {count(seen.size, 'value')} for {count(len(free.names), 'parameter')}"
-            f"{spread_too}: {listing(free.names)}",
-            remedy="measure more, or fix parameters: fixed={name: value}"
-            + ("" if seen.known else "; or give sigma"),
+            lines.append(
+                f"  {text}  {value:.6g}  {100 * self.level:g} % in [{low:.6g}, {high:.6g}]"
+            )
+        return "\n".join(
+            [*lines, f"  {'success' if self.success else 'no success'}: {self.message}"]
         )
 
 
-def _starts(problem: LeastSquares, number: int) -> tuple[Array, Array]:
-    """Residuals (N, m) at points all over the cube, and the best of them that are apart (k, n)."""
-    n = len(problem.free.names)
-    points = spread(_LOOKED_AT, n, np.random.default_rng(7))
-    points[0] = 0.5
-    residuals = problem.residuals(points)
-    order = np.argsort(np.einsum("km,km->k", residuals, residuals))
-    chosen: list[Array] = [] if problem.free.start is None else [problem.free.start]
-    apart = 0.5 * number ** (-1.0 / n) if number else 0.0
-    wanted = len(chosen) + number
-    for point in points[order]:
-        if len(chosen) == wanted:
-            break
-        if all(np.abs(point - other).max() >= apart for other in chosen):
-            chosen.append(point)
-    return residuals, np.array(chosen)
-
-
-def _chosen(minima: Minima) -> int:
-    """The best minimum; of those that are as good, the one farthest from the bounds."""
-    mean = minima.cost.min() / minima.residuals.shape[1]
-    good = np.flatnonzero(minima.cost <= minima.cost.min() + _AS_GOOD * mean)
-    inside = np.minimum(minima.z[good], 1.0 - minima.z[good]).min(axis=1)
-    apart = np.abs(minima.z[good] - minima.z[minima.cost.argmin()]).max(axis=1)
-    if apart.max() <= 1e-3:
-        return int(minima.cost.argmin())
-    return int(good[np.argmax(inside)])
-
-
-def _level(level: Any) -> float:
+def checked_level(level: Any) -> float:
+    """A probability strictly between 0 and 1, or an OptionError."""
     level = checked_number("level", level, 0.0, 1.0, float)
     if not 0.0 < level < 1.0:
         raise OptionError(f"level={level:g} is not between 0 and 1", remedy="choose 0.95")
     return float(level)
 
 
-def _quantile(level: float, known: bool, dof: int) -> float:
+def quantile_of(level: float, known: bool, dof: int) -> float:
+    """Half the length of an interval: of the normal distribution, or Student's for unknown sigma."""
     share = 0.5 + 0.5 * level
     return float(scipy.stats.norm.ppf(share) if known else scipy.stats.t.ppf(share, dof))
 

@@ -1,9 +1,9 @@
 """Which parameters, and which combinations of them, the data identify.
 
-Flat directions of the least squares are found by the singular values of the Jacobian, and checked by
-going along them: a parameter whose profile interval ends only where the box does, is not identified.
-What is left of its neighbours is named: the row space of the Jacobian with respect to logarithms of
-parameters holds the powers of a product that is identified, such as (1, -1) for C_D/m.
+Flat directions of the least squares are found by the singular values of the Jacobian, and checked
+by going along them: a parameter whose profile interval ends only where the box does is not
+identified. What is left of several is named: the row space of the Jacobian with respect to their
+logarithms holds the powers of a product that is identified, such as (1, -1) for C_D/m.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Identification:
         """Standard deviations in z for unit sigma, infinite for what is not identified."""
         found = np.sqrt(np.sum(self.root**2, axis=1))
         found[list(self.flat)] = np.inf
-        return found
+        return np.asarray(found)
 
 
 def identify(
@@ -93,12 +93,17 @@ def identify(
     flat = tuple(p.index for p in boxed if p.width > _WIDER * 2.0 * left[p.index] or q == z.size)
     if not flat:
         return nothing
-    names = _combinations(problem, jacobian, flat, q, boxed)
+    names = _combinations(problem, z, jacobian, flat, q, boxed)
     return Identification(flat, root[:, kept], right[order[:q]].T, names)
 
 
 def _combinations(
-    problem: LeastSquares, jacobian: Array, flat: Sequence[int], q: int, found: Sequence[Profile]
+    problem: LeastSquares,
+    z: Array,
+    jacobian: Array,
+    flat: Sequence[int],
+    q: int,
+    found: Sequence[Profile],
 ) -> tuple[str, ...]:
     """Texts of the combinations of flat parameters that are constant along flat directions."""
     names = [problem.free.names[i] for i in flat]
@@ -106,12 +111,10 @@ def _combinations(
     linear = _reduced(jacobian / problem.free.width, flat, q)
     if not len(linear):
         return ()
-    x = problem.free.values(found[0].path[0])
-    positive = (problem.free.lower > 0.0).all() or (path > 0.0).all()
+    positive = (problem.free.lower[list(flat)] > 0.0).all()
     if not positive:
         return tuple(_sum(names, row) for row in linear)
-    middle = problem.free.values(np.asarray(found[0].path[np.argmin(found[0].rise)]))
-    powers = _reduced(jacobian / problem.free.width * (middle if (middle > 0).all() else x), flat, q)
+    powers = _reduced(jacobian / problem.free.width * problem.free.values(z), flat, q)
     in_powers = _variation(np.log(path), powers)
     if in_powers <= max(_CONSTANT, _variation(path, linear)):
         return tuple(_product(names, row) for row in powers)
@@ -143,27 +146,29 @@ def _variation(path: Array, rows: Array) -> float:
     return float(np.max(np.ptp(path @ rows.T, axis=0) / np.maximum(parts, 1e-300)))
 
 
-def _scaled(row: Array) -> list[Fraction | float]:
-    """Numbers as simple fractions, with a positive first one; as they are if they are not simple."""
+def _scaled(row: Array) -> list[tuple[int, str]]:
+    """Sign and text of each number, as simple fractions if they all are; the first is positive."""
     used = row[row != 0.0]
-    row = row / used[0] if np.abs(used[0]) == np.abs(used).max() else row * np.sign(used[0])
-    least = np.abs(row[row != 0.0]).min()
-    for scale in (1.0 / least, 1.0):
+    row = row * np.sign(used[0]) / np.abs(used).max()
+    for scale in (np.abs(used).max() / np.abs(used).min(), 1.0):
         near = [Fraction(float(v * scale)).limit_denominator(_DENOMINATORS) for v in row]
-        if all(abs(float(n) - v * scale) <= _SIMPLE * abs(v * scale) for n, v in zip(near, row, strict=True)):
-            return list(near)
-    return [round(float(v), 3) for v in row]
+        pairs = zip(near, row * scale, strict=True)
+        if all(abs(float(simple) - v) <= _SIMPLE * abs(v) for simple, v in pairs):
+            return [((v > 0) - (v < 0), _fraction(abs(v))) for v in near]
+    return [(int(np.sign(v)), f"{abs(v):.3g}") for v in row]
+
+
+def _fraction(value: Fraction) -> str:
+    return str(value) if value.denominator == 1 else f"({value})"
 
 
 def _product(names: Sequence[str], row: Array) -> str:
     """Powers as text, such as ``C_D/m``."""
-    above, below = [], []
-    for name, power in zip(names, _scaled(row), strict=True):
-        if power:
-            size = abs(power)
-            text = str(size) if isinstance(size, float) or size.denominator == 1 else f"({size})"
-            (above if power > 0 else below).append(name if size == 1 else f"{name}**{text}")
-    top = "*".join(above) or "1"
+    sides: dict[int, list[str]] = {1: [], -1: []}
+    for name, (sign, power) in zip(names, _scaled(row), strict=True):
+        if sign:
+            sides[sign].append(name if power == "1" else f"{name}**{power}")
+    top, below = "*".join(sides[1]), sides[-1]
     if not below:
         return top
     return f"{top}/{below[0]}" if len(below) == 1 else f"{top}/({'*'.join(below)})"
@@ -172,10 +177,8 @@ def _product(names: Sequence[str], row: Array) -> str:
 def _sum(names: Sequence[str], row: Array) -> str:
     """Coefficients as text, such as ``a + 2*b``."""
     text = ""
-    for name, factor in zip(names, _scaled(row), strict=True):
-        if factor:
-            size = abs(factor)
-            shown = str(size) if isinstance(size, float) or size.denominator == 1 else f"({size})"
-            sign = (" + " if factor > 0 else " - ") if text else ("" if factor > 0 else "-")
-            text += sign + (name if size == 1 else f"{shown}*{name}")
+    for name, (sign, factor) in zip(names, _scaled(row), strict=True):
+        if sign:
+            joined = (" + " if sign > 0 else " - ") if text else ""
+            text += joined + (name if factor == "1" else f"{factor}*{name}")
     return text

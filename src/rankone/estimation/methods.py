@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rankone.estimation.fit import Fit, fit
+from rankone.estimation.fit import Fit
+from rankone.estimation.minimize import Optimum, minimize
+from rankone.estimation.posterior import Posterior, posterior
+from rankone.estimation.search import fit
 from rankone.solution_core import SolutionCore
 
 __all__ = ["EstimationFromData"]
 
 
 class EstimationFromData(SolutionCore):
-    """A solution that is fitted to data."""
+    """A solution that is fitted to data, and whose parameters are chosen."""
 
     def fit(
         self,
@@ -90,4 +93,117 @@ class EstimationFromData(SolutionCore):
             starts=starts,
             level=level,
             missing=missing,
+        )
+
+    def posterior(
+        self,
+        times: Any,
+        data: Any,
+        *,
+        observe: Any = None,
+        sigma: Any = None,
+        prior: Mapping[Any, Any] | None = None,
+        fixed: Mapping[Any, Any] | None = None,
+        bounds: Mapping[Any, Any] | None = None,
+        weights: Any = None,
+        missing: str = "error",
+        seed: int = 0,
+        steps: int = 2000,
+    ) -> Posterior:
+        """The distribution of the parameters after the data are known, for Gaussian noise.
+
+        Up to three free parameters by quadrature on cells that are refined where the density is,
+        beyond by a Markov chain, for which emcee is needed.
+
+        Parameters
+        ----------
+        times, data, observe, sigma, fixed, bounds, weights, missing
+            As for :meth:`fit`. If sigma is not given it is integrated over, with the density
+            1/sigma.
+        prior : mapping, optional
+            For parameters, by names or symbols, frozen continuous distributions of scipy.stats,
+            cut at the bounds; uniform where none is given.
+        seed, steps : int
+            Of the Markov chain.
+
+        Returns
+        -------
+        Posterior
+            With ``mean``, ``std``, ``covariance``, ``quantile``, ``interval``, ``density`` and
+            ``sample``.
+
+        Raises
+        ------
+        OptionError, EvaluationError
+            As for :meth:`fit`, and if a prior does not fit.
+        RankoneError
+            If emcee is needed and not installed.
+        """
+        return posterior(
+            self,
+            times,
+            data,
+            observe=observe,
+            sigma=sigma,
+            prior=prior,
+            fixed=fixed,
+            bounds=bounds,
+            weights=weights,
+            missing=missing,
+            seed=seed,
+            steps=steps,
+        )
+
+    def minimize(
+        self,
+        objective: Any,
+        t: Any = None,
+        *,
+        sense: str = "min",
+        fixed: Mapping[Any, Any] | None = None,
+        start: Mapping[Any, Any] | None = None,
+        bounds: Mapping[Any, Any] | None = None,
+        constraints: Mapping[Any, Any] | None = None,
+        starts: int = 4,
+    ) -> Optimum:
+        """The parameters for which an unknown, or a function of the unknowns, is least.
+
+        Sequential quadratic programming (SciPy) with derivatives from the separated form, from
+        the best of points all over the box.
+
+        Parameters
+        ----------
+        objective : name, symbol or callable
+            An unknown, whose value at the time ``t`` is the objective, or a function
+            ``f(values, parameters)`` of two dictionaries: values of all states at ``t`` by name,
+            numbers or arrays like ``t``, and all parameters. It has to be smooth.
+        t : float or array_like
+            Time of the objective; several for a function. None if nothing depends on time.
+        sense : {"min", "max"}
+        fixed, start, bounds, starts
+            As for :meth:`fit`.
+        constraints : mapping, optional
+            For unknowns ``(lower, upper)`` at the times ``t``, or ``(lower, upper, times)``; None
+            for no limit. Limits are numbers, or one for each time; they hold at these times.
+
+        Returns
+        -------
+        Optimum
+            With ``x``, ``fun``, ``success``, ``message`` and ``values``.
+
+        Raises
+        ------
+        OptionError, EvaluationError
+            As for :meth:`fit`, and if the objective is no number or the limits contradict.
+        """
+        return minimize(
+            self,
+            objective,
+            t,
+            sense=sense,
+            fixed=fixed,
+            start=start,
+            bounds=bounds,
+            constraints=constraints,
+            starts=starts,
         )

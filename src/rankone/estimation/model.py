@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import right_orthonormal, truncated
 
 __all__ = ["TrainModel"]
 
@@ -31,9 +34,7 @@ class TrainModel:
         The time of each datum, inside of the horizon.
     """
 
-    def __init__(
-        self, slabs: Sequence[SlabTrain], rows: NDArray[np.intp], times: Array
-    ) -> None:
+    def __init__(self, slabs: Sequence[SlabTrain], rows: NDArray[np.intp], times: Array) -> None:
         self.size = times.size
         owner = np.searchsorted([slab.start for slab in slabs[1:]], times, side="right")
         self._parts: list[tuple[SlabTrain, list[tuple[NDArray[np.intp], Array]]]] = []
@@ -45,6 +46,22 @@ class TrainModel:
             if group is None:
                 self._parts.append((slabs[k], group := []))
             group.append((here, in_time))
+
+    def thinned(self, scale: Array, tolerance: float) -> TrainModel:
+        """The same with smaller ranks, within a tolerance of the data times ``scale`` (m,).
+
+        The tolerance is of the root mean square over the box of the norm over all data.
+        """
+        made = copy(self)
+        made._parts = []
+        for slab, group in self._parts:
+            places = np.concatenate([here for here, _ in group])
+            first = np.concatenate([in_time for _, in_time in group]) * scale[places, None]
+            cores = right_orthonormal([first, *slab.cores[1:]])
+            cores, _ = truncated(cores, tolerance / np.sqrt(len(self._parts)))
+            smaller = replace(slab, cores=(slab.cores[0], *cores[1:]))
+            made._parts.append((smaller, [(places, cores[0] / scale[places, None])]))
+        return made
 
     def values(self, points: Array) -> Array:
         """Values at points (d, N) of all parameters: shape (N, m)."""

@@ -260,8 +260,7 @@ def _spread(
     for name, part, size in zip(names, arrays, sizes, strict=True):
         if part.shape not in ((), (size,)):
             raise OptionError(
-                f"{what} of {quote(name)} has the shape {part.shape} for "
-                f"{count(size, 'value')}",
+                f"{what} of {quote(name)} has the shape {part.shape} for {count(size, 'value')}",
                 term=given,
                 remedy="give a number, or one for each value",
             )
