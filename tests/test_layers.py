@@ -90,6 +90,7 @@ FRONT_END = (
     "problem_files",
     "expressions",
     "cli",
+    "commands",
     "__main__",
 )
 """What may reach SymPy, beside the package itself."""

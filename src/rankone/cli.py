@@ -1,4 +1,4 @@
-"""The command line: ``rankone solve FILE``, ``rankone show FILE`` and ``rankone export FILE``.
+"""The command line: ``rankone solve FILE``, ``show``, ``export`` and ``fit``.
 
 Exit status: 0 if the measured error is within the tolerance, 1 if it is not or is not known,
 2 for bad input, 130 after an interrupt.
@@ -90,6 +90,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
+    from rankone.commands import fit
     from rankone.problem_files import TOML_LAYOUT
 
     layout = "layout of a TOML file:\n" + "".join(
@@ -194,6 +195,8 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--method", default="auto", help="the engine (default: %(default)s)")
     export.add_argument("--overwrite", action="store_true", help="replace an existing file")
     export.set_defaults(run=_export)
+
+    fit.add(commands)
     return parser
 
 

@@ -300,7 +300,7 @@ def checked_level(level: Any) -> float:
 
 
 def quantile_of(level: float, known: bool, dof: int) -> float:
-    """Half the length of an interval: of the normal distribution, or Student's for unknown sigma."""
+    """Half the length of an interval in standard deviations; Student's for unknown sigma."""
     share = 0.5 + 0.5 * level
     return float(scipy.stats.norm.ppf(share) if known else scipy.stats.t.ppf(share, dof))
 

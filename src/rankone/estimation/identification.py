@@ -29,6 +29,8 @@ _SIMPLE = 0.04
 _DENOMINATORS = 4
 _CLOSE = 0.05
 """How exactly the ends of intervals are found."""
+_LEVEL = 0.25
+"""Share of the limit up to which a profile is along the flat direction."""
 _CONSTANT = 0.02
 """Variation of a product along a path that is none, in shares of that of its factors."""
 
@@ -93,7 +95,7 @@ def identify(
     flat = tuple(p.index for p in boxed if p.width > _WIDER * 2.0 * left[p.index] or q == z.size)
     if not flat:
         return nothing
-    names = _combinations(problem, z, jacobian, flat, q, boxed)
+    names = _combinations(problem, z, jacobian, flat, q, boxed, limit)
     return Identification(flat, root[:, kept], right[order[:q]].T, names)
 
 
@@ -104,10 +106,13 @@ def _combinations(
     flat: Sequence[int],
     q: int,
     found: Sequence[Profile],
+    limit: float,
 ) -> tuple[str, ...]:
     """Texts of the combinations of flat parameters that are constant along flat directions."""
     names = [problem.free.names[i] for i in flat]
-    path = problem.free.values(max(found, key=lambda p: p.width).path)[:, list(flat)]
+    widest = max(found, key=lambda p: p.width)
+    inside = widest.path[widest.rise <= _LEVEL * limit]
+    path = problem.free.values(inside)[:, list(flat)]
     linear = _reduced(jacobian / problem.free.width, flat, q)
     if not len(linear):
         return ()

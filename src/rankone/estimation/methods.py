@@ -108,7 +108,7 @@ class EstimationFromData(SolutionCore):
         weights: Any = None,
         missing: str = "error",
         seed: int = 0,
-        steps: int = 2000,
+        steps: int = 1000,
     ) -> Posterior:
         """The distribution of the parameters after the data are known, for Gaussian noise.
 

@@ -26,6 +26,8 @@ _LOOKED_AT = 256
 _FEASIBLE = 1e-6
 """How far a constraint may be missed, in units of the spread of its unknown over the box."""
 _STEP = 1e-6
+_TOLERANCES = (1e-12, 1e-9, 1e-7)
+"""Of the scaled objective, one after the other."""
 
 Objective = Callable[[dict[str, Any], dict[str, float]], float]
 
@@ -210,15 +212,7 @@ def _best(goal: _Objective, limits: Sequence[_Constraint], starts: Sequence[Arra
     given = [{"type": "ineq", "fun": limit.margins, "jac": limit.slopes} for limit in limits]
     best: tuple[tuple[float, float], Array, bool, str] | None = None
     for start in starts:
-        done = scipy_minimize(
-            goal,
-            start,
-            jac=True,
-            method="SLSQP",
-            bounds=[(0.0, 1.0)] * start.size,
-            constraints=given,
-            options={"ftol": 1e-12, "maxiter": 300},
-        )
+        done = _search(goal, start, given)
         z = np.clip(done.x, 0.0, 1.0)
         missed = max((float(-limit.margins(z).min()) for limit in limits), default=0.0)
         missed = missed if missed > _FEASIBLE else 0.0
@@ -246,6 +240,24 @@ def _best(goal: _Objective, limits: Sequence[_Constraint], starts: Sequence[Arra
         parameters={name: every[name] for name in free.order},
         evaluations=goal.evaluations,
     )
+
+
+def _search(goal: _Objective, start: Array, constraints: Sequence[Mapping[str, Any]]) -> Any:
+    """One search; where rounding ends it early, once more with a tolerance that it can meet."""
+    for tolerance in _TOLERANCES:
+        done = scipy_minimize(
+            goal,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * start.size,
+            constraints=constraints,
+            options={"ftol": tolerance, "maxiter": 300},
+        )
+        if done.success:
+            break
+        start = np.clip(done.x, 0.0, 1.0)
+    return done
 
 
 def _worst(limits: Sequence[_Constraint], z: Array) -> str:

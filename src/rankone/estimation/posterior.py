@@ -180,7 +180,7 @@ def posterior(
     *,
     prior: Mapping[Any, Any] | None = None,
     seed: int = 0,
-    steps: int = 2000,
+    steps: int = 1000,
     **given: Any,
 ) -> Posterior:
     """The posterior; parameters and errors are those of :meth:`~rankone.Solution.posterior`."""

@@ -1,0 +1,230 @@
+"""``rankone fit FILE data.csv``: parameters from measured data."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rankone.errors import OptionError
+from rankone.wording import did_you_mean, listing, quote
+
+if TYPE_CHECKING:
+    from rankone.estimation.fit import Fit
+    from rankone.solution import Solution
+
+__all__ = ["add"]
+
+_SUCCESS, _FAILURE = 0, 1
+_EXIT_HELP = """\
+data: a table with commas; the first line names the columns: time (by the name it has in the
+problem) and the unknowns that were measured. Empty cells are missing values.
+
+exit status:
+  0  nothing speaks against the fit
+  1  something does; it is printed all the same
+  2  bad input
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the subcommand to a parser's subcommands."""
+    parser = commands.add_parser(
+        "fit",
+        usage="rankone fit FILE DATA [options]",
+        help="fit parameters to measured data",
+        description="Fit parameters of a solution, or of a problem that is solved first, to data.",
+        epilog=_EXIT_HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="a saved solution (.npz), or a problem"
+    )
+    parser.add_argument("data", metavar="DATA", type=Path, help="a .csv file (see below)")
+    parser.add_argument(
+        "--observe", metavar="NAME", nargs="+", help="columns to use; by default all unknowns"
+    )
+    parser.add_argument(
+        "--sigma",
+        metavar="S|NAME=S",
+        nargs="+",
+        help="standard deviation of the noise, one or by unknown; estimated if it is not given",
+    )
+    for option, what in (("fixed", "parameters that are known"), ("start", "where to start")):
+        parser.add_argument(
+            f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", default=[], help=what
+        )
+    parser.add_argument(
+        "--level", type=float, default=0.95, help="level of intervals (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--rtol", type=float, default=1e-6, help="tolerance of a solve (default: %(default)g)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.set_defaults(run=_fit)
+
+
+def _fit(arguments: argparse.Namespace) -> int:
+    """Run ``rankone fit``."""
+    solution = _solution(arguments.file, arguments.rtol)
+    times, data = _table(arguments.data, solution, arguments.observe)
+    found = solution.fit(
+        times,
+        data,
+        sigma=_sigma(arguments.sigma),
+        fixed=_numbers("--fixed", arguments.fixed),
+        start=_numbers("--start", arguments.start) or None,
+        level=arguments.level,
+    )
+    print(json.dumps(_plain(found), indent=2, allow_nan=False) if arguments.json else found)
+    return _SUCCESS if found.success else _FAILURE
+
+
+def _solution(file: Path, rtol: float) -> Solution:
+    """A saved solution, or that of a problem."""
+    import rankone
+    from rankone.errors import ConvergenceError
+    from rankone.problem_files import load_problem
+    from rankone.solution import load
+
+    if file.suffix == ".npz":
+        return load(file)
+    try:
+        return rankone.compile(load_problem(file)).solve(rtol=rtol)
+    except ConvergenceError as error:
+        if error.solution is None:
+            raise
+        solution: Solution = error.solution
+        return solution
+
+
+def _table(
+    file: Path, solution: Solution, observe: Sequence[str] | None
+) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
+    """Times and values of each unknown that was measured."""
+    header, rows = _read(file)
+    time = solution.metadata.time
+    if time not in header:
+        raise OptionError(
+            f"{quote(file)} has no column {quote(time)} for time{did_you_mean(time, header)}",
+            term=header,
+            remedy=f"its columns are {listing(header)}",
+        )
+    names = list(observe or [name for name in header if name in solution.states])
+    for name in names:
+        if name not in header:
+            raise OptionError(
+                f"{quote(file)} has no column {quote(name)}{did_you_mean(name, header)}",
+                term=name,
+                remedy=f"its columns are {listing(header)}",
+            )
+    if not names:
+        raise OptionError(
+            f"{quote(file)} has no column of an unknown",
+            term=header,
+            remedy=f"name columns as one of {listing(solution.states)}",
+        )
+    clock = header.index(time)
+    times: dict[str, list[float]] = {name: [] for name in names}
+    data: dict[str, list[float]] = {name: [] for name in names}
+    for line, row in rows:
+        for name in names:
+            cell = row[header.index(name)].strip()
+            if cell:
+                times[name].append(_cell(file, line, time, row[clock]))
+                data[name].append(_cell(file, line, name, cell))
+    return times, data
+
+
+def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The names of the columns, and the rows with their lines."""
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            lines = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+    except (OSError, UnicodeDecodeError, csv.Error) as reason:
+        raise OptionError(f"{quote(file)} cannot be read: {reason}", term=str(file)) from None
+    if not lines:
+        raise OptionError(f"{quote(file)} is empty", term=str(file))
+    header = [name.strip() for name in lines[0][1]]
+    if len(set(header)) < len(header):
+        raise OptionError(f"{quote(file)} names a column twice: {listing(header)}", term=header)
+    for line, row in lines[1:]:
+        if len(row) != len(header):
+            raise OptionError(
+                f"{quote(file)}, line {line}: {len(row)} cells for {len(header)} columns", term=row
+            )
+    return header, lines[1:]
+
+
+def _cell(file: Path, line: int, name: str, text: str) -> float:
+    """The number in a cell."""
+    try:
+        return float(text)
+    except ValueError:
+        raise OptionError(
+            f"{quote(file)}, line {line}: {quote(name)} is {text!r}, not a number", term=text
+        ) from None
+
+
+def _sigma(given: Sequence[str] | None) -> Any:
+    """A number, numbers by name, or nothing."""
+    if given is None:
+        return None
+    if len(given) == 1 and "=" not in given[0]:
+        return _number("--sigma", given[0])
+    return _numbers("--sigma", given)
+
+
+def _numbers(option: str, given: Sequence[str]) -> dict[str, float]:
+    """Numbers by name from ``NAME=VALUE``."""
+    found: dict[str, float] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or name in found:
+            why = "is given twice" if equals else "is not NAME=VALUE"
+            raise OptionError(f"{option}: {quote(text)} {why}", term=text)
+        found[name] = _number(option, value)
+    return found
+
+
+def _number(option: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise OptionError(f"{option}: {quote(text)} is not a number", term=text) from None
+
+
+def _plain(found: Fit) -> dict[str, Any]:
+    """The fit as plain data; numbers that are not finite are null."""
+    return {
+        "success": found.success,
+        "message": found.message,
+        "x": found.x,
+        "interval": {name: [*map(_finite, ends)] for name, ends in found.interval().items()},
+        "level": found.level,
+        "std": {name: _finite(value) for name, value in found.std.items()},
+        "identifiable": found.identifiable,
+        "combinations": {
+            text: {
+                "value": found.value_of(text),
+                "interval": [*map(_finite, found.interval_of(text))],
+            }
+            for text in found.combinations
+        },
+        "fixed": found.fixed,
+        "observed": list(found.observations.names),
+        "data": found.observations.size,
+        "dof": found.dof,
+        "chi2": found.chi2,
+        "sigma": _finite(found.sigma),
+        "p_value": _finite(found.p_value),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

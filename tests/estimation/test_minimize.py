@@ -1,0 +1,79 @@
+"""Best parameters, against closed forms."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.errors import EvaluationError, OptionError
+from tests.estimation.systems import decay
+
+
+def absorbed():
+    """Two compartments in a row: the second has its largest value (closed form) inside the box."""
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x", "y": "k*x - y"}, {"x": "1", "y": "0"}, {"k": (0.1, 6)}, (0, 4)
+    )
+    return ro.solve(problem, 1e-8)
+
+
+def test_of_an_unknown():
+    solution, t = absorbed(), 1.5
+    k = np.linspace(0.11, 5.99, 200001)
+    y = k / (k - 1.0) * (np.exp(-t) - np.exp(-k * t))
+    best = solution.minimize("y", t, sense="max")
+    assert best.success, best.message
+    assert best.x["k"] == pytest.approx(k[np.nanargmax(y)], rel=1e-3)
+    assert best.fun == pytest.approx(np.nanmax(y), rel=1e-6)
+    assert best.values == {"y": best.fun}
+    low = solution.minimize("y", t)
+    assert low.x == {"k": 0.1}
+    assert "`k` at its lower bound" in low.message
+
+
+def test_of_a_function():
+    """A design that meets two values: a exp(-k t) through (0.5, 1.2) and (1.5, 0.6)."""
+    goal = np.array([1.2, 0.6])
+    best = decay().minimize(lambda u, p: np.sum((u["u"] - goal) ** 2), [0.5, 1.5])
+    k = np.log(2.0)
+    assert best.x == {"k": pytest.approx(k, rel=1e-4), "a": pytest.approx(1.2 * 2**0.5, rel=1e-4)}
+    dear = decay().minimize(lambda u, p: p["a"] ** 2 - u["u"], 1.0, fixed={"k": 1})
+    assert dear.x["a"] == pytest.approx(0.5)
+    inner = decay().minimize(lambda u, p: (p["a"] - 1) ** 2 - u["u"], 1.0, fixed={"k": 1})
+    assert inner.x["a"] == pytest.approx(1 + 0.5 * np.exp(-1), rel=1e-5)
+    assert inner.parameters["k"] == 1.0
+
+
+def test_constraints():
+    """The largest amount after 2, with no more than 1.5 at 0.5: a exp(-k/2) = 1.5, least k."""
+    best = decay().minimize("u", 2.0, sense="max", constraints={"u": (None, 1.5, [0.5])})
+    assert best.success, best.message
+    assert best.x["k"] == pytest.approx(0.2, abs=1e-6)
+    assert best.x["a"] == pytest.approx(1.5 * np.exp(0.1), rel=1e-6)
+    none = decay().minimize("u", 2.0, constraints={"u": (10, None)})
+    assert not none.success
+    assert "`u` misses its limits by 7.9" in none.message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "given", "message"),
+    [
+        (("v", 1.0), {}, "there is no unknown `v`"),
+        ((3, 1.0), {}, "neither an unknown nor a function"),
+        (("u", [1.0, 2.0]), {}, "best at several times"),
+        (("u",), {}, "no times are given"),
+        (("u", 1.0), {"sense": "up"}, "sense='up'"),
+        (("u", 1.0), {"fixed": {"k": 1, "a": 1}}, "all parameters are fixed"),
+        (("u", 1.0), {"constraints": {"w": (0, 1)}}, "no unknown `w`"),
+        (("u", 1.0), {"constraints": {"u": 1}}, "the limits of `u` are 1"),
+        (("u", 1.0), {"constraints": {"u": (2, 1)}}, "leave nothing"),
+        (("u", 1.0), {"constraints": {"u": ("a", 1)}}, "a limit of `u`"),
+        (("u", 1.0), {"constraints": [1]}, "not a mapping"),
+        ((lambda u, p: "x", 1.0), {}, "not a number"),
+        ((lambda u, p: np.nan, 1.0), {}, "not finite anywhere"),
+    ],
+)
+def test_bad_input(arguments, given, message):
+    with pytest.raises(OptionError, match=message):
+        decay().minimize(*arguments, **given)
+    with pytest.raises(EvaluationError, match="outside of its horizon"):
+        decay().minimize("u", 3.0)
