@@ -272,13 +272,14 @@ class Fit:
         said = f"chi2 {self.chi2:.4g}" if self.observations.known else f"sigma {size:.4g} {known}"
         of = f"{count(self.observations.size, 'value')} of {', '.join(self.observations.names)}"
         lines = [f"Fit to {of}: {said}, {self.dof} degrees of freedom"]
+        shown = f"{100 * self.level:g} %"
         width = max(len(name) for name in self.parameters)
         for name, (low, high) in self.interval().items():
-            text = f"  {name:<{width}}  {self.x[name]:.6g}"
+            text = f"  {name:<{width}}  "
             if self.identifiable[name]:
-                text += f"  {100 * self.level:g} % in [{low:.6g}, {high:.6g}]"
+                text += f"{self.x[name]:.6g}  {shown} in [{low:.6g}, {high:.6g}]"
             else:
-                text += "  not identified"
+                text += "not identified"
             lines.append(text)
         for text in self.combinations:
             low, high = self.interval_of(text)

@@ -196,7 +196,7 @@ def posterior(
         return Posterior(found, "mcmc", math.nan, links.success, links.message, density, links)
     cells, evidence = adapted(density, likely, spread)
     success = cells.error <= _ACCURATE
-    message = f"integrals are exact to about {cells.error:.1e}, with {cells.points} points"
+    message = f"integrals are exact to about {cells.error:.1e}"
     if not success:
         message += "; remedy: restrict the box to where the density is, or fix parameters"
     return Posterior(found, "quadrature", evidence, success, message, density, cells)
