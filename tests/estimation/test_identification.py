@@ -57,3 +57,20 @@ def test_all_are_identified():
     fit = fitted("a - b*u", A, a=1.2, b=0.8)
     assert fit.success, fit.message
     assert all(np.isfinite(list(fit.std.values())))
+
+
+def test_of_either_sign():
+    box = {"a": (-1, 1), "b": (-1, 1)}
+    fit = fitted("a + b", box, "0", a=0.2, b=0.1)
+    assert fit.combinations == ("a + b",)
+    # a sum is constant along no part of a hyperbola
+    product = fitted("a*b", box, "0", a=0.5, b=0.6)
+    assert not any(product.identifiable.values())
+    assert product.combinations in ((), ("a*b",))
+
+
+def test_two_values_that_fit_as_well():
+    fit = fitted("k**2", {"k": (-2, 2)}, "0", k=1.2)
+    assert [abs(fit.x["k"]), abs(fit.others[0]["k"])] == pytest.approx([1.2, 1.2], abs=0.01)
+    assert "other values fit as well: k = " in fit.message
+    assert not fit.success

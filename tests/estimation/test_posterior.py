@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+import rankone as ro
 from rankone.errors import OptionError
 from tests.estimation.systems import FALL, FALL_TIMES, decay, fall, line, noisy
 
@@ -85,8 +86,6 @@ def test_narrow_posteriors(sigma):
 def test_by_a_chain():
     """Four parameters of a polynomial, whose posterior is normal."""
     pytest.importorskip("emcee")
-    import rankone as ro
-
     box = dict.fromkeys("abcd", (-4, 4))
     problem = ro.Problem.from_strings({"u": "b + 2*c*t + 3*d*t**2"}, {"u": "a"}, box, (0, 1))
     solution, t = ro.solve(problem, 1e-8), np.linspace(0, 1, 40)
@@ -114,3 +113,13 @@ def test_bad_input():
         found.quantile(2)
     with pytest.raises(OptionError, match="no free parameter"):
         found.density("q", 0.0)
+
+
+@pytest.mark.parametrize("sigma", [1e-1, 1e-3, 1e-5])
+def test_two_modes(sigma):
+    """u = k^2 t does not know the sign of k."""
+    problem = ro.Problem.from_strings({"u": "k**2"}, {"u": "0"}, {"k": (-2, 2)}, (0, 1))
+    found = ro.solve(problem, 1e-9).posterior(T[1:], 1.44 * T[1:], sigma=sigma)
+    assert found.mean["k"] == pytest.approx(0.0, abs=1e-6)
+    assert found.std["k"] == pytest.approx(1.2, rel=0.02)
+    np.testing.assert_allclose(found.quantile([0.25, 0.75])["k"], [-1.2, 1.2], atol=sigma)

@@ -35,6 +35,8 @@ class _Fit(Protocol):
     @property
     def converged(self) -> bool: ...
     @property
+    def others(self) -> tuple[dict[str, float], ...]: ...
+    @property
     def size(self) -> Array: ...
     @property
     def identifiable(self) -> dict[str, bool]: ...
@@ -63,6 +65,9 @@ def findings_of(fit: _Fit) -> Iterator[str]:
                 f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
                 "are not valid there; remedy: solve on a wider box"
             )
+    for other in fit.others:
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in other.items())
+        yield f"other values fit as well: {where}; remedy: set bounds, or measure more"
     if fit.p_value < _UNLIKELY:
         yield (
             f"the residuals are {fit.sigma:.3g} times as large as sigma (chi2 {fit.chi2:.4g} with "

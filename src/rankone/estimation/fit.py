@@ -48,6 +48,8 @@ class Fit:
         weighted residuals.
     converged : bool
         Whether the search ended by itself.
+    others : tuple of dict of str to float
+        Other minima that the data do not exclude at the level.
     size : ndarray (m,)
         Largest values of the observed states over the box, for each datum.
     """
@@ -61,6 +63,7 @@ class Fit:
     _z: Array
     _row: Array
     _known: Identification
+    others: tuple[dict[str, float], ...] = ()
     size: Array = field(default_factory=lambda: np.zeros(0))
 
     # --- best values ---------------------------------------------------------------------------

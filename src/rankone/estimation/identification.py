@@ -31,6 +31,8 @@ _CLOSE = 0.05
 """How exactly the ends of intervals are found."""
 _LEVEL = 0.25
 """Share of the limit up to which a profile is along the flat direction."""
+_NAMED = 0.1
+"""Variation of a combination along a path from which it is none."""
 _CONSTANT = 0.02
 """Variation of a product along a path that is none, in shares of that of its factors."""
 
@@ -116,14 +118,13 @@ def _combinations(
     linear = _reduced(jacobian / problem.free.width, flat, q)
     if not len(linear):
         return ()
-    positive = (problem.free.lower[list(flat)] > 0.0).all()
-    if not positive:
-        return tuple(_sum(names, row) for row in linear)
-    powers = _reduced(jacobian / problem.free.width * problem.free.values(z), flat, q)
-    in_powers = _variation(np.log(path), powers)
-    if in_powers <= max(_CONSTANT, _variation(path, linear)):
-        return tuple(_product(names, row) for row in powers)
-    return tuple(_sum(names, row) for row in linear)
+    in_sums = _variation(path, linear)
+    if ((path > 0.0).all(axis=0) | (path < 0.0).all(axis=0)).all():
+        powers = _reduced(jacobian / problem.free.width * problem.free.values(z), flat, q)
+        in_powers = _variation(np.log(np.abs(path)), powers)
+        if in_powers <= max(_CONSTANT, min(in_sums, _NAMED)):
+            return tuple(_product(names, row) for row in powers)
+    return tuple(_sum(names, row) for row in linear) if in_sums <= _NAMED else ()
 
 
 def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:

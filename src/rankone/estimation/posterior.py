@@ -21,6 +21,7 @@ from rankone.estimation.model import TrainModel
 from rankone.estimation.search import fit
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
+from rankone.solvers.reference import spread
 from rankone.tensors.calculus import fixed
 from rankone.wording import did_you_mean, listing, quote
 
@@ -32,6 +33,8 @@ _ACCURATE = 1e-3
 """Error of integrals up to which the quadrature counts as exact."""
 _UNNOTICED = 1e-4
 """Change of the data, in standard deviations of the noise, that does not count."""
+_MODES, _FAR = 24, 6.0
+"""Starts of searches for modes, and how far below the best one they count, in deviations."""
 _DRAWN = 400
 """Points by which the cells are told where the density is."""
 
@@ -190,11 +193,11 @@ def posterior(
     steps = checked_number("steps", steps, 100)
     found = fit(solution, times, data, **given)
     density = Posterity(_smaller(found), priors(found._problem.free, prior))
-    likely, spread = _likely(found, density)
+    likely, extents = _likely(found, density)
     if density.dimension > _BY_QUADRATURE:
         links = chain(density, likely, seed, steps)
         return Posterior(found, "mcmc", math.nan, links.success, links.message, density, links)
-    cells, evidence = adapted(density, likely, spread)
+    cells, evidence = adapted(density, likely, extents)
     success = cells.error <= _ACCURATE
     message = f"integrals are exact to about {cells.error:.1e}"
     if not success:
@@ -220,23 +223,28 @@ def _likely(found: Fit, density: Posterity) -> tuple[Array, Array]:
     """Points where the posterior is large (k, n), and its extents there, others held (n,)."""
     problem, n = density.problem, density.dimension
     generator = np.random.default_rng(11)
-    _, jacobian = problem.both(found._z[None])
     unit = max(found._unit, 1e-12) if math.isfinite(found._unit) else 1.0
-    extents = unit / np.maximum(np.linalg.norm(jacobian[0], axis=0), 1e-12)
-    _, singular, right = np.linalg.svd(jacobian[0], full_matrices=False)
-    root = right.T * np.minimum(unit / np.maximum(singular, 1e-12), 1.0)
-    near = found._z + generator.standard_normal((_DRAWN, root.shape[1])) @ root.T
+    minima = problem.minima(np.vstack([found._z, spread(_MODES, n, generator)]))
+    good = minima.cost <= minima.cost.min() + _FAR**2 * unit**2
+    near, extents = [], np.ones(n)
+    for z, jacobian in zip(minima.z[good], minima.jacobian[good], strict=True):
+        slopes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+        extents = np.minimum(extents, unit / slopes)
+        _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
+        root = right.T * np.minimum(unit / np.maximum(singular, 1e-12), 1.0)
+        near.append(z + generator.standard_normal((_DRAWN // good.sum(), len(root.T))) @ root.T)
     wide = generator.random((8 * _DRAWN, n))
     centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in density.measures]
     lower, width = density.unit
     prior = (np.array(centres).T - lower) / width
-    points = np.vstack([found._z, np.clip(near, 0.0, 1.0), prior, wide])
+    every = np.clip(np.vstack(near), 0.0, 1.0)
+    points = np.vstack([minima.z[good], every, prior, wide])
     logs = density(points)
     if not np.isfinite(logs.max()):
         raise OptionError("the prior has no probability where the data have any")
-    good = points[logs > logs.max() - 0.5 * (3.0**2 + n)]
+    likely = points[logs > logs.max() - 0.5 * (3.0**2 + n)]
     spreads = [_spread(m, z) for m, z in zip(density.measures, width, strict=True)]
-    return good, np.minimum(np.minimum(extents, 1.0), np.array(spreads))
+    return likely, np.minimum(extents, np.array(spreads))
 
 
 def _spread(measure: Any, width: float) -> float:

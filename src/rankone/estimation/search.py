@@ -25,6 +25,8 @@ __all__ = ["fit"]
 
 _LOOKED_AT = 128
 """Points of the box among which the starts are chosen."""
+_APART = 1e-2
+"""Distance in the cube from which minima are different ones."""
 _AS_GOOD = 1e-3
 """Share of the mean square by which minima count as equally good."""
 
@@ -73,8 +75,21 @@ def fit(
         z,
         minima.residuals[k],
         known,
+        _others(problem, minima, k, (q * unit) ** 2) if not known.flat else (),
         size,
     )
+
+
+def _others(
+    problem: LeastSquares, minima: Minima, k: int, limit: float
+) -> tuple[dict[str, float], ...]:
+    """Minima apart from the chosen one whose costs are within a limit of it."""
+    chosen = [minima.z[k]]
+    for z, cost, ended in zip(minima.z, minima.cost, minima.converged, strict=True):
+        apart = all(np.abs(z - other).max() > _APART for other in chosen)
+        if ended and apart and cost <= minima.cost[k] + max(limit, 1e-9 * minima.cost[k]):
+            chosen.append(z)
+    return tuple(problem.free.named(z) for z in chosen[1:])
 
 
 def _enough(seen: Observations, free: Free) -> None:
