@@ -64,8 +64,10 @@ class Posterity:
         return np.where(np.isnan(found), -math.inf, found)
 
 
-def priors(free: Free, prior: Mapping[Any, Any] | None) -> tuple[Measure, ...]:
-    """The prior of each free parameter, cut at its bounds; uniform where none is given.
+def priors(
+    free: Free, prior: Mapping[Any, Any] | None, usual: Mapping[str, Any]
+) -> tuple[Measure, ...]:
+    """The prior of each free parameter, cut at its bounds: as given, the usual one, or uniform.
 
     Raises
     ------
@@ -76,4 +78,4 @@ def priors(free: Free, prior: Mapping[Any, Any] | None) -> tuple[Measure, ...]:
         if name_of(key) in free.fixed:
             raise OptionError(f"{quote(name_of(key))} is fixed, and has a prior", term=key)
     box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
-    return tuple(measures_of(free.names, box, prior))
+    return tuple(measures_of(free.names, box, prior, usual))

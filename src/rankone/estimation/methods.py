@@ -122,7 +122,8 @@ class EstimationFromData(SolutionCore):
             1/sigma.
         prior : mapping, optional
             For parameters, by names or symbols, frozen continuous distributions of scipy.stats,
-            cut at the bounds; uniform where none is given.
+            cut at the bounds. Others have the distribution that the problem gives them, or are
+            uniform.
         seed, steps : int
             Of the Markov chain.
 

@@ -153,7 +153,7 @@ def checked_times(solution: SolutionCore, times: Any) -> Array:
     OptionError
         If there are none, or they are no one-dimensional row.
     """
-    if times is None and not getattr(solution.metadata, "timeless", False):
+    if times is None and not solution.metadata.timeless:
         raise OptionError("no times are given", remedy="give the time of each value")
     checked = solution._coordinates.checked(0, solution.time[:1] if times is None else times)
     if checked.ndim > 1:

@@ -11,6 +11,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.coordinates import name_of
+from rankone.distributions import from_text
 from rankone.errors import OptionError
 from rankone.estimation.cells import Cells, adapted
 from rankone.estimation.chains import chain
@@ -192,7 +193,8 @@ def posterior(
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100)
     found = fit(solution, times, data, **given)
-    density = Posterity(_smaller(found), priors(found._problem.free, prior))
+    usual = {name: from_text(text) for name, text in solution.metadata.distributions}
+    density = Posterity(_smaller(found), priors(found._problem.free, prior, usual))
     likely, extents = _likely(found, density)
     if density.dimension > _BY_QUADRATURE:
         links = chain(density, likely, seed, steps)
