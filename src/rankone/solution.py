@@ -19,7 +19,7 @@ from rankone.outputs import with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
-from rankone.statistics.over_box import StatisticsOverBox
+from rankone.statistics.distribution_over_box import DistributionOverBox
 from rankone.storage import read
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 from rankone.wording import listing
@@ -34,7 +34,7 @@ _WIDTH = 96
 _MOST_NAMES = 8
 
 
-class Solution(StatisticsOverBox, EstimationFromData):
+class Solution(DistributionOverBox, EstimationFromData):
     """The unknowns as functions of time and of all parameters.
 
     It is evaluated like :class:`~rankone.solution_core.SolutionCore`, whose methods it has:

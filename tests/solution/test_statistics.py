@@ -256,6 +256,8 @@ def test_samples_of_a_measure():
         ({"k": 3}, "the distribution of `k` is 3, not a frozen"),
         ({"k": scipy.stats.poisson(3)}, "not a frozen"),
         ({"k": scipy.stats.norm}, "not a frozen"),
+        ({"k": scipy.stats.multivariate_normal([1, 2])}, "not a frozen"),
+        ({"k": scipy.stats.binom(3, 0.5)}, "not a frozen"),
         ({"k": scipy.stats.norm([1, 2], 0.1)}, "not a frozen"),
         ({"k": scipy.stats.norm(-50, 0.1)}, "has no probability in"),
         (5, "under=5 is not a mapping"),
@@ -275,3 +277,17 @@ def test_what_is_cut_is_said():
 def test_times_outside():
     with pytest.raises(EvaluationError, match="`t` = 3 is outside of its horizon"):
         solved("decay", 1e-8).mean([1.0, 3.0])
+
+
+def test_the_same_as_by_sampling():
+    """SALib's estimates from values of the solution are within its intervals, widened twice."""
+    pytest.importorskip("SALib", reason="needs SALib: pip install SALib")
+    from tests.benchmarks.sobol import by_sampling
+
+    solution = solved("lotka_volterra", 1e-5)
+    sobol, sampled = solution.sobol(4.5), by_sampling(solution, 4.5, 2**11)
+    assert sampled["evaluations"] == 4 * 2**11
+    for found, key in ((sobol.first, "S1"), (sobol.total, "ST")):
+        apart = np.abs(found[0, :, 0] - sampled[key])
+        assert (apart <= 2 * sampled[f"{key}_conf"]).all()
+        assert (sampled[f"{key}_conf"] < 0.2).all()

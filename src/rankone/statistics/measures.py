@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from scipy.special import ndtri
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D
@@ -16,7 +17,7 @@ from rankone.distributions import is_frozen
 from rankone.errors import OptionError, warn
 from rankone.wording import quote
 
-__all__ = ["Measure"]
+__all__ = ["Measure", "gauss_rule"]
 
 _NODES = 24
 """Quadrature nodes on each panel."""
@@ -30,6 +31,8 @@ _LEVELS, _SETTLED = 52, 1e-14
 """Most halvings of panels, and the change of a mean of a mode from which they go on."""
 _OUTSIDE = 1e-3
 """Probability outside of the box from which there is a warning."""
+_NOTHING, _INVARIANT = 1e-40, 1e-13
+"""Relative weights of points that do not count; norm below which a polynomial is none any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +121,36 @@ class Measure:
             return np.asarray(self.lower + (self.upper - self.lower) * shares)
         return self._at_share(shares)
 
-    def _quadrature(self, basis: Basis1D) -> tuple[Array, Array]:
-        """Points and weights of sum one that integrate products of modes."""
+    def normal(self, value: float) -> float:
+        """The standard normal number below which there is as much probability as below a value."""
         if self.distribution is None:
-            count = basis.degree + 1
-            return _panels(np.asarray(basis.edges), count, 1.0 / (self.upper - self.lower))
+            share = (value - self.lower) / (self.upper - self.lower)
+        else:
+            function = self.distribution.sf if self._in_upper_tail else self.distribution.cdf
+            lower, upper = self._ends
+            share = (float(function(value)) - lower) / (upper - lower)
+        return float(ndtri(min(max(share, 1e-15), 1.0 - 1e-15)))
+
+    def rule(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
+        """Few points and weights of sum one that integrate products of so many modes.
+
+        On each element the Gauss rule of the distribution.
+        """
+        points, weights = self._quadrature(basis, factors)
+        count = factors * (basis.degree - 1) // 2 + 1
+        element = np.searchsorted(basis.edges[1:-1], points, side="right")
+        own = [element == e for e in range(basis.elements)]
+        rules = [gauss_rule(points[here], weights[here], count) for here in own]
+        points, weights = (np.concatenate(part) for part in zip(*rules, strict=True))
+        return points, weights / weights.sum()
+
+    def _quadrature(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
+        """Points and weights of sum one that integrate products of modes."""
+        enough = factors * basis.degree // 2 + 1
+        if self.distribution is None:
+            return _panels(np.asarray(basis.edges), enough, 1.0 / (self.upper - self.lower))
         edges = sorted({*basis.edges.tolist(), *self._quantiles()})
-        points, weights = _panels(np.array(edges), max(_NODES, basis.degree + 1), 1.0)
+        points, weights = _panels(np.array(edges), max(_NODES, enough), 1.0)
         weights = weights * self.distribution.pdf(points)
         if not abs(float(weights.sum()) - self.mass) <= _EXACT * self.mass:
             points, weights = self._by_probability(basis)
@@ -171,6 +197,33 @@ class Measure:
         shares = np.array([*_QUANTILES, *(1.0 - q for q in _QUANTILES)])
         values = self.distribution.ppf(shares)
         return [float(v) for v in values if math.isfinite(v) and self.lower < v < self.upper]
+
+
+def gauss_rule(points: Array, weights: Array, count: int) -> tuple[Array, Array]:
+    """The Gauss rule of a discrete measure: at most ``count`` of points, exact to 2 count - 1.
+
+    By the Lanczos process with full orthogonalisation (Gautschi, Orthogonal Polynomials, 2004,
+    section 2.2.3).
+    """
+    used = weights > _NOTHING * weights.max(initial=0.0)
+    points, weights = points[used], weights[used]
+    if points.size <= count:
+        return points, weights
+    mass = weights.sum()
+    centre = float(weights @ points / mass)
+    size = float(np.abs(points - centre).max())
+    x = (points - centre) / size
+    rows = np.sqrt(weights / mass)[None, :]
+    while len(rows) < count:
+        new = x * rows[-1]
+        for _ in range(2):
+            new = new - (rows @ new) @ rows
+        length = float(np.linalg.norm(new))
+        if length < _INVARIANT:
+            break
+        rows = np.vstack([rows, new / length])
+    nodes, vectors = np.linalg.eigh((rows * x) @ rows.T)
+    return centre + size * nodes, mass * vectors[0] ** 2
 
 
 def _sums(basis: Basis1D, points: Array, weights: Array) -> Array:

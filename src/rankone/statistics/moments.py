@@ -36,7 +36,7 @@ class TrainMoments:
     def __init__(
         self, cores: Sequence[Array], bases: Sequence[Basis1D], measures: Sequence[Measure]
     ) -> None:
-        self.count = len(cores)
+        self.count, self.cores, self.bases = len(cores), cores, bases
         self.means: list[Array] = []
         self.whole: list[Array] = []
         self.fluctuations: list[Array] = []
@@ -107,6 +107,11 @@ class TrainMoments:
                 parts.append(both @ both.T)
                 between = between @ mean
         return self._stacked(parts)
+
+    def main_effect(self, j: int, points: Array) -> Array:
+        """The vectors m with the mean ``a(t) m`` given one parameter, (r_1, points)."""
+        core = self._before(j) @ (self.cores[j] @ self.after[j + 1]).swapaxes(0, 1)[..., None]
+        return np.asarray(core[..., 0].T @ self.bases[j].modal_values(points).T)
 
     def _stacked(self, matrices: Sequence[Array]) -> Array:
         """Matrices (k, r_1, r_1); there may be none."""

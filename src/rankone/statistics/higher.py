@@ -1,0 +1,181 @@
+"""Third and fourth moments of a train: inner products of its square.
+
+A state minus its mean is a train y of its own. Its matrices are written so that nothing is
+subtracted at the end, and it is truncated in the mean square under the measures. With the square
+v = y^2, of rank r (r + 1)/2, the moments are E[y^3] = <v, y> and E[y^4] = <v, v>.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.deadline import check_time
+from rankone.discretization import Basis1D
+from rankone.errors import warn
+from rankone.statistics.measures import Measure
+from rankone.tensors.train import right_orthonormal, truncated
+
+__all__ = ["HigherMoments"]
+
+_LEAST, _MOST = 1e-9, 0.1
+"""Tolerances of the truncation, relative to the root mean square of y."""
+_SAID = 1e-5
+"""Tolerance above which there is a warning, unless it is the one that is asked for."""
+_LARGEST_RANK, _TOGETHER = 32, 20
+"""Of a train that is squared, and of one for several times. The square has then the rank 528, and
+each point of a quadrature takes 4 times its cube."""
+
+
+class HigherMoments:
+    """Moments of the train whose parameters have these cores.
+
+    Parameters
+    ----------
+    cores : sequence of ndarray (r_j, modes, r_{j+1})
+    bases : sequence of Basis1D
+    measures : sequence of Measure
+    central : bool
+        Whether the means are taken off first.
+    tolerance : float
+        Of the truncation, relative to the root mean square of y; more where ranks are high.
+    """
+
+    def __init__(
+        self,
+        cores: Sequence[Array],
+        bases: Sequence[Basis1D],
+        measures: Sequence[Measure],
+        central: bool,
+        tolerance: float,
+    ) -> None:
+        self.central, self.tolerance = central, max(tolerance, _LEAST)
+        self.weights: list[Array] = []
+        values = []
+        for core, basis, measure in zip(cores, bases, measures, strict=True):
+            points, weights = measure.rule(basis, 4)
+            self.weights.append(weights)
+            values.append(np.einsum("rms,pm->rps", core, basis.modal_values(points)))
+        means = [np.tensordot(c, w, (1, 0)) for c, w in zip(values, self.weights, strict=True)]
+        self.mean = np.ones(1)
+        after = [self.mean]
+        for mean in reversed(means):
+            self.mean = mean @ self.mean
+            after.append(self.mean)
+        if central:
+            values = _centred(values, means, after[-2::-1])
+        weighted = zip(values, self.weights, strict=True)
+        scaled = [core * np.sqrt(weight)[:, None] for core, weight in weighted]
+        if scaled:
+            self.root, *self.cores = right_orthonormal([np.eye(len(scaled[0])), *scaled])
+        else:
+            self.root, self.cores = np.array([[0.0], [0.0]] if central else [[1.0]]), []
+
+    def __call__(self, rows: Array) -> Array:
+        """Root mean squares of y for rows (T, r_1) of the first core, and E[y^3], E[y^4] of y over
+        them: (3, T). Where y is zero they are not defined (NaN)."""
+        rows = self._rotated(rows)
+        norms = np.linalg.norm(rows, axis=1)
+        found = np.full((3, len(rows)), np.nan)
+        found[0] = norms
+        some = norms > 0.0
+        if some.any():
+            found[1:, some] = self._normed(rows[some] / norms[some, None])
+        return found
+
+    def sizes(self, first: Array) -> Array:
+        """Root mean squares of the states over the box and a slab, y or not, (n,).
+
+        ``first`` is the core (n, K, r_1) of the slab.
+        """
+        parts = np.linalg.norm(self._rotated(first), axis=(1, 2)), first @ self.mean
+        return np.asarray(np.hypot(parts[0], np.linalg.norm(parts[1], axis=1)))
+
+    def _rotated(self, rows: Array) -> Array:
+        """Rows (..., r_1) for the cores that are orthonormal."""
+        if self.central:
+            rows = np.concatenate([rows, np.zeros((*rows.shape[:-1], 1))], axis=-1)
+        return np.asarray(rows @ self.root)
+
+    def _normed(self, rows: Array) -> Array:
+        """Third and fourth moments for rows of norm one, (2, T): as many at once as their common
+        ranks allow."""
+        check_time()
+        if not self.cores:
+            return np.stack([rows[:, 0] ** 3, rows[:, 0] ** 4])
+        tolerance = self.tolerance
+        (first, *cores), _ = truncated([rows, *self.cores], tolerance)
+        if len(rows) > 1 and max(map(len, cores)) > _TOGETHER:
+            half = len(rows) // 2
+            return np.hstack([self._normed(rows[:half]), self._normed(rows[half:])])
+        while max(map(len, cores)) > _LARGEST_RANK and tolerance < _MOST:
+            tolerance *= 3.0
+            (first, *cores), _ = truncated([rows, *self.cores], tolerance)
+        if tolerance > max(_SAID, self.tolerance):
+            warn(
+                f"the train minus its mean is truncated to {tolerance:.0e} of its standard "
+                "deviation, since its ranks are high; third and fourth moments are good to a few "
+                "times that; remedy: fix some parameters first, or take moments of samples"
+            )
+        third, fourth = self._contracted(cores)
+        pairs = _pairs(first)
+        return np.stack(
+            [
+                np.einsum("tr,rs,ts->t", pairs, third, first, optimize=True),
+                np.einsum("tr,rs,ts->t", pairs, fourth, pairs, optimize=True),
+            ]
+        )
+
+    def _contracted(self, cores: Sequence[Array]) -> tuple[Array, Array]:
+        """Means of square times train, and of square times square, from the first parameter on."""
+        third = fourth = np.ones((1, 1))
+        for core, weights in zip(reversed(cores), reversed(self.weights), strict=True):
+            values = core / np.sqrt(weights)[:, None]
+            new_third, new_fourth = np.zeros((2, 1, 1))
+            for matrix, square, weight in zip(*_squares(values), weights, strict=True):
+                new_third = new_third + weight * (square @ third @ matrix.T)
+                new_fourth = new_fourth + weight * (square @ fourth @ square.T)
+            third, fourth = new_third, new_fourth
+        return third, fourth
+
+
+def _centred(
+    values: Sequence[Array], means: Sequence[Array], after: Sequence[Array]
+) -> list[Array]:
+    """The train minus its mean, ``sum_j C_1 ... C_{j-1} (C_j - E C_j) E[C_{j+1} ... C_d]``.
+
+    Its matrices are [C_j, (C_j - E C_j) E[C_{j+1} ...]; 0, 1], the last one its last column.
+    """
+    found = []
+    for j, (core, mean, rest) in enumerate(zip(values, means, after, strict=True)):
+        fluctuation = (core - mean[:, None, :]) @ rest
+        left, count, right = core.shape
+        block = np.zeros((left + 1, count, right + 1))
+        block[:left, :, :right], block[:left, :, right], block[left, :, right] = (
+            core,
+            fluctuation,
+            1,
+        )
+        found.append(block[:, :, right:] if j == len(values) - 1 else block)
+    return found
+
+
+def _pairs(rows: Array) -> Array:
+    """Products of two entries of rows (T, r), each pair once with its number: (T, r (r + 1)/2)."""
+    i, j = np.triu_indices(rows.shape[1])
+    return np.asarray(rows[:, i] * rows[:, j] * np.where(i == j, 1.0, 2.0))
+
+
+def _squares(values: Array) -> tuple[Iterator[Array], Iterator[Array]]:
+    """Matrices of a core (r, points, s) at each point, and those on products of pairs i <= j."""
+    i, j = np.triu_indices(values.shape[0])
+    k, m = np.triu_indices(values.shape[2])
+
+    def squared() -> Iterator[Array]:
+        for matrix in np.moveaxis(values, 1, 0):
+            a, b = matrix[i], matrix[j]
+            yield np.where(k == m, 0.5, 1.0) * (a[:, k] * b[:, m] + a[:, m] * b[:, k])
+
+    return iter(np.moveaxis(values, 1, 0)), squared()
