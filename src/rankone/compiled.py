@@ -316,6 +316,7 @@ class CompiledProblem:
             ),
             version=__version__,
             source=self.source,
+            units=tuple((self.problem.units or {}).items()),
             distributions=tuple(self.problem.distributions.items()),
         )
 

@@ -40,13 +40,21 @@ def dataset(solution: SolutionCore, given: Mapping[Any, Any]) -> xarray.Dataset:
     if not solution.metadata.timeless:
         values.setdefault(solution.metadata.time, np.linspace(start, end, _TIMES))
     grid = solution.grid(values)
+    units = {name: {"units": unit} for name, unit in solution.metadata.units}
     axes = {name: np.asarray(values[name], dtype=float) for name in names}
     made: xarray.Dataset = module.Dataset(
         {
-            name: (tuple(axes), found, {"long_name": name, "error": solution.errors[name]})
+            name: (
+                tuple(axes),
+                found,
+                {"long_name": name, "error": solution.errors[name], **units.get(name, {})},
+            )
             for name, found in zip(solution.unknowns, grid, strict=True)
         },
-        {name: np.atleast_1d(axis) for name, axis in axes.items()},
+        {
+            name: (name, np.atleast_1d(axis), {"long_name": name, **units.get(name, {})})
+            for name, axis in axes.items()
+        },
         {
             "title": "; ".join(solution.metadata.equations),
             "source": f"rankone {solution.metadata.version}, method {solution.method}",

@@ -40,6 +40,9 @@ y = "y0"
 times = [2, 4]             # or a single time = 2
 x = "x + 1"                # the value right after it
 
+[units]                    # texts for t, parameters and unknowns; may be left out
+t = "years"
+
 [parameters]               # the box; may be left out; or a distribution: "norm(1, 0.1)"
 x0 = [8, 12]
 y0 = [4, 6]
@@ -47,7 +50,7 @@ y0 = [4, 6]
 
 _LARGEST = sys.float_info.max
 _REQUIRED = ("time", "rhs", "initial")
-_OPTIONAL = ("parameters", "name", "jumps")
+_OPTIONAL = ("parameters", "name", "jumps", "units")
 _SHOWN = "`rankone solve --help` shows the layout"
 
 
@@ -149,6 +152,7 @@ def _from_toml(file: Path) -> Problem:
         time=_horizon(content["time"]),
         name=content.get("name"),
         jumps=_jumps(content.get("jumps", [])),
+        units=dict(_table(content, "units")),
     )
 
 

@@ -13,6 +13,7 @@ from rankone.errors import OptionError
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
 from rankone.tensors.calculus import at_one_time, differentiated, fixed, restricted
+from rankone.units import of_derivatives
 from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["at_time", "derived", "merged", "with_fixed", "with_restricted"]
@@ -39,7 +40,8 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _P
         measured=None,
         history=(),
     )
-    return made, replace(metadata, equations=(), source=None)
+    units = of_derivatives(metadata.units, metadata.states, name)
+    return made, replace(metadata, equations=(), source=None, units=units)
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
@@ -58,6 +60,7 @@ def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any,
         outcome = replace(outcome, slabs=fixed(outcome.slabs, j, number))
         metadata = replace(
             metadata,
+            units=tuple(pair for pair in metadata.units if pair[0] != metadata.parameters[j]),
             parameters=_without(metadata.parameters, j),
             box=_without(metadata.box, j),
             distributions=tuple(pair for pair in metadata.distributions if pair[0] != name),

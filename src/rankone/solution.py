@@ -20,8 +20,9 @@ from rankone.smaller import at_time, derived, merged, with_fixed, with_restricte
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
 from rankone.statistics.distribution_over_box import DistributionOverBox
-from rankone.storage import read
+from rankone.storage import read, write
 from rankone.tensors.canonical import CanonicalForms, canonical_form
+from rankone.units import with_unit
 from rankone.wording import listing
 
 if TYPE_CHECKING:
@@ -174,6 +175,25 @@ class Solution(DistributionOverBox, EstimationFromData):
         return export_model(
             self, path, states=states, overwrite=overwrite, allow_failed=allow_failed
         )
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the solution to a file in an open format, without pickle.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.npz``, or in ``.nc`` for netCDF, which needs h5netcdf and h5py.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        StorageError
+            If the name has another suffix, the file exists and is not to be replaced, it cannot be
+            written, or a package that it needs is not installed. A file is either complete or not
+            there, also after an interrupt.
+        """
+        return write(path, self.outcome, self.metadata, overwrite)
 
     # --- derivatives and smaller solutions -----------------------------------------------------
 
@@ -331,10 +351,14 @@ class Solution(DistributionOverBox, EstimationFromData):
         start, end = self.time
         lower, upper = self.metadata.horizon
         whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
+        units = dict(self.metadata.units)
+        named = [f"{name} [{units[name]}]" if name in units else name for name in self.unknowns]
         clock = f"{self.metadata.time} in [{start:g}, {end:g}]{whole}"
+        clock = with_unit(clock, units, self.metadata.time)
         given = dict(self.metadata.distributions)
         box = [
-            f"{name} in [{lo:g}, {hi:g}]" + (f" ~ {given[name]}" if name in given else "")
+            with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name)
+            + (f" ~ {given[name]}" if name in given else "")
             for name, (lo, hi) in self.parameters.items()
         ]
         count = len(self.outcome.slabs)
@@ -346,7 +370,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         train.append(f"{self.nbytes / 1e6:.2g} MB")
         timings = [f"{stage} {seconds:.3g} s" for stage, seconds in self.timings.items()]
         return [
-            ("unknowns", _some(self.unknowns)),
+            ("unknowns", _some(named)),
             ("over", _some(box if self.metadata.timeless else [clock, *box]) or "nothing"),
             ("success", f"{'yes' if self.success else 'no'}: {self.message}"),
             ("error", error),

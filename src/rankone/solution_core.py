@@ -20,7 +20,7 @@ from rankone.coordinates import Coordinates, name_of
 from rankone.errors import BlowUpError, EvaluationError
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
-from rankone.storage import write
+from rankone.storage.npz import write
 from rankone.tensors.evaluator import Rows, TrainEvaluator
 from rankone.wording import did_you_mean, listing
 

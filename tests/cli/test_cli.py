@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 import rankone
-from rankone.cli import _ARGUMENTS, main
+from rankone.cli import main
+from rankone.commands.solve import ARGUMENTS
 from rankone.errors import BlowUpError, OptionError, RankoneWarning
 from rankone.problem_files import TOML_LAYOUT
 from rankone.solution import Solution, load
@@ -180,7 +181,7 @@ def test_wrong_domains_and_options_are_named(
 def test_all_arguments_of_solve_are_known() -> None:
     """What is not an option of an engine cannot be given as one."""
     arguments = inspect.signature(rankone.CompiledProblem.solve).parameters
-    kinds = {arguments[name].kind for name in arguments.keys() - {*_ARGUMENTS}}
+    kinds = {arguments[name].kind for name in arguments.keys() - {*ARGUMENTS}}
     assert kinds == {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import threading
@@ -11,6 +12,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -20,17 +22,24 @@ from rankone.errors import StorageError
 from rankone.files import write_files
 from rankone.solution import Solution, load
 from rankone.solvers.outcome import Status
+from rankone.storage.netcdf import sealed
 from tests.problems import REFERENCE
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 SOLUTION = two_unknowns(2).solution
 
 
+@pytest.fixture(params=["npz", "nc"])
+def name(request: pytest.FixtureRequest) -> str:
+    """A file of each kind."""
+    return f"solution.{request.param}"
+
+
 @pytest.mark.parametrize("known", [two_unknowns(2), decay(), oscillator()])
-def test_round_trip_is_exact(known: Known, tmp_path: Path) -> None:
+def test_round_trip_is_exact(known: Known, name: str, tmp_path: Path) -> None:
     solution = known.solution
-    path = solution.save(tmp_path / "solution.npz")
-    assert path == tmp_path / "solution.npz"
+    path = solution.save(tmp_path / name)
+    assert path == tmp_path / name
     again = load(str(path))
     rng = np.random.default_rng(0)
     coordinates = {
@@ -45,7 +54,7 @@ def test_round_trip_is_exact(known: Known, tmp_path: Path) -> None:
     assert repr(again.history) == repr(solution.history)
 
 
-def test_partial_and_unchecked(tmp_path: Path) -> None:
+def test_partial_and_unchecked(name: str, tmp_path: Path) -> None:
     outcome = replace(
         SOLUTION.outcome,
         slabs=SOLUTION.outcome.slabs[:1],
@@ -53,13 +62,13 @@ def test_partial_and_unchecked(tmp_path: Path) -> None:
         measured=None,
         blow_up=(1.1, (0.5, 2.5)),
     )
-    again = load(Solution(outcome, SOLUTION.metadata).save(tmp_path / "a.npz"))
+    again = load(Solution(outcome, SOLUTION.metadata).save(tmp_path / name))
     assert again.status is Status.BLOW_UP
     assert again.outcome.measured is None
     assert again.outcome.blow_up == (1.1, (0.5, 2.5))
     assert again.time == (0.0, 1.0)
     empty = Solution(replace(outcome, slabs=()), SOLUTION.metadata)
-    assert load(empty.save(tmp_path / "b.npz")).rank == 0
+    assert load(empty.save(tmp_path / f"b.{name}")).rank == 0
 
 
 def test_the_format_is_open(tmp_path: Path) -> None:
@@ -77,10 +86,10 @@ def test_the_format_is_open(tmp_path: Path) -> None:
         assert file["core_2_2"].shape[1] == basis["degree"] * basis["elements"]
 
 
-def test_existing_files_are_kept(tmp_path: Path) -> None:
-    path = tmp_path / "solution.npz"
+def test_existing_files_are_kept(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
     path.write_text("precious")
-    with pytest.raises(StorageError, match=r"solution\.npz` exists; remedy: .*overwrite=True"):
+    with pytest.raises(StorageError, match=rf"{name}` exists; remedy: .*overwrite=True"):
         SOLUTION.save(path)
     assert path.read_text() == "precious"
     SOLUTION.save(path, overwrite=True)
@@ -211,9 +220,9 @@ def test_missing_file(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-def test_what_was_changed_is_refused(tmp_path: Path) -> None:
+def test_what_was_changed_is_refused(name: str, tmp_path: Path) -> None:
     """A border of slabs or a digit of a core that was moved would be a wrong value."""
-    path = SOLUTION.save(tmp_path / "solution.npz")
+    path = SOLUTION.save(tmp_path / name)
 
     def digit(_: dict[str, Any], arrays: dict[str, Any]) -> None:
         arrays["core_0_0"] = arrays["core_0_0"] * (1.0 + 1e-9)
@@ -227,8 +236,8 @@ def test_what_was_changed_is_refused(tmp_path: Path) -> None:
         load(path)
 
 
-def test_a_success_ends_at_the_horizon(tmp_path: Path) -> None:
-    path = SOLUTION.save(tmp_path / "solution.npz")
+def test_a_success_ends_at_the_horizon(name: str, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / name)
 
     def longer(header: dict[str, Any], arrays: dict[str, Any]) -> None:
         header["metadata"]["horizon"][1] *= 2.0
@@ -268,13 +277,34 @@ def test_foreign_archive(tmp_path: Path) -> None:
         load(path)
 
 
-def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
+Edit = Callable[[dict[str, Any], dict[str, Any]], object]
+
+
+def edited(path: Path, edit: Edit) -> None:
+    if path.suffix == ".nc":
+        edited_netcdf(path, edit)
+        return
     with np.load(path) as file:
         arrays = dict(file)
     header = json.loads(str(arrays["header"]))
     edit(header, arrays)
     arrays["header"] = np.array(json.dumps(header))
     np.savez(path, **arrays)
+
+
+def edited_netcdf(path: Path, edit: Edit) -> None:
+    """As somebody would who makes the checksum of the file anew."""
+    content = io.BytesIO(path.read_bytes())
+    with h5py.File(content, "r+") as file:
+        names = [name for name in file if name.startswith(("core_", "digest"))]
+        arrays = {name: file[name][()] for name in names}
+        header = json.loads(file["header"].asstr()[()])
+        edit(header, arrays)
+        for name in ["header", *names]:
+            del file[name]
+        for name, array in (arrays | {"header": json.dumps(header)}).items():
+            file[name] = array
+    path.write_bytes(sealed(content.getvalue()))
 
 
 @pytest.mark.parametrize(
@@ -332,10 +362,10 @@ def edited(path: Path, edit: Callable[[dict[str, Any], dict[str, Any]], object])
         (lambda _, arrays: arrays.update(core_0_0=np.ones((2, 14, 3), "i8")), "do not fit"),
     ],
 )
-def test_damaged_file(edit: Any, message: str, tmp_path: Path) -> None:
-    path = SOLUTION.save(tmp_path / "solution.npz")
+def test_damaged_file(edit: Any, message: str, name: str, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / name)
     edited(path, edit)
-    with pytest.raises(StorageError, match=rf"solution\.npz`.*{message}"):
+    with pytest.raises(StorageError, match=rf"{name}`.*{message}"):
         load(path)
 
 
@@ -357,11 +387,11 @@ def with_breaks() -> Solution:
     return Solution(outcome, SOLUTION.metadata)
 
 
-def test_unequal_elements_are_kept_to_the_bit(tmp_path: Path) -> None:
+def test_unequal_elements_are_kept_to_the_bit(name: str, tmp_path: Path) -> None:
     solution = with_breaks()
-    path = solution.save(tmp_path / "solution.npz")
-    with np.load(path) as file:
-        header = json.loads(str(file["header"]))
+    path = solution.save(tmp_path / name)
+    header: dict[str, Any] = {}
+    edited(path, lambda found, _: header.update(found))
     assert header["format_version"] == 2
     assert [b.get("breaks") for b in header["bases"]] == [[-0.3, 0.1 + 0.2], None, [-0.3], [7 / 3]]
     again = load(path)
@@ -400,16 +430,16 @@ def test_damaged_breaks(change: dict[str, Any], message: str, tmp_path: Path) ->
         load(path)
 
 
-def test_breaks_need_the_second_version(tmp_path: Path) -> None:
+def test_breaks_need_the_second_version(name: str, tmp_path: Path) -> None:
     """Readers of the first would take the elements for equal."""
-    path = with_breaks().save(tmp_path / "solution.npz")
+    path = with_breaks().save(tmp_path / name)
     edited(path, lambda header, _: header.update(format_version=1))
     with pytest.raises(StorageError, match="damaged"):
         load(path)
 
 
-def test_every_truncation_is_noticed(tmp_path: Path) -> None:
-    path = SOLUTION.save(tmp_path / "solution.npz")
+def test_every_truncation_is_noticed(name: str, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / name)
     content = path.read_bytes()
     for size in range(0, len(content), len(content) // 25):
         path.write_bytes(content[:size])
@@ -438,9 +468,9 @@ def test_history_is_loaded_as_it_was(method: str, tmp_path: Path) -> None:
     assert replace(again.outcome, slabs=()) == replace(solution.outcome, slabs=())
 
 
-def test_files_without_roles(tmp_path: Path) -> None:
+def test_files_without_roles(name: str, tmp_path: Path) -> None:
     """Earlier versions wrote none: states behind the unknowns are derivatives."""
-    path = oscillator().solution.save(tmp_path / "solution.npz")
+    path = oscillator().solution.save(tmp_path / name)
     edited(path, lambda header, arrays: (header["metadata"].pop("roles"), arrays.pop("digest")))
     assert load(path).metadata.roles == ("unknown", "derivative")
     assert load(path).metadata == oscillator().solution.metadata
@@ -457,8 +487,8 @@ def test_unknowns_are_asked_for_by_role(tmp_path: Path) -> None:
     assert list(solution.modes) == ["x_t"]
 
 
-def test_a_method_that_is_not_known_is_refused(tmp_path: Path) -> None:
+def test_a_method_that_is_not_known_is_refused(name: str, tmp_path: Path) -> None:
     metadata = replace(SOLUTION.metadata, method="magic")
-    path = Solution(SOLUTION.outcome, metadata).save(tmp_path / "solution.npz")
+    path = Solution(SOLUTION.outcome, metadata).save(tmp_path / name)
     with pytest.raises(StorageError, match=r"method='magic', which is not known here; .* train"):
         load(path)

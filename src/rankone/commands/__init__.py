@@ -1,1 +1,1 @@
-"""Subcommands of the command line, one file each."""
+"""Commands of the command line: one module each, which adds its parser and runs."""

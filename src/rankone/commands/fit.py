@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rankone.commands.inputs import FAILURE, SOLVED_HELP, SUCCESS, solution_of
 from rankone.errors import OptionError
 from rankone.wording import did_you_mean, listing, quote
 
@@ -17,9 +18,8 @@ if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
     from rankone.solution import Solution
 
-__all__ = ["add"]
+__all__ = ["register"]
 
-_SUCCESS, _FAILURE = 0, 1
 _EXIT_HELP = """\
 data: a table with commas; the first line names the columns: time (by the name it has in the
 problem) and the unknowns that were measured. Empty cells are missing values.
@@ -31,8 +31,8 @@ exit status:
 """
 
 
-def add(commands: Any) -> None:
-    """Add the subcommand to a parser's subcommands."""
+def register(commands: Any) -> None:
+    """Add the command."""
     parser = commands.add_parser(
         "fit",
         usage="rankone fit FILE DATA [options]",
@@ -41,9 +41,7 @@ def add(commands: Any) -> None:
         epilog=_EXIT_HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "file", metavar="FILE", type=Path, help="a saved solution (.npz), or a problem"
-    )
+    parser.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
     parser.add_argument("data", metavar="DATA", type=Path, help="a .csv file (see below)")
     parser.add_argument(
         "--observe", metavar="NAME", nargs="+", help="columns to use; by default all unknowns"
@@ -62,7 +60,7 @@ def add(commands: Any) -> None:
         "--level", type=float, default=0.95, help="level of intervals (default: %(default)g)"
     )
     parser.add_argument(
-        "--rtol", type=float, default=1e-6, help="tolerance of a solve (default: %(default)g)"
+        "--rtol", type=float, help="tolerance of a solve, for problem files (default: 1e-06)"
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.set_defaults(run=_fit)
@@ -70,7 +68,7 @@ def add(commands: Any) -> None:
 
 def _fit(arguments: argparse.Namespace) -> int:
     """Run ``rankone fit``."""
-    solution = _solution(arguments.file, arguments.rtol)
+    solution = solution_of(arguments.file, arguments.rtol)
     times, data = _table(arguments.data, solution, arguments.observe)
     found = solution.fit(
         times,
@@ -81,25 +79,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         level=arguments.level,
     )
     print(json.dumps(_plain(found), indent=2, allow_nan=False) if arguments.json else found)
-    return _SUCCESS if found.success else _FAILURE
-
-
-def _solution(file: Path, rtol: float) -> Solution:
-    """A saved solution, or that of a problem."""
-    import rankone
-    from rankone.errors import ConvergenceError
-    from rankone.problem_files import load_problem
-    from rankone.solution import load
-
-    if file.suffix == ".npz":
-        return load(file)
-    try:
-        return rankone.compile(load_problem(file)).solve(rtol=rtol)
-    except ConvergenceError as error:
-        if error.solution is None:
-            raise
-        solution: Solution = error.solution
-        return solution
+    return SUCCESS if found.success else FAILURE
 
 
 def _table(
@@ -108,6 +88,8 @@ def _table(
     """Times and values of each unknown that was measured."""
     header, rows = _read(file)
     time = solution.metadata.time
+    if solution.metadata.timeless:
+        raise OptionError("values that do not depend on time are fitted from Python alone")
     if time not in header:
         raise OptionError(
             f"{quote(file)} has no column {quote(time)} for time{did_you_mean(time, header)}",

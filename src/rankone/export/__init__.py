@@ -30,7 +30,10 @@ from rankone.solution_core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.wording import quote
 
-__all__ = ["export_model", "export_solver", "solver_target"]
+__all__ = ["MODELS", "export_model", "export_solver", "model_target", "solver_target"]
+
+MODELS = {".py": "model in Python", ".c": "model in C99"}
+"""Suffixes of solved models."""
 
 
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
@@ -100,6 +103,11 @@ def solver_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
     return free_target(_named(path, {".py": "standalone solver"}), overwrite, ExportError)
 
 
+def model_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
+    """The path of a file that a solved model can be written to, or an ExportError."""
+    return free_target(_named(path, MODELS), overwrite, ExportError)
+
+
 def export_model(
     solution: SolutionCore,
     path: str | PathLike[str],
@@ -131,7 +139,7 @@ def export_model(
     from rankone.export.model_c import c_model
     from rankone.export.model_python import python_model
 
-    target = _named(path, {".py": "model in Python", ".c": "model in C99"})
+    target = _named(path, MODELS)
     model = pack(solution, states=states, allow_failed=allow_failed)
     files = (python_model if target.suffix == ".py" else c_model)(model, target)
     write_files(files, overwrite, ExportError)

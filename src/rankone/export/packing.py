@@ -14,6 +14,7 @@ from rankone.arrays import Array
 from rankone.errors import ExportError, OptionError
 from rankone.solution_core import SolutionCore
 from rankone.tensors.evaluator import TrainEvaluator
+from rankone.units import with_unit
 
 __all__ = ["PackedCore", "PackedModel", "States", "pack"]
 
@@ -109,6 +110,7 @@ def pack(
         )
     metadata = solution.metadata
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
+    names = tuple(solution.states[row] for row in rows)
     slabs = []
     for slab in TrainEvaluator(solution.outcome.slabs).slabs:
         cores = [
@@ -117,23 +119,28 @@ def pack(
         cores[0] = replace(cores[0], tensor=cores[0].tensor[:, list(rows)])
         slabs.append(tuple(cores))
     return PackedModel(
-        unknowns=tuple(solution.states[row] for row in rows),
+        unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
         intervals=tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box)),
         starts=tuple(float(slab.start) for slab in solution.outcome.slabs),
         slabs=tuple(slabs),
-        summary=_summary(solution),
+        summary=_summary(solution, names),
     )
 
 
-def _summary(solution: SolutionCore) -> tuple[str, ...]:
+def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ...]:
     """Lines that say what the model is and how good it is."""
     metadata = solution.metadata
     coordinates = {metadata.time: solution.time, **solution.parameters}
+    units = dict(metadata.units)
     return (
         *(f"    {equation}" for equation in metadata.equations),
         "",
-        *(f"{name} in [{lower!r}, {upper!r}]" for name, (lower, upper) in coordinates.items()),
+        *(
+            with_unit(f"{name} in [{lower!r}, {upper!r}]", units, name)
+            for name, (lower, upper) in coordinates.items()
+        ),
+        *(f"{name} in {units[name]}" for name in unknowns if name in units),
         "",
         f"Relative tolerance asked for: {solution.rtol:g}; {solution.message}.",
     )

@@ -24,11 +24,11 @@ from rankone.solution_core import SolutionCore, raise_blow_up
 from rankone.solvers.engine import Engine
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.task import Asked, Task
-from rankone.storage import read, target
+from rankone.storage.npz import read, target
 from rankone.system import System
 from rankone.wording import quote
 
-__all__ = ["box_of", "load_solution", "options_of", "run", "solve_system"]
+__all__ = ["box_of", "load_solution", "options_of", "pairs_of", "run", "solve_system"]
 
 _LARGEST_GRID = 20_000_000
 """Largest number of values on a grid of the command line."""
@@ -133,13 +133,13 @@ def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> So
 
 def box_of(texts: Sequence[str] | None) -> dict[str, list[float]]:
     """Ranges of parameters as ``--box`` has them."""
-    return _pairs("--box", texts, lambda text: [float(x) for x in text.split(":")], _SPAN)
+    return pairs_of("--box", texts, lambda text: [float(x) for x in text.split(":")], _SPAN)
 
 
 def options_of(texts: Sequence[str] | None, others: Sequence[str]) -> dict[str, Any]:
     """Options of the engine as ``--options`` has them; ``others`` are arguments of ``solve``."""
     as_json = "-0123456789["  # what begins with one of these is a number or a list of them
-    options = _pairs("--options", texts, lambda v: json.loads(v) if v[:1] in as_json else v)
+    options = pairs_of("--options", texts, lambda v: json.loads(v) if v[:1] in as_json else v)
     for name in options:
         if name in others:
             raise OptionError(f"--options: {quote(name)} is no option of the engine")
@@ -185,11 +185,11 @@ def _values(solution: SolutionCore, given: argparse.Namespace) -> dict[str, floa
     """Values at one point, by name."""
     if not given.at:
         return {}
-    at = _pairs("--at", given.at, float)
+    at = pairs_of("--at", given.at, float)
     return {name: float(solution[name](at)) for name in _names(solution, given)}
 
 
-def _pairs(
+def pairs_of(
     option: str, texts: Sequence[str] | None, read: Callable[[str], Any], form: str = _PAIR
 ) -> dict[str, Any]:
     """Values by name from texts of a form."""

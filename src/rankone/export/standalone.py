@@ -35,7 +35,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
     ),
     "Engine": (),
     "Evaluation": ("tensors.evaluator", "coordinates", "metadata", "solution_core"),
-    "Files": ("files", "plain_data", "storage"),
+    "Files": ("files", "plain_data", "storage.header", "storage.npz"),
     "Command line": ("export.program",),
 }
 """Modules in each part of the file; the engine has all that are in no other."""

@@ -29,6 +29,8 @@ from rankone.symbolic.jumps import check_jumps, jump_latex, jump_texts, system_j
 from rankone.symbolic.mass import MassForm, check_mass
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.parsing import parse_expression
+from rankone.symbolic.units import check_units
+from rankone.units import with_unit
 from rankone.wording import count, did_you_mean, is_text, listing, quote, shown
 
 __all__ = ["Problem"]
@@ -60,15 +62,18 @@ class Problem:
         right after that time in terms of those right before it. A tuple of times stands for
         several. A ``DiracDelta(t - 8)`` in an equation means the same. At such a time a solution
         has its value after the jump.
-
+    units : mapping to str, optional
+        Units of time, parameters, unknowns and derivatives that are states, by symbols, functions
+        or names: ``{x: "m", t: "s", k: "1/s"}``. They are shown with results; nothing is
+        converted. A derivative of which none is given has ``m/s``.
     tail : float
         The probability that is left out on either side of a distribution with unbounded support.
 
     Attributes
     ----------
-    equations, time, parameters, initial, name, jumps, tail
+    equations, time, parameters, initial, name, jumps, units, tail
         As given, with numbers as floats, parameters as intervals, initial values in the order of
-        the states and jumps by time.
+        the states, jumps by time and units by name.
     distributions : mapping of str to str
         For the names of parameters that were given a distribution, that as text.
     unknowns : tuple of Expr
@@ -107,6 +112,7 @@ class Problem:
     initial: Mapping[sp.Expr, Any]
     name: str | None = None
     jumps: Mapping[Any, Mapping[sp.Expr, Any]] | None = None
+    units: Mapping[Any, str] | None = None
     tail: float = 1e-6
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
@@ -136,6 +142,7 @@ class Problem:
                 f"parameter {quote(symbol)} appears nowhere in the problem; "
                 "remedy: remove it from `parameters`"
             )
+        units = check_units(self.units, time[0], box, states)
         checked = {
             "equations": equations,
             "time": time,
@@ -143,6 +150,7 @@ class Problem:
             "distributions": MappingProxyType(distributions),
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
+            "units": MappingProxyType(units),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
             "mass": check_mass(residuals, unknowns, _coordinates(time, box)),
@@ -159,6 +167,7 @@ class Problem:
         time: tuple[float, float],
         name: str | None = None,
         jumps: Mapping[Any, Mapping[str, str | float]] | None = None,
+        units: Mapping[str, str] | None = None,
         tail: float = 1e-6,
     ) -> Problem:
         """Build a problem from text.
@@ -178,6 +187,8 @@ class Problem:
             A title.
         jumps : mapping of float to mapping, optional
             Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``.
+        units : mapping of str to str, optional
+            Units by name: ``{"x": "m", "t": "s"}``.
         tail : float
             As for the class.
 
@@ -212,6 +223,8 @@ class Problem:
         symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
         check_names(list(unknowns.items()), symbols.values(), t)
         names = {"t": t, **symbols, **unknowns}
+        if isinstance(units, Mapping) and all(isinstance(name, str) for name in units):
+            units = _normalised("units", units)
         return cls(
             equations=[
                 sp.Eq(
@@ -232,6 +245,7 @@ class Problem:
             },
             name=name,
             jumps=_jumps(jumps, names, unknowns),
+            units=units,
             tail=tail,
         )
 
@@ -244,7 +258,7 @@ class Problem:
         texts = self.distributions
         box = {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()}
         given = (self.equations, self.time, box, dict(self.initial), self.name)
-        return type(self), (*given, dict(self.jumps or {}), self.tail)
+        return type(self), (*given, dict(self.jumps or {}), dict(self.units or {}), self.tail)
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"
@@ -252,12 +266,16 @@ class Problem:
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
         at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
+        units = self.units or {}
         intervals = [
-            f"{c.name} in [{c.lower:g}, {c.upper:g}]"
+            with_unit(f"{c.name} in [{c.lower:g}, {c.upper:g}]", units, c.name)
             + (f" ~ {self.distributions[c.name]}" if c.name in self.distributions else "")
             for c in self.coordinates
         ]
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
+        measured = [name for name in map(name_of, self.initial) if name in units]
+        if measured:
+            lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in measured))
         texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
 

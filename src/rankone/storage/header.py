@@ -1,10 +1,10 @@
-"""Saving and loading solutions in an open format: NumPy ``.npz`` with a JSON header, no pickle.
+"""What a file of a solution holds, whatever its container: a header and cores.
 
 The array ``header`` is a text that holds what was asked
 (:class:`~rankone.metadata.SolutionMetadata`, and ``unknowns``), the bases of every slab and the
-:class:`~rankone.solvers.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of each
-:class:`~rankone.tensors.slab.SlabTrain`. Readers refuse versions newer than their own and pass over
-entries they do not know; the version grows when an old reader could misunderstand a file.
+:class:`~rankone.solvers.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of
+each :class:`~rankone.tensors.slab.SlabTrain`. Readers refuse versions newer than their own and pass
+over entries they do not know; the version grows when an old reader could misunderstand a file.
 """
 
 from __future__ import annotations
@@ -13,24 +13,25 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_type_hints
-from zipfile import BadZipFile, is_zipfile
+from zipfile import BadZipFile
 from zlib import error as ZlibError
 
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
 from rankone.errors import StorageError
-from rankone.files import as_path, free_target, npz, write_files
+from rankone.files import as_path
 from rankone.metadata import SolutionMetadata
 from rankone.plain_data import plain, rebuilt
 from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["FORMAT", "FORMAT_VERSION", "read", "target", "write"]
+__all__ = ["FORMAT", "FORMAT_VERSION", "not_a_solution", "packed", "reading", "unpacked"]
 
 FORMAT = "rankone-solution"
 FORMAT_VERSION = 3
@@ -54,76 +55,14 @@ _NEAR = 1e-9
 """Part of the horizon by which the ends of slabs may miss each other."""
 
 
-def target(path: str | PathLike[str], overwrite: bool) -> Path:
-    """The path of a file that a solution, or a table of values, can be written to.
-
-    Raises
-    ------
-    StorageError
-        If its name does not end in ``.npz``, it exists and is not to be replaced, or it cannot be
-        written.
-    """
-    if as_path(path, StorageError).suffix != ".npz":
-        raise StorageError(
-            f"`{path}` is no name for an .npz file", term=path, remedy="end the name in .npz"
-        )
-    return free_target(path, overwrite, StorageError)
-
-
-def write(
-    path: str | PathLike[str],
-    outcome: Outcome,
-    metadata: SolutionMetadata,
-    overwrite: bool = False,
-) -> Path:
-    """Write what was solved to a file; paths and errors are those of :func:`target`.
-
-    A file is either complete or not there, also after an interrupt.
-    """
-    place = target(path, overwrite)
-    write_files({place: npz(_arrays(outcome, metadata))}, overwrite, StorageError)
-    return place
-
-
-def read(
-    path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
-) -> tuple[Outcome, SolutionMetadata]:
-    """Read what was solved from a file written by :func:`write`.
-
-    Nothing in the file is executed.
-
-    Parameters
-    ----------
-    records : mapping of str to type
-        For each method the class of the records of its history.
-
-    Raises
-    ------
-    StorageError
-        If there is no such file, it is not a rankone solution, it is damaged, a newer version of
-        rankone wrote it, or its method is none of these.
-    """
+@contextmanager
+def reading(path: str | PathLike[str]) -> Iterator[Path]:
+    """The path of a file to read; whatever goes wrong with it there is a StorageError."""
     given = as_path(path, StorageError)
     if given.exists() and not given.is_file():
         raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
     try:
-        with given.open("rb") as stream:
-            if not is_zipfile(stream):
-                raise _not_a_solution(given)
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as arrays:
-                header = _header(arrays, given)
-                metadata = _metadata(header["metadata"])
-                if metadata.method not in records:
-                    raise StorageError(
-                        f"`{given}` holds a solution by method={metadata.method!r}, which is not "
-                        f"known here",
-                        term=given,
-                        remedy=f"methods that can be read: {', '.join(records)}",
-                    )
-                outcome = _outcome(header, records[metadata.method], arrays)
-                _check(outcome, metadata)
-                _check_digest(arrays)
+        yield given
     except StorageError:
         raise
     except FileNotFoundError:
@@ -136,10 +75,10 @@ def read(
             term=given,
             remedy="restore it from a copy, or solve again",
         ) from error
-    return outcome, metadata
 
 
-def _not_a_solution(path: Path) -> StorageError:
+def not_a_solution(path: Path) -> StorageError:
+    """The error for a file that holds something else."""
     return StorageError(
         f"`{path}` is not a rankone solution",
         term=path,
@@ -150,8 +89,8 @@ def _not_a_solution(path: Path) -> StorageError:
 # --- writing -----------------------------------------------------------------------------------
 
 
-def _arrays(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
-    """The arrays of a file by name."""
+def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
+    """The arrays of a file by name: header, cores and digest."""
     bases: dict[Basis1D, int] = {}
     slabs = []
     for slab in outcome.slabs:
@@ -199,13 +138,34 @@ def _plain_basis(basis: Basis1D) -> dict[str, Any]:
 # --- reading -----------------------------------------------------------------------------------
 
 
+def unpacked(
+    arrays: Mapping[str, Any], path: Path, records: Mapping[str, type[SlabRecord]]
+) -> tuple[Outcome, SolutionMetadata]:
+    """What was solved, from the arrays of a file; checked.
+
+    ``records`` has for each method the class of the records of its history.
+    """
+    header = _header(arrays, path)
+    metadata = _metadata(header["metadata"])
+    if metadata.method not in records:
+        raise StorageError(
+            f"`{path}` holds a solution by method={metadata.method!r}, which is not known here",
+            term=path,
+            remedy=f"methods that can be read: {', '.join(records)}",
+        )
+    outcome = _outcome(header, records[metadata.method], arrays)
+    _check(outcome, metadata)
+    _check_digest(arrays)
+    return outcome, metadata
+
+
 def _header(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
     """The header, if it is one that this version understands."""
     if "header" not in arrays:
-        raise _not_a_solution(path)
+        raise not_a_solution(path)
     header = json.loads(str(arrays["header"][()]))
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise _not_a_solution(path)
+        raise not_a_solution(path)
     version = header["format_version"]
     if type(version) is not int or version < 1:
         raise ValueError(f"format_version is {version!r}")

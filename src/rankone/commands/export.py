@@ -1,0 +1,94 @@
+"""``rankone export FILE -o PATH``: a standalone solver, or a solved model."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rankone.commands.inputs import FAILURE, SUCCESS, complain, is_saved, layout, solution_of
+
+__all__ = ["register", "run"]
+
+
+def register(commands: Any) -> None:
+    """Add the parser."""
+    parser = commands.add_parser(
+        "export",
+        help="write a standalone solver or a solved model",
+        description="Write a problem and its engine to one Python file, which needs only NumPy "
+        "and SciPy and is both a module and a program. Of a saved solution, with --model, or with "
+        "another suffix than .py, write a solved model, for evaluation only.",
+        epilog=layout(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="a problem file (.py, .toml) or a saved solution (.npz, .nc)",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="PATH",
+        type=Path,
+        required=True,
+        help="a .py file; for models the suffix says what is written",
+    )
+    parser.add_argument(
+        "--model", action="store_true", help="solve and write a model, also with the suffix .py"
+    )
+    parser.add_argument("--rtol", type=float, help="tolerance of a model (default: 1e-6)")
+    parser.add_argument("--method", help="the engine (default: auto)")
+    parser.add_argument(
+        "--allow-failed",
+        action="store_true",
+        help="write a model also if its error is not within the tolerance (status 1)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write what was asked for."""
+    is_model = arguments.model or is_saved(arguments.file) or arguments.output.suffix != ".py"
+    return _write_model(arguments) if is_model else _write_solver(arguments)
+
+
+def _write_solver(arguments: argparse.Namespace) -> int:
+    """Write a standalone solver."""
+    import rankone
+    from rankone.errors import OptionError
+    from rankone.export import solver_target
+    from rankone.problem_files import load_problem
+
+    for option, given in (("--rtol", arguments.rtol), ("--allow-failed", arguments.allow_failed)):
+        if given:
+            raise OptionError(
+                f"{option} is for models; a standalone solver is told when it solves",
+                remedy="add --model, or leave it out",
+            )
+    solver_target(arguments.output, arguments.overwrite)
+    compiled = rankone.compile(load_problem(arguments.file))
+    method = arguments.method or "auto"
+    compiled.export(arguments.output, method=method, overwrite=arguments.overwrite)
+    return SUCCESS
+
+
+def _write_model(arguments: argparse.Namespace) -> int:
+    """Load or solve, and write a solved model."""
+    from rankone.export import model_target
+
+    model_target(arguments.output, arguments.overwrite)  # before the solve, not after it
+    solution = solution_of(arguments.file, arguments.rtol, arguments.method)
+    if not (solution.success or arguments.allow_failed):
+        complain(
+            f"error: nothing was written: {solution.message}; remedy: another --rtol, or "
+            "--allow-failed to write it as it is"
+        )
+        return FAILURE
+    solution.export(
+        arguments.output, overwrite=arguments.overwrite, allow_failed=arguments.allow_failed
+    )
+    return SUCCESS if solution.success else FAILURE

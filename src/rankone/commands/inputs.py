@@ -1,0 +1,90 @@
+"""What commands take and how they end: problem files, saved solutions, exit status."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rankone.solution import Solution
+
+__all__ = [
+    "BAD_INPUT",
+    "FAILURE",
+    "PROBLEM_HELP",
+    "SOLVED_HELP",
+    "SUCCESS",
+    "complain",
+    "is_saved",
+    "layout",
+    "solution_of",
+    "status_of",
+]
+
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
+SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
+_DEFAULT_RTOL = 1e-6
+
+
+def layout() -> str:
+    """The layout of a TOML file, for the help."""
+    from rankone.problem_files import TOML_LAYOUT
+
+    return "layout of a TOML file:\n" + "".join(
+        f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()
+    )
+
+
+def is_saved(path: Path) -> bool:
+    """Whether a name is that of a saved solution."""
+    return path.suffix in (".npz", ".nc")
+
+
+def solution_of(path: Path, rtol: float | None, method: str | None = None) -> Solution:
+    """Load a saved solution, or solve a problem file.
+
+    Raises
+    ------
+    OptionError
+        If a tolerance or a method is given for what is solved already.
+    StorageError, ProblemError
+        If there is no such file, or it holds something else.
+    """
+    import rankone
+    from rankone.deadline import preparing
+    from rankone.errors import OptionError, ProblemError
+    from rankone.problem_files import load_problem
+
+    if is_saved(path):
+        given = {"--rtol": rtol, "--method": method}
+        for option in (option for option, value in given.items() if value is not None):
+            raise OptionError(
+                f"{option} is for problem files; `{path}` is solved already",
+                remedy=f"leave {option} out, or solve again",
+            )
+        return rankone.load(path)
+    if path.suffix not in (".py", ".toml"):
+        raise ProblemError(
+            f"`{path}` is neither a saved solution nor a problem file",
+            term=path,
+            remedy="give an .npz, .nc, .py or .toml file",
+        )
+    with preparing(None):
+        compiled = rankone.compile(load_problem(path))
+    rtol = _DEFAULT_RTOL if rtol is None else rtol
+    return compiled.solve(rtol=rtol, method="auto" if method is None else method)  # type: ignore[arg-type]
+
+
+def status_of(solution: Solution) -> int:
+    """The exit status; a word on the standard error stream if it is no success."""
+    if solution.success:
+        return SUCCESS
+    complain(f"warning: the error is not within the tolerance: {solution.message}")
+    return FAILURE
+
+
+def complain(text: str) -> None:
+    """Print one line on the standard error stream."""
+    print(f"rankone: {text}", file=sys.stderr)

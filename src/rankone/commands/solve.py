@@ -1,0 +1,157 @@
+"""``rankone solve FILE``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rankone.commands.inputs import FAILURE, PROBLEM_HELP, SUCCESS, complain, layout
+
+__all__ = ["ARGUMENTS", "register", "run"]
+
+ARGUMENTS = (
+    *("self", "rtol", "method", "parameters", "t_final"),
+    *("check", "cover", "max_seconds", "unknowns", "progress", "on_failure"),
+)
+"""What ``solve`` takes beside options of the engine."""
+_EXIT_HELP = """\
+exit status:
+  0  the measured error is within the tolerance
+  1  it is not, or is not known; the summary is printed and the file is saved all the same
+  2  bad input
+"""
+
+
+def register(commands: Any) -> None:
+    """Add the parser."""
+    solve = commands.add_parser(
+        "solve",
+        usage="rankone solve FILE [options]",
+        help="solve a problem, print a summary and optionally save the solution",
+        description="Solve a problem for every parameter value of its box and measure the error.",
+        epilog=f"{layout()}\n{_EXIT_HELP}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    solve.add_argument("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
+    solve.add_argument(
+        "--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)"
+    )
+    solve.add_argument(
+        "--save",
+        metavar="PATH",
+        type=Path,
+        help="write the solution to PATH (.npz, or .nc for netCDF)",
+    )
+    solve.add_argument("--overwrite", action="store_true", help="let --save replace a file")
+    solve.add_argument(
+        "--check",
+        metavar="N",
+        type=_count,
+        help="number of check points in the interior; 0 leaves the error unknown (status 1)",
+    )
+    solve.add_argument(
+        "--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)"
+    )
+    solve.add_argument(
+        "--box",
+        metavar="NAME=LOWER:UPPER",
+        nargs="+",
+        action="extend",
+        help="other ranges of parameters, for this solve",
+    )
+    solve.add_argument(
+        "--t-final", metavar="T", type=float, help="another end of the horizon, for this solve"
+    )
+    solve.add_argument(
+        "--options",
+        metavar="NAME=VALUE",
+        nargs="+",
+        action="extend",
+        help="options of the engine, such as max_rank=300",
+    )
+    solve.add_argument(
+        "--cover",
+        choices=("interior", "box"),
+        help="whether success covers the corners of the box; by default up to three parameters",
+    )
+    solve.add_argument(
+        "--max-seconds",
+        metavar="S",
+        type=float,
+        help="time limit, 25 by default; the best so far is kept",
+    )
+    solve.add_argument(
+        "--unknowns",
+        metavar="NAME",
+        nargs="+",
+        help="the unknowns whose error has to be within the tolerance; by default all",
+    )
+    solve.add_argument("--json", action="store_true", help="print the summary as JSON")
+    solve.add_argument(
+        "--quiet", action="store_true", help="no summary (except --json) and no progress bar"
+    )
+    solve.set_defaults(run=run)
+
+
+def _count(text: str) -> int:
+    """Parse a number of trajectories."""
+    try:
+        count = int(text)
+    except ValueError:
+        count = -1
+    if count < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0")
+    return count
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Solve, save and print the summary."""
+    import rankone
+    from rankone.commands.summary import summary
+    from rankone.deadline import preparing
+    from rankone.errors import ConvergenceError
+    from rankone.export.program import box_of, options_of
+    from rankone.problem_files import load_problem
+    from rankone.storage import target
+
+    box, options = box_of(arguments.box), options_of(arguments.options, ARGUMENTS)
+    if arguments.save is not None:  # find out before the solve, not after it
+        target(arguments.save, arguments.overwrite)
+
+    with preparing(arguments.max_seconds):
+        compiled = rankone.compile(load_problem(arguments.file))
+    check = True if arguments.check is None else arguments.check or False
+    bar = sys.stderr.isatty() and not arguments.quiet
+    try:
+        solution = compiled.solve(
+            rtol=arguments.rtol,
+            method=arguments.method,
+            parameters=box,
+            t_final=arguments.t_final,
+            check=check,
+            cover=arguments.cover,
+            max_seconds=arguments.max_seconds,
+            unknowns=arguments.unknowns,
+            progress=bar,
+            **options,
+        )
+    except ConvergenceError as error:
+        if error.solution is None:
+            raise
+        complain(f"error: {error}")
+        solution = error.solution
+    if arguments.save is not None:
+        solution.save(arguments.save, overwrite=arguments.overwrite)
+    if arguments.json:
+        saved = None if arguments.save is None else str(arguments.save)
+        answer = {"file": str(arguments.file), **summary(solution), "saved": saved}
+        print(json.dumps(answer, indent=2, allow_nan=False))
+    elif not arguments.quiet:
+        print(solution)
+        if arguments.save is not None:
+            print(f"  saved     {arguments.save}")
+    sys.stdout.flush()
+    return SUCCESS if solution.success else FAILURE

@@ -1,0 +1,243 @@
+"""Solutions in netCDF-4: the same header, cores and digest, and what xarray shows of them.
+
+Every core is a variable with named dimensions. Beside the header, which alone is read again, names,
+intervals, slabs, measured errors and units are variables and attributes of their own. The packages
+h5netcdf and h5py are needed: ``pip install h5netcdf h5py``, or the extra ``io``.
+
+Behind the end of the netCDF file, where readers do not look, stands its SHA-256. What does not fit
+it is refused before the HDF5 library sees it, which a damaged file can keep busy for ever.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.errors import StorageError
+from rankone.files import as_path, free_target, write_files
+from rankone.metadata import SolutionMetadata
+from rankone.solvers.outcome import Outcome, SlabRecord, Status
+from rankone.storage.header import FORMAT, not_a_solution, packed, reading, unpacked
+from rankone.wording import clip
+
+__all__ = ["SIGNATURE", "SUFFIX", "read", "sealed", "target", "write"]
+
+SUFFIX = ".nc"
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""The first bytes of a netCDF-4 file."""
+_SEAL = b"\nrankone sha256 "
+"""What stands between the netCDF file and its SHA-256."""
+_LONGEST_ATTRIBUTE = 15_000
+"""Characters of an attribute, which HDF5 keeps in less than 64 KiB of UTF-8."""
+_LARGEST_RATIO = 1100
+"""Bytes of a core for each byte of the file; compression does not reach it."""
+_SUMMARY = (
+    "Tensor trains: rankone.load evaluates them for every parameter value and time, and reads "
+    "header, digest and core_<slab>_<dimension> alone"
+)
+
+
+def target(path: str | PathLike[str], overwrite: bool) -> Path:
+    """The path of a file that a solution can be written to; found out before a solve.
+
+    Raises
+    ------
+    StorageError
+        If h5netcdf or h5py is not installed, the file exists and is not to be replaced, or it
+        cannot be written.
+    """
+    _module("h5netcdf", as_path(path, StorageError))
+    _module("h5py", as_path(path, StorageError))
+    return free_target(path, overwrite, StorageError)
+
+
+def write(
+    path: str | PathLike[str],
+    outcome: Outcome,
+    metadata: SolutionMetadata,
+    overwrite: bool = False,
+) -> Path:
+    """Write what was solved to a file; errors are those of :func:`target`.
+
+    A file is either complete or not there, also after an interrupt.
+    """
+    place = target(path, overwrite)
+    content = BytesIO()
+    with _module("h5netcdf", place).File(content, "w") as file:
+        _fill(file, outcome, metadata, _module("h5py", place).string_dtype())
+    write_files({place: sealed(content.getvalue())}, overwrite, StorageError)
+    return place
+
+
+def read(
+    path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
+) -> tuple[Outcome, SolutionMetadata]:
+    """Read what was solved from a file written by :func:`write`; nothing in it is executed.
+
+    Parameters and errors are those of :func:`rankone.storage.read`; there is one more if h5py is
+    not installed.
+    """
+    with reading(path) as given:
+        content = given.read_bytes()
+        if not (content.startswith(SIGNATURE) and FORMAT.encode() in content):
+            raise not_a_solution(given)
+        content = _unsealed(content)
+        h5py = _module("h5py", given)
+        try:
+            with h5py.File(BytesIO(content), "r") as file:
+                return unpacked(_Arrays(file, h5py, len(content)), given, records)
+        except (OSError, RuntimeError) as error:  # of the HDF5 library
+            raise ValueError(f"HDF5: {error}") from error
+
+
+def sealed(content: bytes) -> bytes:
+    """A netCDF file with its SHA-256 behind it."""
+    return content + _SEAL + hashlib.sha256(content).hexdigest().encode()
+
+
+def _unsealed(content: bytes) -> bytes:
+    """The netCDF file alone, or an error if it is not what was written."""
+    file, _, seal = content.rpartition(_SEAL)
+    if seal != hashlib.sha256(file).hexdigest().encode():
+        raise ValueError("it was changed after it was saved, or is not complete")
+    return file
+
+
+def _module(name: str, path: Path) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise StorageError(
+            f"`{path}` is a netCDF file, which needs {name}, which is not installed",
+            term=path,
+            remedy="pip install h5netcdf h5py; .npz files need neither",
+        ) from None
+
+
+# --- writing -----------------------------------------------------------------------------------
+
+
+def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) -> None:
+    """Write everything into an open file; ``text`` is the type of texts."""
+    arrays = packed(outcome, metadata)
+
+    def add(name: str, dimensions: tuple[str, ...], values: Any, about: str = "") -> None:
+        values = np.asarray(values)
+        for dimension, size in zip(dimensions, values.shape, strict=True):
+            if dimension not in file.dimensions:
+                file.dimensions[dimension] = size
+        is_text = values.dtype.kind not in "fi"
+        made = file.create_variable(name, dimensions, text if is_text else "<f8")
+        made[...] = values.astype(object) if is_text else values
+        if about:
+            made.attrs["long_name"] = about
+
+    file.attrs.update(_attributes(outcome, metadata))
+    for name, dimensions, values, about in _described(outcome, metadata):
+        if len(values):
+            add(name, dimensions, values, about)
+    add("header", (), str(arrays["header"]), "what was asked and what came out, as JSON")
+    add("digest", (), str(arrays["digest"]), "SHA-256 of header and cores")
+    for i, slab in enumerate(outcome.slabs):
+        for j in range(len(slab.cores)):
+            add(f"core_{i}_{j}", _dimensions(i, j, len(slab.cores)), arrays[f"core_{i}_{j}"])
+
+
+def _dimensions(i: int, j: int, count: int) -> tuple[str, str, str]:
+    """Names of the dimensions of core j of slab i, of so many."""
+    left = "state" if j == 0 else f"rank_{i}_{j - 1}_{j}"
+    right = "one" if j == count - 1 else f"rank_{i}_{j}_{j + 1}"
+    return left, f"time_mode_{i}" if j == 0 else f"mode_{i}_{j}", right
+
+
+_Variable = tuple[str, tuple[str, ...], Sequence[Any], str]
+"""Name, dimensions, values and what they are."""
+
+
+def _described(outcome: Outcome, metadata: SolutionMetadata) -> Iterator[_Variable]:
+    """Variables that say in the open what the header says."""
+    measured, units = outcome.measured, dict(metadata.units)
+    yield "state", ("state",), _texts(metadata.states), "unknowns and other states"
+    yield "role", ("state",), _texts(map(str, metadata.roles)), "what a state is"
+    if units:
+        found = [units.get(name, "") for name in metadata.states]
+        yield "state_unit", ("state",), _texts(found), "unit"
+    if measured is not None:
+        about = "largest measured error, relative to the largest value"
+        yield "error", ("state",), measured.interior, about
+        yield "corner_error", ("state",), measured.corners, f"{about}, at corners of the box"
+    yield "parameter", ("parameter",), _texts(metadata.parameters), "parameters"
+    if units:
+        found = [units.get(name, "") for name in metadata.parameters]
+        yield "parameter_unit", ("parameter",), _texts(found), "unit"
+    yield "lower", ("parameter",), [lower for lower, _ in metadata.box], "start of the interval"
+    yield "upper", ("parameter",), [upper for _, upper in metadata.box], "end of the interval"
+    yield "slab_start", ("slab",), [float(slab.start) for slab in outcome.slabs], "start in time"
+    yield "slab_end", ("slab",), [float(slab.end) for slab in outcome.slabs], "end in time"
+
+
+def _attributes(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
+    """Attributes of the file: texts and numbers."""
+    measured, units = outcome.measured, dict(metadata.units)
+    return {
+        "Conventions": FORMAT,
+        "title": _text(f"Solution of {', '.join(metadata.unknowns)}"),
+        "summary": _SUMMARY,
+        "source": _text(f"rankone {metadata.version}, method {metadata.method}"),
+        "equations": _text("\n".join(metadata.equations)),
+        "rtol": float(metadata.rtol),
+        **({} if measured is None else {"error": float(measured.error)}),
+        "success": int(outcome.status is Status.CONVERGED),
+        "comment": _text(outcome.message),
+        "time": _text(metadata.time),
+        "horizon": np.array(metadata.horizon, dtype=float),
+        "timeless": int(metadata.timeless),
+        **({"time_unit": _text(units[metadata.time])} if metadata.time in units else {}),
+    }
+
+
+def _text(text: str) -> str:
+    """Text as an attribute or a value can hold it: neither very long nor with null characters."""
+    return clip(text.replace("\0", "?"), _LONGEST_ATTRIBUTE)
+
+
+def _texts(texts: Any) -> list[str]:
+    return [_text(text) for text in texts]
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+
+class _Arrays(Mapping[str, Any]):
+    """Variables of an open HDF5 file as arrays; only what lies in the file itself is read."""
+
+    def __init__(self, file: Any, h5py: Any, size: int) -> None:
+        self._file, self._h5py, self._size = file, h5py, size
+
+    def __getitem__(self, name: str) -> Array:
+        link = self._file.get(name, getlink=True)
+        found = self._file[name] if isinstance(link, self._h5py.HardLink) else None
+        if not isinstance(found, self._h5py.Dataset) or found.is_virtual or found.external:
+            raise ValueError(f"{name} is not a variable in the file itself")
+        if found.shape == ():
+            return np.array(found.asstr()[()])
+        if found.nbytes > _LARGEST_RATIO * self._size:
+            raise ValueError(f"{name} is larger than the file can hold")
+        return np.asarray(found[...])
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._file
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._file)
+
+    def __len__(self) -> int:
+        return len(self._file)
