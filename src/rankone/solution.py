@@ -166,15 +166,15 @@ class Solution(DistributionOverBox, EstimationFromData):
         path: str | PathLike[str],
         *,
         states: Literal["unknowns", "all"] = "unknowns",
+        rtol: float | None = None,
         overwrite: bool = False,
         allow_failed: bool = False,
     ) -> Path:
-        """Write a solved model in Python or C99; see :func:`rankone.export.export_model`."""
+        """Write a model in Python, C99 or JavaScript; see :func:`rankone.export.export_model`."""
         from rankone.export import export_model
 
-        return export_model(
-            self, path, states=states, overwrite=overwrite, allow_failed=allow_failed
-        )
+        options = {"overwrite": overwrite, "allow_failed": allow_failed}
+        return export_model(self, path, states=states, rtol=rtol, **options)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the solution to a file in an open format, without pickle.

@@ -112,12 +112,14 @@ def _versioned(text: str) -> str:
 
 @pytest.mark.parametrize("path", sorted((ROOT / "docs" / "export").glob("*.md")), ids=_name)
 def test_commands(path, tmp_path):
-    """The guides of what is exported: C and commands run as well, after the Python blocks."""
+    """The guides of what is exported: other languages and commands run as well, after Python."""
     text = path.read_text()
     (tmp_path / "guide.py").write_text("".join(block["code"] for block in BLOCK.finditer(text)))
     shutil.copy(ROOT / "examples" / "lotka_volterra.py", tmp_path)
     for number, code in enumerate(re.findall(r"^```c\n(.*?)^```", text, re.M | re.S)):
         (tmp_path / ("main.c" if number == 0 else f"main{number}.c")).write_text(code)
+    for code in re.findall(r"^```js\n(.*?)^```", text, re.M | re.S):
+        (tmp_path / "main.mjs").write_text(code)
     blocks = re.findall(r"^```console\n(.*?)^```", text, re.M | re.S)
     lines = ["python guide.py", *"".join(blocks).splitlines()]
     if "```c\n" in text:
@@ -127,12 +129,15 @@ def test_commands(path, tmp_path):
         "rankone": [sys.executable, "-m", "rankone.cli"],
         "cc": [shutil.which("cc") or shutil.which("gcc") or ""],
         "./main": ["./main"],
+        "node": [shutil.which("node") or ""],
     }
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
     for line in lines:
         program, *arguments = shlex.split(line)
         if program == "cc" and not programs["cc"][0]:
             pytest.skip("no C compiler")
+        if program == "node" and not programs["node"][0]:
+            pytest.skip("no Node.js")
         if program == "rankone":
             (tmp_path / arguments[-1]).unlink(missing_ok=True)
         command = [*programs[program], *arguments]
@@ -140,6 +145,9 @@ def test_commands(path, tmp_path):
             command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert run.returncode == 0, f"{line}\n{run.stderr}"
+    if "```js\n" in text:
+        values = [float(line) for line in run.stdout.splitlines()[:-1]]
+        assert values == pytest.approx([math.exp(-2.0)] * 4, rel=1e-5)
     if "```c\n" in text:
         assert float(run.stdout) == pytest.approx(math.exp(-2.0), rel=1e-5)
 

@@ -14,7 +14,14 @@ from rankone.solvers.outcome import Outcome, Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
 
-__all__ = ["compiled", "points", "solved", "synthetic", "synthetic_with_breaks"]
+__all__ = [
+    "border_points",
+    "compiled",
+    "points",
+    "solved",
+    "synthetic",
+    "synthetic_with_breaks",
+]
 
 
 @cache
@@ -38,6 +45,18 @@ def points(solution: ro.Solution, count: int, seed: int = 0) -> dict[str, np.nda
     ends = [slab.end for slab in solution.outcome.slabs][: count // 4]
     found[solution.metadata.time][2 : 2 + len(ends)] = np.clip(ends, *solution.time)
     return found
+
+
+def border_points(solution: ro.Solution) -> dict[str, np.ndarray]:
+    """Points on the breaks of every parameter of every slab, by name."""
+    slabs = solution.outcome.slabs
+    rows = []
+    for slab in slabs:
+        middle = [0.5 * (slab.start + slab.end), *(0.5 * (b.lower + b.upper) for b in slab.bases)]
+        for j, basis in enumerate(slab.bases, 1):
+            rows += [[*middle[:j], edge, *middle[j + 1 :]] for edge in basis.breaks]
+    names = [solution.metadata.time, *solution.parameters]
+    return dict(zip(names, np.transpose(rows), strict=True))
 
 
 @cache

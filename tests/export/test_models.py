@@ -20,7 +20,13 @@ from rankone.errors import ExportError, OptionError
 from rankone.export.model_c import c_identifier
 from rankone.export.model_python import keywords
 from rankone.solvers.outcome import Status
-from tests.export.solutions import points, solved, synthetic, synthetic_with_breaks
+from tests.export.solutions import (
+    border_points,
+    points,
+    solved,
+    synthetic,
+    synthetic_with_breaks,
+)
 from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -310,18 +316,6 @@ def test_c_single_precision(name, tmp_path):
     rows = np.r_[0, 10:500]  # at the end of a slab the rounded time is on either side
     wanted = solution(where)
     assert np.all(np.abs(values - wanted)[:, rows] <= 2e-4 * sizes(wanted))
-
-
-def border_points(solution):
-    """Points on the breaks of every parameter of every slab, by name."""
-    slabs = solution.outcome.slabs
-    rows = []
-    for slab in slabs:
-        middle = [0.5 * (slab.start + slab.end), *(0.5 * (b.lower + b.upper) for b in slab.bases)]
-        for j, basis in enumerate(slab.bases, 1):
-            rows += [[*middle[:j], edge, *middle[j + 1 :]] for edge in basis.breaks]
-    names = [solution.metadata.time, *solution.parameters]
-    return dict(zip(names, np.transpose(rows), strict=True))
 
 
 def test_python_on_breaks(tmp_path):

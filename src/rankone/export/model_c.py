@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rankone.codegen.text import paragraph
 from rankone.errors import ExportError
 from rankone.export.packing import PackedModel
+from rankone.export.templates import filled, outside_of_comments, wrapped
 from rankone.files import Content
 from rankone.version import __version__
 
@@ -28,8 +29,6 @@ _WIDTH = 96
 _BLOCK, _LANES, _PAIR = 8, 4, 2
 """Rows contracted together, and multiples to which products and runs are padded; the same in the
 template."""
-_TEMPLATES = Path(__file__).parent
-_CONDITION = re.compile(r"^@if (\w+)@\n(.*?)(?:^@else@\n(.*?))?^@end@\n", re.DOTALL | re.MULTILINE)
 
 
 def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
@@ -58,7 +57,7 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "unknowns": str(len(model.unknowns)),
         "parameters": str(len(model.coordinates) - 1),
         "room": str(max(len(model.coordinates) - 1, 1)),
-        "unknown_list": _outside_of_comments(", ".join(model.unknowns)),
+        "unknown_list": outside_of_comments(", ".join(model.unknowns)),
         "indices": _indices(model, prefix.upper()),
         "unknown_names": ", ".join(map(_string, model.unknowns)),
         "parameter_names": ", ".join(map(_string, model.coordinates[1:] or ("",))),
@@ -69,8 +68,8 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         **_tables(model),
     }
     return {
-        path: _filled("model.c.in", values),
-        path.with_suffix(".h"): _filled("model.h.in", values),
+        path: filled("model.c.in", values),
+        path.with_suffix(".h"): filled("model.h.in", values),
     }
 
 
@@ -88,25 +87,9 @@ def c_identifier(name: str) -> str:
     return f"_{text}" if text[0].isdigit() else text
 
 
-def _filled(template: str, values: dict[str, str]) -> str:
-    """A template with every ``@name@`` replaced.
-
-    Lines from ``@if name@`` to ``@end@`` are there only if that value is not empty; those after
-    ``@else@`` only if it is.
-    """
-    text = (_TEMPLATES / template).read_text(encoding="utf-8")
-    text = _CONDITION.sub(lambda match: match[2 if values[match[1]] else 3] or "", text)
-    return re.sub(r"@(\w+)@", lambda match: values[match.group(1)], text)
-
-
 def _comment(model: PackedModel) -> str:
     lines = (part for line in model.summary for part in paragraph(line, _WIDTH))
-    return "\n".join(f" * {_outside_of_comments(line)}".rstrip() for line in lines)
-
-
-def _outside_of_comments(text: str) -> str:
-    """Text that neither ends a comment nor begins one."""
-    return text.replace("*/", "* /").replace("/*", "/ *")
+    return "\n".join(f" * {outside_of_comments(line)}".rstrip() for line in lines)
 
 
 def _indices(model: PackedModel, prefix: str) -> str:
@@ -160,14 +143,14 @@ def _tables(model: PackedModel) -> dict[str, str]:
     shapes = [core.tensor.shape for core in cores]
     return {
         "slabs": str(len(model.slabs)),
-        "starts": "\n".join(_wrapped(map(_number, model.starts))),
+        "starts": _wrapped(map(_number, model.starts)),
         "cores": "\n".join(f"    {{{row}}}," for row in rows),
         "equal": "" if unequal else "yes",
         "unequal": "yes" if unequal else "",
-        "places": "\n".join(_wrapped(f"{{{place}}}" for place in places)),
-        "pieces": "\n".join(_wrapped(f"{{{piece}}}" for piece in pieces)),
-        "runs": "\n".join(_wrapped(map(str, runs))),
-        "coefficients": "\n".join(_wrapped(map(repr, coefficients or [0.0]))),
+        "places": _wrapped(f"{{{place}}}" for place in places),
+        "pieces": _wrapped(f"{{{piece}}}" for piece in pieces),
+        "runs": _wrapped(map(str, runs)),
+        "coefficients": _wrapped(map(repr, coefficients or [0.0])),
         "most_rows": str(max(_padded(max(left, right), _BLOCK) for _, left, _, right in shapes)),
         "most_polynomials": str(max(degree for _, _, degree, _ in shapes)),
         "most_products": str(max(degree * _padded(right, _LANES) for *_, degree, right in shapes)),
@@ -193,12 +176,5 @@ def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
             yield run, part[:run].ravel().tolist()
 
 
-def _wrapped(items: Iterable[str]) -> Iterator[str]:
-    """Items with commas, as many in a line as fit."""
-    line = "   "
-    for item in items:
-        if len(line) + len(item) + 2 > _WIDTH:
-            yield line
-            line = "   "
-        line += f" {item},"
-    yield line
+def _wrapped(items: Iterable[str]) -> str:
+    return "\n".join(wrapped(items, _WIDTH))

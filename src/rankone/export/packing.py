@@ -12,14 +12,20 @@ from typing import Literal
 
 from rankone.arrays import Array
 from rankone.errors import ExportError, OptionError
+from rankone.export.rounding import Rounding, rounded_slabs
+from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
 from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain
 from rankone.units import with_unit
 
 __all__ = ["PackedCore", "PackedModel", "States", "pack"]
 
 States = Literal["unknowns", "all"]
 """What a model evaluates: the unknowns, or every state."""
+
+_SMALLEST, _LARGEST = 1e-12, 0.1
+"""By how much a model may differ from the solution."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,11 @@ class PackedModel:
         For each slab the cores of time and of each parameter.
     summary : tuple of str
         The equations, the box and the measured error, as lines of text.
+    errors : tuple of float
+        Measured error of each unknown relative to its size; NaN if unchecked. Where the model was
+        made smaller, what that changed is added.
+    units : tuple of (str, str)
+        Names of unknowns and coordinates with their units.
     """
 
     unknowns: tuple[str, ...]
@@ -80,6 +91,8 @@ class PackedModel:
     starts: tuple[float, ...]
     slabs: tuple[tuple[PackedCore, ...], ...]
     summary: tuple[str, ...]
+    errors: tuple[float, ...]
+    units: tuple[tuple[str, str], ...]
 
     @property
     def size(self) -> int:
@@ -88,19 +101,28 @@ class PackedModel:
 
 
 def pack(
-    solution: SolutionCore, *, states: States = "unknowns", allow_failed: bool = False
+    solution: SolutionCore,
+    *,
+    states: States = "unknowns",
+    rtol: float | None = None,
+    allow_failed: bool = False,
 ) -> PackedModel:
     """Turn a solution into plain tables.
+
+    With ``rtol`` the model may differ from the solution by so much, relative to the size of each
+    state that is evaluated.
 
     Raises
     ------
     OptionError
-        If there is no such choice of states.
+        If there is no such choice of states, or ``rtol`` is out of its range.
     ExportError
         If nothing was solved, or the solution is not a success and ``allow_failed`` is False.
     """
     if states not in ("unknowns", "all"):
         raise OptionError(f"states={states!r} is unknown", remedy="use 'unknowns' or 'all'")
+    if rtol is not None:
+        rtol = checked_number("rtol", rtol, _SMALLEST, _LARGEST, float)
     if not solution.outcome.slabs:
         raise ExportError(f"there is nothing to export: {solution.message}")
     if not solution.success and not allow_failed:
@@ -111,20 +133,44 @@ def pack(
     metadata = solution.metadata
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
-    slabs = []
-    for slab in TrainEvaluator(solution.outcome.slabs).slabs:
-        cores = [
-            PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges) for d in slab.dimensions
-        ]
-        cores[0] = replace(cores[0], tensor=cores[0].tensor[:, list(rows)])
-        slabs.append(tuple(cores))
+    intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))
+    slabs = [_with_states(slab, list(rows)) for slab in solution.outcome.slabs]
+    errors = [solution.errors[solution.states[row]] for row in rows]
+    summary = _summary(solution, names)
+    if rtol is not None:
+        rounding = rounded_slabs(slabs, intervals, rtol)
+        slabs = list(rounding.slabs)
+        errors = [a + b for a, b in zip(errors, rounding.differences, strict=True)]
+        summary = (*summary, _said(rounding, rtol))
     return PackedModel(
         unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
-        intervals=tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box)),
+        intervals=intervals,
         starts=tuple(float(slab.start) for slab in solution.outcome.slabs),
-        slabs=tuple(slabs),
-        summary=_summary(solution, names),
+        slabs=tuple(
+            tuple(
+                PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges)
+                for d in slab.dimensions
+            )
+            for slab in TrainEvaluator(slabs).slabs
+        ),
+        summary=summary,
+        errors=tuple(map(float, errors)),
+        units=tuple(metadata.units),
+    )
+
+
+def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:
+    """A slab of some of the states."""
+    return replace(slab, cores=(slab.cores[0][rows], *slab.cores[1:]))
+
+
+def _said(rounding: Rounding, rtol: float) -> str:
+    """A line that says how far a model may be from the solution."""
+    largest = max(rounding.differences)
+    return (
+        f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
+        f"measured {largest:.1e} at {rounding.points} random points."
     )
 
 

@@ -1,0 +1,193 @@
+"""The solved model in JavaScript: one ES module without dependencies, and its declarations.
+
+A core is evaluated as a matrix, eight entries together. For each such block of entries the
+coefficients go on only as far as there are others than zero, and cores that several time slabs
+share are there once.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.arrays import Array
+from rankone.codegen.text import paragraph
+from rankone.coordinates import round_off
+from rankone.errors import ExportError
+from rankone.export.packing import PackedCore, PackedModel
+from rankone.export.templates import filled, outside_of_comments
+from rankone.files import Content
+from rankone.version import __version__
+
+__all__ = ["javascript_model"]
+
+_WIDTH = 96
+_BLOCK, _STRIDE = 8, 2
+"""Entries of a matrix evaluated together, and multiple to which its rows are padded; the same in
+the template."""
+
+
+def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
+    """Module and declarations of a model.
+
+    Parameters
+    ----------
+    path : Path
+        Where the module will be, with the suffix ``.js`` or ``.mjs``; the declarations are beside
+        it, in ``.d.ts`` or ``.d.mts``.
+
+    Raises
+    ------
+    ExportError
+        If the module cannot be imported by this name.
+    """
+    if not path.stem.isprintable():
+        raise ExportError(f"`{path}` cannot be imported: its name has unprintable characters")
+    time, *parameters = model.coordinates
+    units = [(name, _string(unit)) for name, unit in model.units]
+    values = {
+        "file": _safe(path.name),
+        "version": __version__,
+        "summary": _comment(model),
+        "unknown_list": _safe(", ".join(model.unknowns)),
+        "unknowns": ", ".join(map(_string, model.unknowns)),
+        "parameters": ", ".join(map(_string, parameters)),
+        "time": _string(time),
+        "ranges": _entries(zip(model.coordinates, map(_list, model.intervals), strict=True)),
+        "errors": _entries(zip(model.unknowns, map(_error, model.errors), strict=True)),
+        "units": f"{{\n{_entries(units)}\n}}" if units else "{}",
+        "round_off": ", ".join(_number(round_off(*interval)) for interval in model.intervals),
+        "unknown_type": " | ".join(map(_string, model.unknowns)) or "never",
+        "parameter_type": " | ".join(map(_string, parameters)) or "never",
+        "optional": "" if parameters else "?",
+        "absent": "" if parameters else " | undefined",
+        **_examples(model),
+        **_tables(model),
+    }
+    module = filled("model.js.in", values) + filled("model_train.js.in", values)
+    declarations = path.with_suffix(path.suffix.replace(".", ".d.").replace("js", "ts"))
+    return {path: module, declarations: filled("model.d.ts.in", values)}
+
+
+def _safe(text: str) -> str:
+    """Text for a comment of a module that may be part of a page."""
+    return outside_of_comments(text).replace("</", "< /").replace("<!", "< !")
+
+
+def _comment(model: PackedModel) -> str:
+    lines = (part for line in model.summary for part in paragraph(line, _WIDTH))
+    return "\n".join(f" * {_safe(line)}".rstrip() for line in lines)
+
+
+def _examples(model: PackedModel) -> dict[str, str]:
+    """How to call it: values in the middle of the ranges."""
+    time, *others = (f"{0.5 * (lower + upper):g}" for lower, upper in model.intervals)
+    names = map(_key, model.coordinates[1:])
+    point = ", ".join(f"{name}: {value}" for name, value in zip(names, others, strict=True))
+    start, end = model.intervals[0]
+    return {
+        "time_example": time,
+        "example": _safe(f"{{ {point} }}" if point else "{}"),
+        "times_example": f"{start:g}, {time}, {end:g}",
+    }
+
+
+def _string(text: str) -> str:
+    """A string literal, also for a module that is part of a page."""
+    return json.dumps(text, ensure_ascii=False).replace("<", "\\u003c")
+
+
+def _key(name: str) -> str:
+    """A name as a key of an object."""
+    if name == "__proto__":
+        return '["__proto__"]'
+    return name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else _string(name)
+
+
+def _entries(pairs: Iterable[tuple[str, str]]) -> str:
+    return "\n".join(f"  {_key(name)}: {value}," for name, value in pairs)
+
+
+def _number(value: float) -> str:
+    return repr(float(value)).removesuffix(".0")
+
+
+def _list(values: Iterable[float]) -> str:
+    return f"[{', '.join(map(_number, values))}]"
+
+
+def _error(value: float) -> str:
+    return _number(value) if np.isfinite(value) else "null"
+
+
+def _tables(model: PackedModel) -> dict[str, str]:
+    """The layout of the cores and their coefficients."""
+    positions: dict[Any, int] = {}
+    rows: list[str] = []
+    slabs: list[str] = []
+    runs: list[Any] = []
+    data: list[Any] = []
+    for start, slab in zip(model.starts, model.slabs, strict=True):
+        places = []
+        for core in slab:
+            key = (core.lower, core.scale, core.edges, core.tensor.shape, core.tensor.tobytes())
+            if key not in positions:
+                positions[key] = len(rows)
+                parts = [_packed(tensor) for tensor in core.tensor]
+                sparse = any((run < core.tensor.shape[2]).any() for run, _ in parts)
+                runs += [run for run, _ in parts] if sparse else []
+                data += [values for _, values in parts]
+                rows.append(_row(core, sparse))
+            places.append(positions[key])
+        slabs.append(f"  [{', '.join([_number(start), *map(str, places)])}],")
+    return {
+        "cores": "\n".join(rows),
+        "slabs": "\n".join(slabs),
+        "runs": _base64(runs, "<u2"),
+        "data": _base64(data, "<f8"),
+    }
+
+
+def _row(core: PackedCore, sparse: bool) -> str:
+    """The layout of one core."""
+    place = [_number(core.lower), _number(core.scale)]
+    if core.edges:
+        place = [_list(core.lowers), _list(core.scales)]
+    return f"  [{', '.join([*place, *map(str, core.tensor.shape), str(int(sparse))])}],"
+
+
+def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
+    """Of one element how many polynomials each block of entries has, and their coefficients.
+
+    ``tensor`` is (left, degree, right). The entries of the matrix are in the order (right, left),
+    the coefficients in the order (block, polynomial, entry).
+    """
+    left, degree, right = tensor.shape
+    stride = -(-left // _STRIDE) * _STRIDE
+    blocks = -(-stride * right // _BLOCK)
+    padded = np.zeros((right, stride, degree))
+    padded[:, :left] = tensor.transpose(2, 0, 1)
+    entries = np.zeros((blocks * _BLOCK, degree))
+    entries[: stride * right] = padded.reshape(-1, degree)
+    there = np.arange(blocks * _BLOCK)
+    there = ((there % stride < left) & (there < stride * right)).reshape(blocks, 1, _BLOCK)
+    parts = entries.reshape(blocks, _BLOCK, degree).transpose(0, 2, 1)
+    runs = ((parts != 0.0).any(axis=2) * np.arange(1, degree + 1)).max(axis=1)
+    within = np.arange(degree)[:, None] < runs[:, None, None]
+    return runs, parts[there & within]
+
+
+def _base64(arrays: list[Any], kind: str) -> str:
+    """Numbers as text of several lines."""
+    joined = np.concatenate(arrays) if arrays else np.empty(0)
+    return "\n".join(
+        textwrap.wrap(base64.b64encode(joined.astype(kind).tobytes()).decode(), _WIDTH)
+    )
