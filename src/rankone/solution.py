@@ -169,12 +169,16 @@ class Solution(DistributionOverBox, EstimationFromData):
         rtol: float | None = None,
         overwrite: bool = False,
         allow_failed: bool = False,
+        fmi: Literal["2.0", "3.0"] | None = None,
     ) -> Path:
-        """Write a model in Python, C99 or JavaScript; see :func:`rankone.export.export_model`."""
+        """Write a model in Python, C99 or JavaScript, or an FMU.
+
+        See :func:`rankone.export.export_model`.
+        """
         from rankone.export import export_model
 
         options = {"overwrite": overwrite, "allow_failed": allow_failed}
-        return export_model(self, path, states=states, rtol=rtol, **options)
+        return export_model(self, path, states=states, rtol=rtol, fmi=fmi, **options)
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the solution to a file in an open format, without pickle.

@@ -13,6 +13,9 @@ module              subject
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
 ``model_js``        the solved model in JavaScript
+``model_fmu``       the solved model as an FMU: the one in C99 behind the functions of FMI
+``fmu_description`` what an FMU says about itself, as XML
+``fmu_binary``      the shared library of an FMU
 ``templates``       templates of the models in C99 and JavaScript
 ==================  ===================================================================
 """
@@ -20,15 +23,17 @@ module              subject
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from rankone.errors import ExportError
-from rankone.export.packing import States, pack
+from rankone.export.fmu_description import FMI
+from rankone.export.packing import PackedModel, States, pack
 from rankone.export.standalone import standalone_source
-from rankone.files import as_path, free_target, write_files
+from rankone.files import Content, as_path, free_target, write_files
 from rankone.solution_core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.wording import quote
@@ -40,6 +45,7 @@ MODELS = {
     ".c": "model in C99",
     ".js": "model in JavaScript",
     ".mjs": "the same, a module by its name",
+    ".fmu": "FMU for co-simulation",
 }
 """Suffixes of solved models."""
 
@@ -124,6 +130,7 @@ def export_model(
     rtol: float | None = None,
     overwrite: bool = False,
     allow_failed: bool = False,
+    fmi: FMI | None = None,
 ) -> Path:
     """Write a solved model, for evaluation only.
 
@@ -132,7 +139,8 @@ def export_model(
     path : path-like
         ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
         are many coefficients; ``.c`` writes C99 source and its header ``.h``; ``.js`` or
-        ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations.
+        ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations;
+        ``.fmu`` writes an FMU for co-simulation, with a binary if there is a C compiler.
     states : {"unknowns", "all"}
         Whether the model evaluates the unknowns alone or derivatives that are states as well.
     rtol : float, optional
@@ -143,6 +151,8 @@ def export_model(
         Whether to replace existing files.
     allow_failed : bool
         Whether a solution may be exported that is not a success.
+    fmi : {"2.0", "3.0"}, optional
+        Version of FMI for an FMU, by default 2.0.
 
     Raises
     ------
@@ -150,19 +160,30 @@ def export_model(
         If the solution is not a success, or the path has another suffix, exists or cannot be
         written.
     OptionError
-        If there is no such choice of states, or ``rtol`` is out of its range.
+        If there is no such choice of states or no such version of FMI, or ``rtol`` is out of its
+        range.
+
+    Warns
+    -----
+    RankoneWarning
+        If an FMU has no binary, because nothing could be compiled.
     """
     from rankone.export.model_c import c_model
+    from rankone.export.model_fmu import checked_fmi, fmu_model
     from rankone.export.model_js import javascript_model
     from rankone.export.model_python import python_model
 
-    writers = {
+    target = _named(path, MODELS)
+    version = checked_fmi(fmi, target.suffix)
+    writers: dict[str, Callable[[PackedModel, Path], dict[Path, Content]]] = {
         ".py": python_model,
         ".c": c_model,
         ".js": javascript_model,
         ".mjs": javascript_model,
+        ".fmu": partial(fmu_model, fmi=version, timeless=solution.metadata.timeless),
     }
-    target = _named(path, MODELS)
+    if target.suffix == ".fmu":
+        free_target(target, overwrite, ExportError)  # before it is compiled
     model = pack(solution, states=states, rtol=rtol, allow_failed=allow_failed)
     files = writers[target.suffix](model, target)
     write_files(files, overwrite, ExportError)

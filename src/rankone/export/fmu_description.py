@@ -1,0 +1,205 @@
+"""What an FMU says about itself: ``modelDescription.xml`` and ``buildDescription.xml``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from rankone.export.packing import PackedModel
+from rankone.version import __version__
+
+__all__ = ["FMI", "Description", "build_description", "model_description", "start_values"]
+
+FMI = Literal["2.0", "3.0"]
+"""Versions of the Functional Mock-up Interface."""
+
+_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_CATEGORY = "logStatusError"
+_ABLE: dict[FMI, tuple[str, ...]] = {
+    "2.0": (
+        "canHandleVariableCommunicationStepSize",
+        "canNotUseMemoryManagementFunctions",
+        "canGetAndSetFMUstate",
+        "canSerializeFMUstate",
+        "providesDirectionalDerivative",
+    ),
+    "3.0": (
+        "canHandleVariableCommunicationStepSize",
+        "canGetAndSetFMUState",
+        "canSerializeFMUState",
+        "providesDirectionalDerivatives",
+    ),
+}
+"""What the C sources are capable of, as attributes."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """A model as the two files describe it.
+
+    Attributes
+    ----------
+    model : PackedModel
+    fmi : {"2.0", "3.0"}
+    name : str
+        For readers.
+    identifier : str
+        Name of the binary and prefix of the functions.
+    sources : tuple of str
+        Names of the files that are compiled.
+    timeless : bool
+        Whether the outputs are the same at all times.
+    """
+
+    model: PackedModel
+    fmi: FMI
+    name: str
+    identifier: str
+    sources: tuple[str, ...]
+    timeless: bool = False
+
+    @property
+    def names(self) -> list[str]:
+        """Names of time, the parameters and the outputs, each in a form that FMI allows."""
+        return _distinct((*self.model.coordinates, *self.model.unknowns))
+
+    def unit(self, reference: int) -> str:
+        """Unit of a variable, empty if there is none."""
+        name = (*self.model.coordinates, *self.model.unknowns)[reference]
+        return _line(dict(self.model.units).get(name, "")).strip()
+
+
+def start_values(model: PackedModel) -> list[float]:
+    """The centre of the box."""
+    return [lower + 0.5 * (upper - lower) for lower, upper in model.intervals[1:]]
+
+
+def model_description(about: Description, token: str) -> bytes:
+    """``modelDescription.xml``: value reference 0 is time, then parameters, then outputs.
+
+    Parameters
+    ----------
+    token : str
+        The ``guid`` (FMI 2.0) or ``instantiationToken`` (FMI 3.0).
+    """
+    new = about.fmi == "3.0"
+    root = Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": about.fmi,
+            "modelName": _text(about.name),
+            "instantiationToken" if new else "guid": token,
+            "description": _text("\n".join(about.model.summary)),
+            "generationTool": f"rankone {__version__}",
+            "variableNamingConvention": "flat",
+        },
+    )
+    _add_interface(root, about)
+    _add_units(root, about)
+    categories = SubElement(root, "LogCategories")
+    SubElement(categories, "Category", name=_CATEGORY, description="What was refused, and why")
+    if not about.timeless:
+        start, stop = about.model.intervals[0]
+        SubElement(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop))
+    variables = SubElement(root, "ModelVariables")
+    for reference in range(len(about.names)):
+        _add_variable(variables, about, reference)
+    _add_structure(root, about)
+    return _xml(root)
+
+
+def build_description(about: Description) -> bytes:
+    """``sources/buildDescription.xml`` of FMI 3.0."""
+    root = Element("fmiBuildDescription", fmiVersion=about.fmi)
+    build = SubElement(root, "BuildConfiguration", modelIdentifier=about.identifier)
+    files = SubElement(build, "SourceFileSet", language="C99")
+    for name in about.sources:
+        SubElement(files, "SourceFile", name=name)
+    return _xml(root)
+
+
+def _add_interface(root: Element, about: Description) -> None:
+    """The kind of simulation and what it is capable of."""
+    flags = dict.fromkeys(_ABLE[about.fmi], "true")
+    part = SubElement(root, "CoSimulation", {"modelIdentifier": about.identifier, **flags})
+    if about.fmi == "2.0":
+        files = SubElement(part, "SourceFiles")
+        for name in about.sources:
+            SubElement(files, "File", name=name)
+
+
+def _add_units(root: Element, about: Description) -> None:
+    used = dict.fromkeys(about.unit(reference) for reference in range(len(about.names)))
+    used.pop("", None)
+    if used:
+        units = SubElement(root, "UnitDefinitions")
+        for unit in used:
+            SubElement(units, "Unit", name=unit)
+
+
+def _add_variable(parent: Element, about: Description, reference: int) -> None:
+    """Time, a parameter or an output, by its value reference."""
+    parameters = len(about.model.intervals) - 1
+    given = {"name": about.names[reference], "valueReference": str(reference)}
+    number = {"unit": about.unit(reference)} if about.unit(reference) else {}
+    if reference == 0:
+        given |= {"causality": "independent", "variability": "continuous"}
+    elif reference <= parameters:
+        lower, upper = about.model.intervals[reference]
+        start = start_values(about.model)[reference - 1]
+        given |= {"causality": "parameter", "variability": "tunable", "initial": "exact"}
+        number |= {"min": repr(lower), "max": repr(upper), "start": repr(start)}
+    else:
+        variability = "discrete" if about.timeless else "continuous"
+        given |= {"causality": "output", "variability": variability, "initial": "calculated"}
+    if about.fmi == "3.0":
+        SubElement(parent, "Float64", given | number)
+    else:
+        SubElement(SubElement(parent, "ScalarVariable", given), "Real", number)
+
+
+def _add_structure(root: Element, about: Description) -> None:
+    """Every output is computed, from the beginning, of all that is known."""
+    structure = SubElement(root, "ModelStructure")
+    references = range(len(about.model.intervals), len(about.names))
+    if about.fmi == "3.0":
+        for kind in ("Output", "InitialUnknown"):
+            for reference in references:
+                SubElement(structure, kind, valueReference=str(reference))
+        return
+    for kind in ("Outputs", "InitialUnknowns"):
+        part = SubElement(structure, kind)
+        for reference in references:
+            SubElement(part, "Unknown", index=str(reference + 1))
+
+
+def _text(text: str) -> str:
+    """Text without characters that XML forbids."""
+    return _NOT_IN_XML.sub("_", text)
+
+
+def _line(text: str) -> str:
+    """The same on one line, as names have to be."""
+    return re.sub(r"[\t\n\r]", "_", _text(text))
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Names as FMI allows them, made different by underscores; those that can stay do so."""
+    words = [_line(name) or "_" for name in names]
+    kept = set(names).intersection(words)
+    found: list[str] = []
+    for name, word in zip(names, words, strict=True):
+        while word in found or (word != name and word in kept):
+            word += "_"
+        found.append(word)
+    return found
+
+
+def _xml(root: Element) -> bytes:
+    ElementTree.indent(root)
+    text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"

@@ -1,0 +1,167 @@
+"""The solved model as an FMU for co-simulation: the model in C99 behind the functions of FMI.
+
+FMI is the Functional Mock-up Interface, https://fmi-standard.org. An FMU is a zip archive of a
+description, the sources and a shared library for each platform. Nothing is integrated inside: a
+step evaluates the solution at its end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from pathlib import Path
+from typing import get_args
+from uuid import UUID
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+from rankone.errors import OptionError, warn
+from rankone.export.fmu_binary import CannotCompile, compiled_library, this_platform
+from rankone.export.fmu_description import (
+    FMI,
+    Description,
+    build_description,
+    model_description,
+    start_values,
+)
+from rankone.export.model_c import c_identifier, c_model
+from rankone.export.packing import PackedModel
+from rankone.export.templates import filled
+from rankone.files import Content
+from rankone.version import __version__
+from rankone.wording import shown
+
+__all__ = ["FMI", "checked_fmi", "fmu_model"]
+
+_NEVER = (1980, 1, 1, 0, 0, 0)
+"""The date of all files inside: the same solution gives the same bytes."""
+_REGULAR, _EXECUTABLE = 0o100644, 0o100755
+_LONGEST_MESSAGE = 400
+"""Bytes of the longest message in the C sources, without a name."""
+
+
+def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
+    """The version of FMI, 2.0 unless it is given.
+
+    Raises
+    ------
+    OptionError
+        If there is no such version, or the target is no FMU.
+    """
+    if fmi is None:
+        return "2.0"
+    if suffix != ".fmu":
+        raise OptionError(
+            f"fmi={shown(fmi)} does not apply to a `{suffix}` file",
+            remedy="export to a file that ends in .fmu",
+        )
+    if not isinstance(fmi, str) or fmi not in get_args(FMI):
+        raise OptionError(f"fmi={shown(fmi)} is unknown", remedy="use fmi='2.0' or fmi='3.0'")
+    return fmi
+
+
+def fmu_model(
+    model: PackedModel, path: Path, *, fmi: FMI = "2.0", timeless: bool = False
+) -> dict[Path, Content]:
+    """The archive of a model, by the path of the file.
+
+    Parameters
+    ----------
+    path : Path
+        Where the archive will be; its stem names the model.
+    fmi : {"2.0", "3.0"}
+    timeless : bool
+        Whether the outputs are the same at all times.
+
+    Warns
+    -----
+    RankoneWarning
+        If nothing can be compiled: the FMU then has the sources alone.
+    """
+    identifier = c_identifier(path.stem)
+    evaluation = _evaluation(model, f"{identifier}_model")
+    wrapper = f"fmi{fmi[0]}.c"
+    about = Description(
+        model=model,
+        fmi=fmi,
+        name=path.stem,
+        identifier=identifier,
+        sources=(wrapper, f"{identifier}_model.c"),
+        timeless=timeless,
+    )
+    token = _fingerprint(model_description(about, ""), _wrapper(about, ""), evaluation)
+    sources = _wrapper(about, token) | evaluation
+    files = {"modelDescription.xml": model_description(about, token)}
+    files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
+    if fmi == "3.0":
+        files["sources/buildDescription.xml"] = build_description(about)
+    return {path: _archive(files | _binary(about, sources))}
+
+
+def _evaluation(model: PackedModel, prefix: str) -> dict[str, str]:
+    """The model in C99, its text by the names of the files."""
+    written = c_model(model, Path(f"{prefix}.c"))
+    return {path.name: text for path, text in written.items() if isinstance(text, str)}
+
+
+def _wrapper(about: Description, token: str) -> dict[str, str]:
+    """The functions of FMI in C99, their text by the names of the files."""
+    parameters = about.model.coordinates[1:]
+    longest = max((len(name.encode()) for name in parameters), default=0)
+    prefix = f"{about.identifier}_model"
+    values = {
+        "model": prefix,
+        "prefix": prefix,
+        "PREFIX": prefix.upper(),
+        "version": __version__,
+        "token": token,
+        "room": str(max(len(parameters), 1)),
+        "timeless": str(int(about.timeless)),
+        "start": ", ".join(map(repr, start_values(about.model))) or "0.0",
+        "text": str(_LONGEST_MESSAGE + longest),
+    }
+    name = f"fmi{about.fmi[0]}"
+    templates = {
+        f"{name}.c": f"{name}.c.in",
+        f"{name}_interface.h": f"{name}.h.in",
+        "fmu_core.h": "fmu_core.h.in",
+    }
+    if about.fmi == "3.0":
+        templates["fmi3_absent.h"] = "fmi3_absent.h.in"
+    return {file: filled(template, values) for file, template in templates.items()}
+
+
+def _fingerprint(description: bytes, *sources: dict[str, str]) -> str:
+    """What tells the importer that description and binary belong together."""
+    digest = hashlib.sha256(description)
+    for files in sources:
+        for text in files.values():
+            digest.update(text.encode())
+    return f"{{{UUID(bytes=digest.digest()[:16])}}}"
+
+
+def _binary(about: Description, sources: dict[str, str]) -> dict[str, bytes]:
+    """The shared library by its place in the archive; nothing, with a warning, if there is none."""
+    try:
+        here = this_platform()
+        name = about.identifier + here.suffix
+        library = compiled_library(sources, about.sources, name)
+    except CannotCompile as reason:
+        warn(
+            f"the FMU has no binary, its sources alone: {reason}; it runs in tools that compile "
+            "sources themselves"
+        )
+        return {}
+    return {f"binaries/{here.folders[about.fmi]}/{name}": library}
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    """A zip archive; the same files give the same bytes."""
+    stream = io.BytesIO()
+    with ZipFile(stream, "w", ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = ZipInfo(name, _NEVER)
+            entry.create_system = 3  # Unix, whose permissions follow
+            mode = _EXECUTABLE if name.startswith("binaries/") else _REGULAR
+            entry.external_attr = mode << 16
+            archive.writestr(entry, content, ZIP_DEFLATED)
+    return stream.getvalue()
