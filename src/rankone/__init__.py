@@ -29,6 +29,9 @@ if TYPE_CHECKING:
         SeparationError,
         StorageError,
     )
+    from rankone.estimation.fit import Fit
+    from rankone.estimation.minimize import Optimum
+    from rankone.estimation.posterior import Posterior
     from rankone.functions import function, table
     from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
     from rankone.lowering import quadratic_system
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from rankone.solvers.greedy import GreedyOptions
     from rankone.solvers.outcome import Status
     from rankone.solvers.train import TrainOptions
+    from rankone.statistics.solution_statistics import Sobol
     from rankone.symbolic import (
         FirstOrderSystem,
         Problem,
@@ -56,9 +60,12 @@ __all__ = [
     "EvaluationError",
     "ExportError",
     "FirstOrderSystem",
+    "Fit",
     "GeneralTerm",
     "GreedyOptions",
+    "Optimum",
     "OptionError",
+    "Posterior",
     "Problem",
     "ProblemError",
     "QuadraticSystem",
@@ -66,6 +73,7 @@ __all__ = [
     "RankoneWarning",
     "SeparatedForm",
     "SeparationError",
+    "Sobol",
     "Solution",
     "Status",
     "StorageError",
@@ -97,9 +105,12 @@ _HOMES = {
     "EvaluationError": ("errors", "EvaluationError"),
     "ExportError": ("errors", "ExportError"),
     "FirstOrderSystem": ("symbolic", "FirstOrderSystem"),
+    "Fit": ("estimation.fit", "Fit"),
     "GeneralTerm": ("ir", "GeneralTerm"),
     "GreedyOptions": ("solvers.greedy", "GreedyOptions"),
+    "Optimum": ("estimation.minimize", "Optimum"),
     "OptionError": ("errors", "OptionError"),
+    "Posterior": ("estimation.posterior", "Posterior"),
     "Problem": ("symbolic", "Problem"),
     "ProblemError": ("errors", "ProblemError"),
     "QuadraticSystem": ("ir", "QuadraticSystem"),
@@ -107,6 +118,7 @@ _HOMES = {
     "RankoneWarning": ("errors", "RankoneWarning"),
     "SeparatedForm": ("ir", "SeparatedForm"),
     "SeparationError": ("errors", "SeparationError"),
+    "Sobol": ("statistics.solution_statistics", "Sobol"),
     "Solution": ("solution", "Solution"),
     "Status": ("solvers.outcome", "Status"),
     "StorageError": ("errors", "StorageError"),

@@ -318,6 +318,9 @@ class CompiledProblem:
             source=self.source,
             units=tuple((self.problem.units or {}).items()),
             distributions=tuple(self.problem.distributions.items()),
+            correlations=tuple(
+                (*pair, rho) for pair, rho in (self.problem.correlation or {}).items()
+            ),
         )
 
 

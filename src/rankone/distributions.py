@@ -50,7 +50,8 @@ def interval_of(distribution: Any, tail: float) -> tuple[float, float]:
             f"{quote(_shown(distribution))} has no finite mean and variance: where it is cut would "
             "decide about all statistics",
             term=distribution,
-            remedy="give an interval, and the distribution with under={...} in the statistics",
+            remedy="give one with finite moments, or one that is cut, such as "
+            "scipy.stats.truncnorm",
         )
     lower, upper = map(float, distribution.support())
     if math.isfinite(lower) and math.isfinite(upper):

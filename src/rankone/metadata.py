@@ -57,6 +57,8 @@ class SolutionMetadata:
     distributions : tuple of (str, str)
         Names of parameters and the distribution of each as text, ``norm(1.0, 0.1)``; the others
         are uniform.
+    correlations : tuple of (str, str, float)
+        Pairs of parameters and the correlation of their Gaussian copula; others are independent.
     """
 
     states: tuple[str, ...]
@@ -73,6 +75,7 @@ class SolutionMetadata:
     timeless: bool = False
     units: tuple[tuple[str, str], ...] = ()
     distributions: tuple[tuple[str, str], ...] = ()
+    correlations: tuple[tuple[str, str, float], ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:

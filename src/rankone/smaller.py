@@ -64,6 +64,7 @@ def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any,
             parameters=_without(metadata.parameters, j),
             box=_without(metadata.box, j),
             distributions=tuple(pair for pair in metadata.distributions if pair[0] != name),
+            correlations=tuple(c for c in metadata.correlations if name not in c[:2]),
         )
     return _part(outcome, metadata.rtol), replace(metadata, source=None)
 

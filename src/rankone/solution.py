@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import importlib
 import textwrap
 from collections.abc import Iterable, Mapping
 from functools import cached_property, partial
@@ -13,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.errors import EvaluationError
+from rankone.errors import EvaluationError, RankoneError
 from rankone.estimation.methods import EstimationFromData
-from rankone.outputs import with_outputs
+from rankone.outputs.solved import with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
@@ -283,7 +284,8 @@ class Solution(DistributionOverBox, EstimationFromData):
             If SymPy is not installed.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        return Solution(*with_outputs(self, quantities, rtol, max_seconds))
+        asked = _expressions().quantities_of(quantities, self.metadata, self.time)
+        return Solution(*with_outputs(self, asked, rtol, max_seconds))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.
@@ -419,6 +421,17 @@ def load(path: str | PathLike[str]) -> Solution:
         As for :func:`rankone.storage.read`.
     """
     return Solution(*read(path, {name: engine.record for name, engine in ENGINES.items()}))
+
+
+def _expressions() -> Any:
+    """The translation of expressions: the one part of solutions that needs SymPy."""
+    try:
+        return importlib.import_module("rankone.expressions")
+    except ImportError:
+        raise RankoneError(
+            "outputs are given as SymPy expressions, and SymPy is not installed",
+            remedy="pip install sympy",
+        ) from None
 
 
 def _some(texts: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""Sobol indices of the Kirchhoff rod: from the cores of its solution, and by SALib.
+"""Sobol indices of the Kirchhoff body: from the cores of its solution, and by SALib.
 
 Run with one BLAS thread::
 

@@ -39,7 +39,7 @@ def test_against_curve_fit(sigma):
     )
     np.testing.assert_allclose(list(fit.x.values()), wanted, rtol=1e-6)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-4)
-    np.testing.assert_allclose(fit.residuals, closed(TIMES, *wanted) - data, atol=1e-7)
+    np.testing.assert_allclose(fit.residuals, data - closed(TIMES, *wanted), atol=1e-7)
     assert list(fit.x) == ["k", "a"]
     assert fit.identifiable == {"k": True, "a": True}
     if sigma is None:

@@ -137,3 +137,43 @@ def test_own_distributions_are_for_statistics_alone():
 
     with pytest.raises(ProblemError, match=r"none that scipy.stats knows.*under="):
         decay(Triangle(a=0, b=1, name="mine")())
+
+
+c = sp.Symbol("c")
+
+
+def correlated(correlation):
+    return ro.Problem(
+        [sp.Eq(u.diff(t), -k * u)],
+        (t, 0, 1),
+        {k: scipy.stats.norm(2, 0.1), c: (0.9, 1.1)},
+        {u: c},
+        correlation=correlation,
+    )
+
+
+def test_correlations_go_with_the_solution(tmp_path):
+    solution = ro.solve(correlated({(c, k): 0.6}), rtol=1e-6)
+    given = solution.var(1.0, correlation={(k, c): 0.6})
+    assert np.array_equal(solution.var(1.0), given)
+    assert not np.isclose(solution.var(1.0, correlation={}), given, rtol=1e-3)
+    assert np.array_equal(ro.load(solution.save(tmp_path / "u.npz")).var(1.0), given)
+    assert solution.fix(c=1.0).metadata.correlations == ()
+    assert pickle.loads(pickle.dumps(correlated({(c, k): 0.6}))).correlation == {("k", "c"): 0.6}
+    with pytest.raises(RankoneError, match="not defined for correlated"):
+        solution.sobol(1.0)
+    assert solution.sobol(1.0, correlation={}).first.shape == (1, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({(k, c): 1.5}, "between -1 and 1"),
+        ({(k, "q"): 0.5}, "no parameter `q`"),
+        ({k: 0.5}, "not a pair"),
+        (0.5, "not a mapping"),
+    ],
+)
+def test_correlations_that_are_refused(given, match):
+    with pytest.raises(ProblemError, match=match):
+        correlated(given)

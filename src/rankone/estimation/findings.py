@@ -63,7 +63,7 @@ def findings_of(fit: _Fit) -> Iterator[str]:
         if fit.identifiable[name]:
             yield (
                 f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
-                "are not valid there; remedy: solve on a wider box"
+                "are not valid there; remedy: widen the bounds, or solve on a wider box"
             )
     for other in fit.others:
         where = ", ".join(f"{name} = {value:.6g}" for name, value in other.items())

@@ -91,13 +91,13 @@ class Fit:
 
     @cached_property
     def residuals(self) -> Any:
-        """Model minus data, in the shape of the data; by name if the data were so."""
-        return self.observations.arranged(self._row / self.observations.scale)
+        """Data minus model, in the shape of the data; by name if the data were so."""
+        return self.observations.arranged(-self._row / self.observations.scale)
 
     @property
     def dof(self) -> int:
-        """Number of data less that of directions that the data identify."""
-        return int(self.observations.size - self._known.root.shape[1])
+        """Number of data less that of directions of the parameters that are fitted to them."""
+        return self.observations.size - self._known.used
 
     @property
     def sigma(self) -> float:

@@ -27,6 +27,9 @@ _WIDE, _WIDER = 0.1, 3.0
 _SIMPLE = 0.04
 """How far a power may be from a simple fraction."""
 _DENOMINATORS = 4
+_USED, _RANK = 0.5, 1e-7
+"""Change of the residuals from one end of the cube to the other, in standard deviations, and over
+that along the steepest direction, from which a direction is fitted to the data."""
 _CLOSE = 0.05
 """How exactly the ends of intervals are found."""
 _LEVEL = 0.25
@@ -51,12 +54,15 @@ class Identification:
         Orthonormal directions in z that are not.
     combinations : tuple of str
         Identified combinations of the flat parameters.
+    used : int
+        Number of directions along which the data can be followed within the cube.
     """
 
     flat: tuple[int, ...]
     root: Array
     null: Array
     combinations: tuple[str, ...]
+    used: int
 
     @property
     def spread(self) -> Array:
@@ -77,9 +83,10 @@ def identify(
     _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
     floor = 1e-13 * singular[0] if singular[0] > 0.0 else 1.0
     root = right.T / np.maximum(singular, floor)
+    used = int(np.count_nonzero(singular > max(_USED * sigma, _RANK * singular[0])))
     half = quantile * sigma * np.sqrt(np.sum(root**2, axis=1))
     suspects = np.flatnonzero(half > _SUSPICIOUS)
-    nothing = Identification((), root, np.zeros((z.size, 0)), ())
+    nothing = Identification((), root, np.zeros((z.size, 0)), (), used)
     if not suspects.size:
         return nothing
     best = Best(z, cost, np.minimum(half / quantile, 1.0))
@@ -98,7 +105,7 @@ def identify(
     if not flat:
         return nothing
     names = _combinations(problem, z, jacobian, flat, q, boxed, limit)
-    return Identification(flat, root[:, kept], right[order[:q]].T, names)
+    return Identification(flat, root[:, kept], right[order[:q]].T, names, used)
 
 
 def _combinations(

@@ -123,7 +123,7 @@ class EstimationFromData(SolutionCore):
         prior : mapping, optional
             For parameters, by names or symbols, frozen continuous distributions of scipy.stats,
             cut at the bounds. Others have the distribution that the problem gives them, or are
-            uniform.
+            uniform. Priors are independent, also where the problem has correlations.
         seed, steps : int
             Of the Markov chain.
 

@@ -17,7 +17,7 @@ from rankone.estimation.model import TrainModel
 from rankone.estimation.observations import checked_times, state_name
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
-from rankone.solvers.reference import spread
+from rankone.spread import spread
 from rankone.wording import listing, quote, shown
 
 __all__ = ["Optimum", "minimize"]

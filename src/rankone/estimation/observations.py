@@ -138,7 +138,8 @@ def state_name(solution: SolutionCore, key: Any) -> str:
         raise OptionError(
             f"there is no unknown {quote(name)}{did_you_mean(name, solution.states)}",
             term=key,
-            remedy=f"choose from {listing(solution.states)}",
+            remedy=f"choose from {listing(solution.states)}; expressions of them are outputs, "
+            "solution.output({...})",
         )
     return name
 

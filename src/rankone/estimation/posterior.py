@@ -22,7 +22,7 @@ from rankone.estimation.model import TrainModel
 from rankone.estimation.search import fit
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
-from rankone.solvers.reference import spread
+from rankone.spread import spread
 from rankone.tensors.calculus import fixed
 from rankone.wording import did_you_mean, listing, quote
 

@@ -18,7 +18,7 @@ from rankone.estimation.model import TrainModel
 from rankone.estimation.observations import Observations, observed
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
-from rankone.solvers.reference import spread
+from rankone.spread import spread
 from rankone.wording import count, listing
 
 __all__ = ["fit"]

@@ -13,7 +13,7 @@ from rankone.domain import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solvers.cross.time_grid import TimeGrid
-from rankone.solvers.reference import spread
+from rankone.spread import spread
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Check", "CheckPoints", "split", "spread_over"]

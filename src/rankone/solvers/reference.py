@@ -15,6 +15,7 @@ from rankone.deadline import OutOfTimeError
 from rankone.errors import ConvergenceError
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
+from rankone.spread import spread
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
 
@@ -32,8 +33,6 @@ _CHECK_TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
 FEW, _FEW_CORNERS, _MOST_CORNERS = 3, 8, 256
 """Number of parameters up to which corners count like other points, and numbers of corners."""
-_ITERATIONS = 40
-"""Fixed-point iterations for the root of φ^(d + 1) = φ + 1."""
 _BESIDE = 4e-9
 """Distance from special values, in widths of the interval: at a jump itself there is no value."""
 _NEGLIGIBLE = 1e-7
@@ -94,21 +93,6 @@ def check_points(
             more[:, j] = values + side * width[j]
             points.append(more)
     return np.concatenate(points)
-
-
-def spread(count: int, d: int, generator: np.random.Generator) -> Array:
-    """Points (count, d) of the unit cube, more even than random ones.
-
-    Shifted multiples of powers of 1/φ, the real root of φ^(d + 1) = φ + 1 (additive recurrence;
-    M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). A box of 6 % of
-    the cube has one of 24 points in it with 99, 89 and 80 % for d = 1, 2, 3; of random points with
-    77, 72 and 65 %.
-    """
-    phi = 2.0
-    for _ in range(_ITERATIONS):
-        phi = (1.0 + phi) ** (1.0 / (d + 1))
-    steps = phi ** -np.arange(1.0, d + 1.0)
-    return np.asarray((generator.random(d) + np.outer(np.arange(1, count + 1), steps)) % 1.0)
 
 
 @dataclass(frozen=True)

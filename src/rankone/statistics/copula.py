@@ -21,7 +21,7 @@ from scipy.special import ndtr, ndtri
 from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import OptionError
-from rankone.solvers.reference import spread
+from rankone.spread import spread
 from rankone.wording import did_you_mean, listing, quote, shown
 
 __all__ = ["Copula", "copula_of"]

@@ -12,7 +12,6 @@ from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
-from rankone.statistics.copula import copula_of
 from rankone.statistics.densities import Density, Probability, density_of
 from rankone.statistics.over_box import StatisticsOverBox
 from rankone.statistics.solution_statistics import Statistics
@@ -277,7 +276,7 @@ class DistributionOverBox(StatisticsOverBox):
 
     def _higher(self, t: Any, under: _Given, correlation: _Given, central: bool) -> Array:
         """Root mean squares, and third and fourth moments relative to them."""
-        if copula_of(self.metadata.parameters, correlation) is not None:
+        if self._copula(correlation) is not None:
             raise OptionError(
                 "third and fourth moments are not there for correlated parameters",
                 term=correlation,

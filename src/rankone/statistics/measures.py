@@ -71,6 +71,15 @@ class Measure:
                 term=self.distribution,
                 remedy="choose one that fits the box, or solve on another box",
             )
+        if 1.0 - mass > _OUTSIDE and not math.isfinite(self.distribution.var()):
+            raise OptionError(
+                f"the distribution of {quote(self.name)} has no finite mean and variance, and "
+                f"{100 * (1 - mass):.3g} % of it is outside of [{self.lower:g}, {self.upper:g}]: "
+                "where it is cut would decide about all statistics",
+                term=self.distribution,
+                remedy="give one with finite moments, or one that is cut, such as "
+                "scipy.stats.truncnorm",
+            )
         if 1.0 - mass > _OUTSIDE:
             warn(
                 f"{100 * (1 - mass):.3g} % of the distribution of {quote(self.name)} is outside of "

@@ -13,7 +13,7 @@ from rankone.distributions import from_text
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
-from rankone.statistics.copula import copula_of
+from rankone.statistics.copula import Copula, copula_of
 from rankone.statistics.measures import Measure
 from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
 
@@ -106,13 +106,14 @@ class StatisticsOverBox(SolutionCore):
         Arguments as for :meth:`mean`; times are one-dimensional. Correlations are refused: the
         shares of correlated parameters overlap, and depend on the order in which they are counted.
         """
-        if copula_of(self.metadata.parameters, correlation) is not None:
+        if self._copula(correlation) is not None:
             raise OptionError(
                 "Sobol indices are not defined for correlated parameters: what two of them explain "
                 "together cannot be told apart without an order",
                 term=correlation,
-                remedy="leave out the correlation; or compare the standard deviations with one "
-                "parameter fixed at a time; main_effects takes correlations",
+                remedy="leave out the correlation (correlation={} if the problem has it); compare "
+                "the standard deviations with one parameter fixed at a time; main_effects takes "
+                "correlations",
             )
         parts = Statistics.variance, Statistics.first, Statistics.total, Statistics.second
         times = t if t is None else np.atleast_1d(np.asarray(t))
@@ -147,7 +148,7 @@ class StatisticsOverBox(SolutionCore):
         measures = self._measures(under)
         seed = None if seed is None else checked_number("seed", seed, 0)
         shares = np.random.default_rng(seed).random((len(measures), count))
-        copula = copula_of(self.metadata.parameters, correlation)
+        copula = self._copula(correlation)
         shares = shares if copula is None else copula.joined(shares)
         return {m.name: m.sample(row) for m, row in zip(measures, shares, strict=True)}
 
@@ -228,6 +229,12 @@ class StatisticsOverBox(SolutionCore):
         """The measure of each parameter."""
         return measures_of(self.metadata.parameters, self.metadata.box, under, self._distributions)
 
+    def _copula(self, correlation: Mapping[Any, Any] | None) -> Copula | None:
+        """Correlations as given, or else those of the problem."""
+        if correlation is None:
+            correlation = {(a, b): value for a, b, value in self.metadata.correlations}
+        return copula_of(self.metadata.parameters, correlation)
+
     @cached_property
     def _distributions(self) -> dict[str, Any]:
         """The distributions that came with the problem."""
@@ -237,7 +244,7 @@ class StatisticsOverBox(SolutionCore):
         self, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None = None
     ) -> Statistics:
         """The statistics for the distributions that are given, kept for the next question."""
-        copula = copula_of(self.metadata.parameters, correlation)
+        copula = self._copula(correlation)
         measures = self._measures(under)
         key = copula, tuple(id(measure.distribution) for measure in measures)
         if self._known is None or self._known[0] != key:

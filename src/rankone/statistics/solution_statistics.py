@@ -13,7 +13,7 @@ from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.discretization import Basis1D
 from rankone.errors import OptionError
-from rankone.solvers.reference import spread
+from rankone.spread import spread
 from rankone.statistics.conditional import ConditionalMoments
 from rankone.statistics.copula import Copula
 from rankone.statistics.higher import HigherMoments

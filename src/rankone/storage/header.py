@@ -115,7 +115,7 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
 
 def _version(metadata: SolutionMetadata, bases: Iterable[Basis1D]) -> int:
     """The lowest version whose readers understand a file."""
-    if metadata.timeless or metadata.distributions:
+    if metadata.timeless or metadata.distributions or metadata.correlations:
         return 3
     return 2 if any(basis.breaks for basis in bases) else 1
 

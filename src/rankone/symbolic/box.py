@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import numbers
 from collections.abc import Mapping
@@ -11,10 +12,11 @@ import sympy as sp
 
 from rankone.distributions import as_text, from_text, interval_of
 from rankone.domain import LEAST_WIDTH
-from rankone.errors import OptionError, ProblemError
+from rankone.errors import EvaluationError, OptionError, ProblemError
+from rankone.statistics.copula import copula_of
 from rankone.wording import quote, shown
 
-__all__ = ["Box", "Time", "check_parameters", "check_time", "real_number"]
+__all__ = ["Box", "Time", "check_correlation", "check_parameters", "check_time", "real_number"]
 
 Time = tuple[sp.Symbol, float, float]
 Box = dict[sp.Symbol, tuple[float, float]]
@@ -85,6 +87,23 @@ def check_parameters(parameters: Any, time: sp.Symbol, tail: Any) -> tuple[Box, 
             distributions[symbol.name], bounds = _distributed(symbol, bounds, float(tail))
         box[symbol] = _interval(symbol, bounds)
     return box, distributions
+
+
+def check_correlation(given: Any, box: Box) -> dict[tuple[str, str], float]:
+    """Return correlations by the names of pairs, each pair in the order of the box."""
+    names = [symbol.name for symbol in box]
+    try:
+        copula = copula_of(names, given)
+    except (OptionError, EvaluationError) as error:
+        raise ProblemError(str(error), term=given) from None
+    if copula is None:
+        return {}
+    places = itertools.combinations(range(len(copula.positions)), 2)
+    return {
+        (names[copula.positions[a]], names[copula.positions[b]]): copula.matrix[a][b]
+        for a, b in places
+        if copula.matrix[a][b]
+    }
 
 
 def _distributed(symbol: sp.Symbol, given: Any, tail: float) -> tuple[str, tuple[float, float]]:

@@ -16,7 +16,7 @@ from rankone.display import aligned_equations
 from rankone.errors import ProblemError, warn
 from rankone.functions import check_distinct
 from rankone.ir import Coordinate, Jump
-from rankone.symbolic.box import check_parameters, check_time
+from rankone.symbolic.box import check_correlation, check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
     check_names,
@@ -68,12 +68,15 @@ class Problem:
         converted. A derivative of which none is given has ``m/s``.
     tail : float
         The probability that is left out on either side of a distribution with unbounded support.
+    correlation : mapping of (Symbol, Symbol) to float, optional
+        Correlations of the Gaussian copula that joins parameters, ``{(k, c): 0.6}``; statistics of
+        solutions are then those of correlated parameters.
 
     Attributes
     ----------
-    equations, time, parameters, initial, name, jumps, units, tail
+    equations, time, parameters, initial, name, jumps, units, tail, correlation
         As given, with numbers as floats, parameters as intervals, initial values in the order of
-        the states, jumps by time and units by name.
+        the states, jumps by time, units and correlations by name.
     distributions : mapping of str to str
         For the names of parameters that were given a distribution, that as text.
     unknowns : tuple of Expr
@@ -114,6 +117,7 @@ class Problem:
     jumps: Mapping[Any, Mapping[sp.Expr, Any]] | None = None
     units: Mapping[Any, str] | None = None
     tail: float = 1e-6
+    correlation: Mapping[Any, float] | None = None
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
@@ -148,6 +152,7 @@ class Problem:
             "time": time,
             "parameters": MappingProxyType(box),
             "distributions": MappingProxyType(distributions),
+            "correlation": MappingProxyType(check_correlation(self.correlation, box)),
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
             "units": MappingProxyType(units),
@@ -169,6 +174,7 @@ class Problem:
         jumps: Mapping[Any, Mapping[str, str | float]] | None = None,
         units: Mapping[str, str] | None = None,
         tail: float = 1e-6,
+        correlation: Mapping[tuple[str, str], float] | None = None,
     ) -> Problem:
         """Build a problem from text.
 
@@ -189,8 +195,8 @@ class Problem:
             Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``.
         units : mapping of str to str, optional
             Units by name: ``{"x": "m", "t": "s"}``.
-        tail : float
-            As for the class.
+        tail, correlation
+            As for the class, by name.
 
         Raises
         ------
@@ -247,6 +253,7 @@ class Problem:
             jumps=_jumps(jumps, names, unknowns),
             units=units,
             tail=tail,
+            correlation=correlation,
         )
 
     @property
@@ -258,7 +265,13 @@ class Problem:
         texts = self.distributions
         box = {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()}
         given = (self.equations, self.time, box, dict(self.initial), self.name)
-        return type(self), (*given, dict(self.jumps or {}), dict(self.units or {}), self.tail)
+        return type(self), (
+            *given,
+            dict(self.jumps or {}),
+            dict(self.units or {}),
+            self.tail,
+            dict(self.correlation or {}),
+        )
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"

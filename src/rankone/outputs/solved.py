@@ -1,0 +1,36 @@
+"""Quantities of a solution as an outcome, and what was asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rankone.metadata import Role, SolutionMetadata
+from rankone.options import checked_number
+from rankone.outputs.interpolation import solved_quantities
+from rankone.outputs.quantities import Quantities
+from rankone.solution_core import SolutionCore
+from rankone.solvers.outcome import Outcome
+
+__all__ = ["with_outputs"]
+
+
+def with_outputs(
+    solution: SolutionCore, quantities: Quantities, rtol: float | None, max_seconds: float
+) -> tuple[Outcome, SolutionMetadata]:
+    """Quantities of interest; see :meth:`rankone.Solution.output`."""
+    if rtol is not None:
+        rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
+    max_seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
+    outcome, rtol = solved_quantities(solution, quantities, rtol, max_seconds)
+    metadata = solution.metadata
+    return outcome, replace(
+        metadata,
+        states=quantities.names,
+        roles=(Role.UNKNOWN,) * len(quantities.names),
+        horizon=solution.time,
+        rtol=rtol,
+        equations=quantities.texts,
+        source=None,
+        timeless=quantities.timeless,
+        units=tuple(pair for pair in metadata.units if pair[0] in metadata.coordinates),
+    )
