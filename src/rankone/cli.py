@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from rankone.commands import evaluate, export, fit, report, show, solve
+from rankone.commands import evaluate, explore, export, fit, report, show, solve
 from rankone.commands.inputs import BAD_INPUT, FAILURE, complain
 
 __all__ = ["main"]
@@ -77,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     report.register(commands)
     fit.register(commands)
     export.register(commands)
+    explore.register(commands)
     return parser
 
 

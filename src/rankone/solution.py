@@ -172,7 +172,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         allow_failed: bool = False,
         fmi: Literal["2.0", "3.0"] | None = None,
     ) -> Path:
-        """Write a model in Python, C99 or JavaScript, or an FMU.
+        """Write a model in Python, C99 or JavaScript, an FMU, or a page.
 
         See :func:`rankone.export.export_model`.
         """
@@ -333,6 +333,26 @@ class Solution(DistributionOverBox, EstimationFromData):
         self._evaluator  # noqa: B018 - raises if nothing was solved
         given = merged(intervals, named)
         return Solution(*with_restricted(self.outcome, self.metadata, given))
+
+    # --- exploring -----------------------------------------------------------------------------
+
+    def explore(
+        self,
+        path: str | PathLike[str],
+        *,
+        title: str | None = None,
+        rtol: float | None = None,
+        overwrite: bool = False,
+        allow_failed: bool = False,
+    ) -> Path:
+        """Write a page with a slider for each parameter, and the curves that follow.
+
+        One HTML file that works offline; see :func:`rankone.export.explorer.export_page`.
+        """
+        from rankone.export.explorer import export_page
+
+        options = {"overwrite": overwrite, "allow_failed": allow_failed}
+        return export_page(self, path, title=title, rtol=rtol, **options)
 
     # --- display -------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ module              subject
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
 ``model_js``        the solved model in JavaScript
+``explorer``        the page with sliders and curves
 ``model_fmu``       the solved model as an FMU: the one in C99 behind the functions of FMI
 ``fmu_description`` what an FMU says about itself, as XML
 ``fmu_binary``      the shared library of an FMU
@@ -31,7 +32,7 @@ from typing import Any
 
 from rankone.errors import ExportError
 from rankone.export.fmu_description import FMI
-from rankone.export.packing import PackedModel, States, pack
+from rankone.export.packing import PackedModel, States, check_states, pack
 from rankone.export.standalone import standalone_source
 from rankone.files import Content, as_path, free_target, write_files
 from rankone.solution_core import SolutionCore
@@ -45,9 +46,10 @@ MODELS = {
     ".c": "model in C99",
     ".js": "model in JavaScript",
     ".mjs": "the same, a module by its name",
+    ".html": "page with sliders and curves",
     ".fmu": "FMU for co-simulation",
 }
-"""Suffixes of solved models."""
+"""Suffixes of what a solution is written to."""
 
 
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
@@ -140,9 +142,11 @@ def export_model(
         ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
         are many coefficients; ``.c`` writes C99 source and its header ``.h``; ``.js`` or
         ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations;
+        ``.html`` writes a page, see :func:`rankone.export.explorer.export_page`;
         ``.fmu`` writes an FMU for co-simulation, with a binary if there is a C compiler.
     states : {"unknowns", "all"}
-        Whether the model evaluates the unknowns alone or derivatives that are states as well.
+        Whether the model evaluates the unknowns alone or derivatives that are states as well,
+        as a page always does.
     rtol : float, optional
         By how much the model may differ from the solution, relative to the size of each unknown,
         to be smaller and faster; 1e-12 to 0.1. The difference is measured at 4200 random points
@@ -158,7 +162,7 @@ def export_model(
     ------
     ExportError
         If the solution is not a success, or the path has another suffix, exists or cannot be
-        written.
+        written; for a page also if nothing depends on time.
     OptionError
         If there is no such choice of states or no such version of FMI, or ``rtol`` is out of its
         range.
@@ -168,6 +172,7 @@ def export_model(
     RankoneWarning
         If an FMU has no binary, because nothing could be compiled.
     """
+    from rankone.export.explorer import export_page
     from rankone.export.model_c import c_model
     from rankone.export.model_fmu import checked_fmi, fmu_model
     from rankone.export.model_js import javascript_model
@@ -182,6 +187,11 @@ def export_model(
         ".mjs": javascript_model,
         ".fmu": partial(fmu_model, fmi=version, timeless=solution.metadata.timeless),
     }
+    if target.suffix == ".html":
+        check_states(states)
+        return export_page(
+            solution, target, rtol=rtol, overwrite=overwrite, allow_failed=allow_failed
+        )
     if target.suffix == ".fmu":
         free_target(target, overwrite, ExportError)  # before it is compiled
     model = pack(solution, states=states, rtol=rtol, allow_failed=allow_failed)

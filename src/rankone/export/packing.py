@@ -19,7 +19,7 @@ from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.units import with_unit
 
-__all__ = ["PackedCore", "PackedModel", "States", "pack"]
+__all__ = ["PackedCore", "PackedModel", "States", "check_states", "pack"]
 
 States = Literal["unknowns", "all"]
 """What a model evaluates: the unknowns, or every state."""
@@ -119,8 +119,7 @@ def pack(
     ExportError
         If nothing was solved, or the solution is not a success and ``allow_failed`` is False.
     """
-    if states not in ("unknowns", "all"):
-        raise OptionError(f"states={states!r} is unknown", remedy="use 'unknowns' or 'all'")
+    check_states(states)
     if rtol is not None:
         rtol = checked_number("rtol", rtol, _SMALLEST, _LARGEST, float)
     if not solution.outcome.slabs:
@@ -158,6 +157,12 @@ def pack(
         errors=tuple(map(float, errors)),
         units=tuple(metadata.units),
     )
+
+
+def check_states(states: States) -> None:
+    """Raise an OptionError if there is no such choice of states."""
+    if states not in ("unknowns", "all"):
+        raise OptionError(f"states={states!r} is unknown", remedy="use 'unknowns' or 'all'")
 
 
 def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:

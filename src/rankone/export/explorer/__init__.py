@@ -1,0 +1,112 @@
+"""A page in which a solution is explored: one HTML file, without a server or a network.
+
+==============  =======================================================================
+file            subject
+==============  =======================================================================
+``content``     times, bands, sensitivities and how good the solution is, as plain data
+``mathml``      names and equations, typeset
+``page``        everything put together
+``page.html.in``, ``page.css``
+                structure and looks
+``values.js``   numbers without a page: steps of sliders, links, tables
+``looks.js``    colours of the theme, texts of numbers
+``curves.js``, ``phase.js``, ``shares.js``
+                curves over time, two unknowns against each other, Sobol indices
+``controls.js`` sliders, number fields, time
+``main.js``     what is shown, and what happens
+==============  =======================================================================
+
+The plots are by uPlot, in ``export/vendor`` with its licence.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from rankone.errors import ExportError, OptionError
+from rankone.export.explorer.content import content, covers, quality, with_derivatives
+from rankone.export.explorer.mathml import Notation
+from rankone.export.explorer.page import page
+from rankone.export.packing import pack
+from rankone.files import as_path, free_target, write_files
+from rankone.wording import is_text, shown
+
+__all__ = ["export_page", "page_target"]
+
+
+def page_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
+    """The path of a file that a page can be written to, or an ExportError."""
+    given = as_path(path, ExportError)
+    if given.suffix not in (".html", ".htm"):
+        raise ExportError(
+            f"`{given}`: a page has the suffix .html, not {given.suffix!r}",
+            term=given,
+            remedy=f"name it {given.with_suffix('.html') if given.name else 'page.html'}",
+        )
+    return free_target(given, overwrite, ExportError)
+
+
+def export_page(
+    solution: Any,
+    path: str | PathLike[str],
+    *,
+    title: str | None = None,
+    rtol: float | None = None,
+    overwrite: bool = False,
+    allow_failed: bool = False,
+) -> Path:
+    """Write a page with a slider for each parameter and the curves that follow.
+
+    Parameters
+    ----------
+    solution : Solution
+    path : path-like
+        Ends in ``.html``.
+    title : str, optional
+        The name of the file by default.
+    rtol : float, optional
+        By how much the curves may differ from the solution, to make the file smaller; see
+        :func:`rankone.export.export_model`.
+    overwrite : bool
+        Whether to replace an existing file.
+    allow_failed : bool
+        Whether to write a page of a solution that is not a success; the page says so.
+
+    Raises
+    ------
+    ExportError
+        If the solution is not a success or does not depend on time, or the path has another
+        suffix, exists or cannot be written.
+    OptionError
+        If the title is no text, or ``rtol`` is out of its range.
+    """
+    target = page_target(path, overwrite)
+    if title is not None and not is_text(title):
+        raise OptionError(f"title={shown(title)} is no text", term=title)
+    if solution.metadata.timeless:
+        raise ExportError(
+            "these values do not depend on time, and a page shows curves over time",
+            remedy="write a model (model.js), or plot them: rankone.plotting.plot_surface",
+        )
+    every = with_derivatives(solution)
+    model = pack(every, rtol=rtol, allow_failed=allow_failed)
+    notation = Notation(solution.metadata)
+    text = page(
+        model,
+        content(every, model, notation),
+        title=title or _title(target),
+        equations=notation.equations(),
+        quality=quality(solution, model),
+        covers=covers(solution),
+        success=solution.success,
+    )
+    write_files({target: text}, overwrite, ExportError)
+    return target
+
+
+def _title(path: Path) -> str:
+    """The name of a file as a title."""
+    words = path.stem.replace("_", " ").replace("-", " ").strip() or "Explorer"
+    return words[:1].upper() + words[1:]

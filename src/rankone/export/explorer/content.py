@@ -1,0 +1,174 @@
+"""What a page shows of a solution, in plain data."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rankone.arrays import Array
+from rankone.export.explorer.mathml import Notation
+from rankone.export.explorer.page import scientific
+from rankone.export.packing import PackedModel
+from rankone.metadata import Role
+from rankone.wording import listing
+
+if TYPE_CHECKING:
+    from rankone.statistics.distribution_over_box import DistributionOverBox
+
+__all__ = ["BAND", "content", "covers", "quality", "with_derivatives"]
+
+BAND = (0.025, 0.975)
+"""Probabilities between which the bands lie."""
+
+_TIMES, _IN_SLAB, _MOST_SLABS = 401, 4, 100
+_SENSITIVITIES = 121
+_POINTS = 2**12
+"""Points over the box of which the quantiles are."""
+_DIGITS = 7
+
+
+def with_derivatives(solution: Any) -> Any:
+    """The same solution, its derivatives that are states counted among the unknowns."""
+    metadata = solution.metadata
+    roles = tuple(Role.UNKNOWN if r == Role.DERIVATIVE else r for r in metadata.roles)
+    return type(solution)(solution.outcome, replace(metadata, roles=roles))
+
+
+def content(
+    solution: DistributionOverBox, model: PackedModel, notation: Notation
+) -> dict[str, Any]:
+    """Names, ranges, times, bands and sensitivities.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of :func:`with_derivatives`.
+    model : PackedModel
+        What the page evaluates, with the same unknowns.
+    notation : Notation
+        How names are written.
+    """
+    times = curve_times(solution)
+    metadata = solution.metadata
+    units = dict(model.units)
+
+    def named(name: str) -> dict[str, Any]:
+        symbol = notation.symbol(name)
+        return {
+            "name": name,
+            "text": notation.text(name),
+            "symbol": symbol,
+            "unit": units.get(name, ""),
+        }
+
+    lowest, low, high, highest = solution.quantile((0.0, *BAND, 1.0), times, count=_POINTS)
+    given = dict(metadata.distributions)
+    return {
+        "unknowns": [
+            {
+                **named(name),
+                "error": None if np.isnan(model.errors[i]) else model.errors[i],
+                "extent": [float(lowest[i].min()), float(highest[i].max())],
+                "low": _rounded(low[i]) if metadata.parameters else None,
+                "high": _rounded(high[i]) if metadata.parameters else None,
+            }
+            for i, name in enumerate(model.unknowns)
+        ],
+        "parameters": [
+            {**named(name), "range": list(ends), "distribution": given.get(name, "")}
+            for name, ends in solution.parameters.items()
+        ],
+        "time": {**named(metadata.time), "range": list(model.intervals[0])},
+        "times": times.tolist(),
+        "sobol": _sensitivities(solution) if _has_sensitivities(solution) else None,
+    }
+
+
+def curve_times(solution: DistributionOverBox) -> Array:
+    """Times at which curves are drawn: even ones, and some of every slab.
+
+    Of each slab there is its beginning and the last time before its end, so that jumps are steep.
+    """
+    start, end = solution.time
+    times = [np.linspace(start, end, _TIMES)]
+    slabs = solution.outcome.slabs
+    if len(slabs) <= _MOST_SLABS:
+        times += [np.linspace(slab.start, slab.end, _IN_SLAB, endpoint=False) for slab in slabs]
+    inner = [slab.start for slab in itertools.islice(slabs, 1, None)]
+    found = np.unique(np.concatenate([*times, np.nextafter(inner, start)]))
+    return found[(found >= start) & (found <= end)]
+
+
+def quality(solution: Any, model: PackedModel) -> list[str]:
+    """How good a solution is and what its success covers, in sentences.
+
+    The first says how the solve ended.
+    """
+    end = solution.time[1]
+    wanted = solution.metadata.horizon[1]
+    time = solution.metadata.time
+    lines = [f"{solution.message[:1].upper()}{solution.message[1:]}".rstrip(".") + "."]
+    if end < wanted:
+        lines.append(f"Only a part was solved: {time} up to {end:.6g} of {wanted:.6g}.")
+    if solution.metadata.correlations:
+        lines.append("Parameters are correlated: bands know it, Sobol indices are not defined.")
+    measured = solution.outcome.measured
+    if measured is None:
+        return [*lines, "The error of this solution is not known: it was not measured."]
+    lines.append(
+        f"The error was measured on {measured.points} trajectories ({measured.method}), relative "
+        f"to the largest value of each unknown; the tolerance asked for is {solution.rtol:.3g}."
+    )
+    if measured.counted is not None:
+        names = listing(solution.states[i] for i in measured.counted)
+        lines.append(f"Success is about {names} alone.")
+    if measured.cover == "box":
+        lines.append("The corners of the box are among them.")
+    elif measured.corners:
+        lines.append(
+            "It covers the interior of the box; its corners do not count: there the error is up to "
+            f"{measured.corner_error:.2g}."
+        )
+    if measured.quantile is not None:
+        lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
+    if measured.drift is not None:
+        lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
+    lines += [line for line in model.summary if line.startswith("Made smaller")]
+    return [line.replace("`", "") for line in lines]
+
+
+def covers(solution: Any) -> str:
+    """Where the error was measured, and the tolerance asked for, in HTML."""
+    measured = solution.outcome.measured
+    if measured is None:
+        return ""
+    where = "in the whole box" if measured.cover == "box" else "inside the box"
+    where = where if solution.metadata.parameters else ""
+    return f"{where} (asked for: {scientific(solution.rtol)})".strip()
+
+
+def _has_sensitivities(solution: DistributionOverBox) -> bool:
+    """Whether there are several parameters, which are independent."""
+    return len(solution.metadata.parameters) > 1 and not solution.metadata.correlations
+
+
+def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
+    """Sobol indices over time: (unknowns, parameters, times) each; null where not defined."""
+    times = np.linspace(*solution.time, _SENSITIVITIES)
+    indices = solution.sobol(times)
+    shares = {"first": indices.first, "total": indices.total}
+    return {
+        "times": times.tolist(),
+        **{
+            kind: [[_rounded(row, 5) for row in unknown] for unknown in share]
+            for kind, share in shares.items()
+        },
+    }
+
+
+def _rounded(values: Array, digits: int = _DIGITS) -> list[float | None]:
+    """Numbers with as many digits as a picture needs; null for what is none."""
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]

@@ -1,0 +1,111 @@
+/** Curves over time, with bands behind them and a mark at the present time. */
+
+import { around } from "./values.js";
+import { axis, colour, follow, ownColour } from "./looks.js";
+
+/** How strong the bands are; weaker where there are many. */
+const band = (count) => (count > 3 ? 0.09 : 0.17);
+
+/**
+ * One plot of some unknowns.
+ *
+ * @param {HTMLElement} place where it goes
+ * @param {object} data what the page shows
+ * @param {number[]} rows the unknowns
+ * @param {object} state the present values: `time`, `curves`
+ * @param {number} height
+ * @param {(t: number) => void} onTime called when somebody points at a time
+ */
+export function curvesPlot(place, data, rows, state, height, onTime) {
+  const { times, unknowns, time } = data;
+  let range = around(rows.map((i) => unknowns[i].extent));
+  const series = [{}];
+  const bands = [];
+  const columns = [times];
+  for (const i of rows) {
+    const hidden = { width: 0, points: { show: false }, stroke: "transparent" };
+    if (unknowns[i].low) {
+      bands.push({ series: [series.length, series.length + 1], fill: () => ownColour(i, band(rows.length)) });
+      series.push({ ...hidden }, { ...hidden });
+      columns.push(unknowns[i].high, unknowns[i].low);
+    }
+  }
+  const first = series.length;
+  for (const i of rows) {
+    series.push({ stroke: () => ownColour(i), width: 2.2, pxAlign: 0, points: { show: false } });
+    columns.push(state.curves[i]);
+  }
+  const plot = new uPlot(
+    {
+      width: place.clientWidth || 600,
+      height,
+      padding: [8, 22, 0, 0],
+      legend: { show: false },
+      cursor: { show: false },
+      scales: { x: { time: false, range: () => time.range }, y: { range: () => range } },
+      axes: [axis(2), axis(3)],
+      series,
+      bands,
+      hooks: { draw: [drawMark] },
+    },
+    columns,
+    place,
+  );
+  const observer = follow(plot, place, () => height);
+  plot.over.addEventListener("pointerdown", (event) => {
+    plot.over.setPointerCapture(event.pointerId);
+    point(event);
+  });
+  plot.over.addEventListener("pointermove", (event) => event.buttons && point(event));
+
+  function point(event) {
+    const { left } = plot.over.getBoundingClientRect();
+    onTime(Math.min(time.range[1], Math.max(time.range[0], plot.posToVal(event.clientX - left, "x"))));
+  }
+
+  function drawMark(u) {
+    const { ctx, bbox } = u;
+    const x = u.valToPos(state.time, "x", true);
+    ctx.save();
+    ctx.strokeStyle = colour("soft", 0.7);
+    ctx.lineWidth = devicePixelRatio;
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    for (const i of rows) dot(ctx, x, u.valToPos(state.values[i], "y", true), ownColour(i));
+    ctx.restore();
+  }
+
+  return {
+    /** Draw the present curves; the range grows where they leave it. */
+    update() {
+      rows.forEach((i, k) => (columns[first + k] = state.curves[i]));
+      for (const i of rows) {
+        for (const value of state.curves[i]) {
+          if (value < range[0] || value > range[1]) range = around([range, [value, value]]);
+        }
+      }
+      plot.setData(columns);
+    },
+    /** Draw the mark alone anew. */
+    mark: () => plot.redraw(false, false),
+    /** Draw all anew, in the present colours. */
+    redraw: () => plot.redraw(true, true),
+    remove() {
+      observer.disconnect();
+      plot.destroy();
+    },
+  };
+}
+
+/** A dot with a rim of the colour behind it. */
+export function dot(ctx, x, y, fill) {
+  ctx.beginPath();
+  ctx.arc(x, y, 5 * devicePixelRatio, 0, 2 * Math.PI);
+  ctx.fillStyle = fill;
+  ctx.strokeStyle = colour("card");
+  ctx.lineWidth = 2 * devicePixelRatio;
+  ctx.fill();
+  ctx.stroke();
+}

@@ -1,0 +1,267 @@
+"""Equations as people write them, typeset as MathML.
+
+The texts of a solution's equations are formulas in Python's arithmetic, so that :mod:`ast` reads
+them; nothing is evaluated, and the order of the terms stays as it was written. What is no such
+formula is shown as it is.
+"""
+
+from __future__ import annotations
+
+import ast
+import html
+import keyword
+import re
+from collections.abc import Mapping, Sequence
+
+from rankone.metadata import Role, SolutionMetadata
+
+__all__ = ["Notation"]
+
+_LETTERS = (
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma "
+    "tau upsilon phi chi psi omega"
+)
+_GREEK = dict(zip(_LETTERS.split(), "αβγδεζηθικλμνξοπρστυφχψω", strict=True))
+_GREEK |= {name.capitalize(): letter.upper() for name, letter in _GREEK.items()}
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_NAME = re.compile(r"([^\W\d_]+)(?:_?(\d+)|_(\w*[^\W_]))?")
+_WORD = re.compile(r"[^\W\d]\w*")
+_KEYWORD_SUFFIX = "_as_a_name_"
+_PRIME, _TIMES, _DOT = "′", "<mo>&#x2062;</mo><mspace width='0.15em'></mspace>", "<mo>·</mo>"
+_OPEN, _CLOSE = "<mo stretchy='false'>(</mo>", "<mo stretchy='false'>)</mo>"
+_SPACE = "<mspace width='0.35em'></mspace>"
+_SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(1, 6)
+_COMPARED: dict[type[ast.cmpop], str] = {
+    ast.Lt: "&lt;",
+    ast.LtE: "≤",
+    ast.Gt: "&gt;",
+    ast.GtE: "≥",
+}
+_LOGIC: dict[type[ast.operator], str] = {ast.BitAnd: "and", ast.BitOr: "or"}
+
+
+class _NoFormulaError(Exception):
+    """A text that is no formula."""
+
+
+class Notation:
+    """Names and equations of a problem, for people.
+
+    ``theta0`` is θ with a subscript, ``C_D`` is C with one, a derivative that is a state
+    (``theta_t``) is θ′.
+
+    Parameters
+    ----------
+    metadata : SolutionMetadata
+    """
+
+    def __init__(self, metadata: SolutionMetadata) -> None:
+        self._primes = _derivatives(metadata)
+        self._equations = metadata.equations
+
+    def text(self, name: str) -> str:
+        """A name in plain text: ``θ₀``, ``C_D``, ``θ′``."""
+        base, order = self._primes.get(name, (name, 0))
+        letter, index = _parts(base)
+        if index.isdigit():
+            index = index.translate(_SUBSCRIPTS)
+        elif index:
+            index = f"_{index}"
+        return f"{letter}{index}{_PRIME * order}"
+
+    def name(self, name: str, further: int = 0) -> str:
+        """A name in MathML, without the element around; ``further`` times derived."""
+        base, order = self._primes.get(name, (name, 0))
+        letter, index = (f"<mi>{html.escape(part)}</mi>" if part else "" for part in _parts(base))
+        if index:
+            index = re.sub(r"<mi>(\d+)</mi>", r"<mn>\1</mn>", index)
+            letter = f"<msub>{letter}{index}</msub>"
+        if not order + further:
+            return letter
+        # no superscript: most fonts have the prime raised already
+        primes = f"<mo lspace='0' rspace='0'>{_PRIME * (order + further)}</mo>"
+        return f"<mrow>{letter}{primes}</mrow>"
+
+    def symbol(self, name: str) -> str:
+        """A name as an element that a page can hold."""
+        return f"<math>{self.name(name)}</math>"
+
+    def equations(self) -> list[list[str]]:
+        """Equations, then initial values, as elements of a page; empty if they are not known.
+
+        Lines that say only what a derivative is called are left out.
+        """
+        groups: dict[bool, list[str]] = {}
+        for text in self._equations:
+            if not self._says_a_name(text):
+                is_initial = re.match(r"[^=]+\([^()=]+\) = ", text) is not None
+                groups.setdefault(is_initial, []).append(self._line(text))
+        return list(groups.values())
+
+    def _says_a_name(self, text: str) -> bool:
+        """Whether a line is ``theta' = theta_t``."""
+        left, _, right = text.partition(" = ")
+        base, order = self._primes.get(left.removesuffix("'"), (left.removesuffix("'"), 0))
+        return left.endswith("'") and self._primes.get(right) == (base, order + 1)
+
+    def _line(self, text: str) -> str:
+        try:
+            rows = self._jump(text) if text.startswith("at ") else self._equation(text)
+        except (_NoFormulaError, SyntaxError, ValueError, RecursionError, MemoryError):
+            return f"<code>{html.escape(text)}</code>"
+        return f"<math display='block'>{rows}</math>"
+
+    def _equation(self, text: str) -> str:
+        left, equals, right = text.partition(" = ")
+        if not equals:
+            raise _NoFormulaError
+        start = re.fullmatch(r"(.+)\(([^()]+)\)", left)
+        if left.endswith("'"):
+            head = self.name(left.removesuffix("'"), 1)
+        elif start:
+            head = f"{self.name(start[1])}{_OPEN}{self.formula(start[2])}{_CLOSE}"
+        else:
+            head = self.name(left)
+        return f"<mrow>{head}<mo>=</mo>{self.formula(right)}</mrow>"
+
+    def _jump(self, text: str) -> str:
+        """``at t = 12, 24: c -> c + 1, p -> 0``."""
+        where, _, changes = text.removeprefix("at ").partition(": ")
+        clock, _, times = where.partition(" = ")
+        parts = []
+        for change in re.split(r", (?=[^\s,]+ -> )", changes):
+            name, arrow, value = change.partition(" -> ")
+            if not arrow:
+                raise _NoFormulaError
+            parts.append(f"{self.name(name)}<mo>→</mo>{self.formula(value)}")
+        at = "<mo>,</mo>".join(f"<mn>{html.escape(time)}</mn>" for time in times.split(", "))
+        return (
+            f"<mrow><mtext>at</mtext>{_SPACE}{self.name(clock)}<mo>=</mo>{at}<mo>:</mo>"
+            f"<mspace width='0.6em'></mspace>{'<mo>,</mo>'.join(parts)}</mrow>"
+        )
+
+    def formula(self, text: str) -> str:
+        """A formula in MathML, without the element around."""
+        tree = ast.parse(_WORD.sub(_protected, text.strip()), mode="eval")
+        return self._written(tree.body)[0]
+
+    # --- nodes: MathML and how strongly it holds together ----------------------------------------
+
+    def _written(self, node: ast.expr) -> tuple[str, int]:
+        match node:
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                return _number(value)
+            case ast.Name(id=name):
+                name = name.removesuffix(_KEYWORD_SUFFIX)
+                return self.name(name), _POWER if name in self._primes else _ATOM
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return f"<mo form='prefix'>−</mo>{self._held(operand, _PRODUCT)}", _SIGN
+            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+                sign = "+" if isinstance(op, ast.Add) else "−"
+                last = self._held(right, _PRODUCT)
+                return f"{self._written(left)[0]}<mo>{sign}</mo>{last}", _SUM
+            case ast.BinOp(left=left, op=ast.Mult(), right=right):
+                first, last = self._held(left, _PRODUCT), self._held(right, _POWER)
+                between = _DOT if last.startswith("<mrow><mn>") else _TIMES
+                return f"{first}{between}{last}", _PRODUCT
+            case ast.BinOp(left=left, op=ast.Div(), right=right):
+                above, below = self._written(left)[0], self._written(right)[0]
+                fraction = f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>"
+                return fraction, _POWER
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                return self._power(left, right), _POWER
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self._call(name.removesuffix(_KEYWORD_SUFFIX), arguments), _ATOM
+        raise _NoFormulaError
+
+    def _held(self, node: ast.expr, least: int) -> str:
+        """A part of a formula, in parentheses if it holds together less than its place needs."""
+        text, strength = self._written(node)
+        fits = strength >= least
+        return f"<mrow>{text}</mrow>" if fits else f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"
+
+    def _power(self, base: ast.expr, exponent: ast.expr) -> str:
+        above = f"<mrow>{self._written(exponent)[0]}</mrow>"
+        plain = {"sqrt", "exp", "Abs", "abs", "Piecewise"}
+        match base:
+            case ast.Call(func=ast.Name(id=name), args=arguments) if name not in plain:
+                head = f"<msup><mi>{html.escape(name)}</mi>{above}</msup>"
+                return f"{head}{self._arguments(arguments)}"
+        return f"<msup>{self._held(base, _ATOM)}{above}</msup>"
+
+    def _call(self, name: str, arguments: Sequence[ast.expr]) -> str:
+        if name == "Piecewise":
+            return self._piecewise(arguments)
+        if len(arguments) == 1 and name in ("sqrt", "exp", "Abs", "abs"):
+            inner = f"<mrow>{self._written(arguments[0])[0]}</mrow>"
+            if name == "sqrt":
+                return f"<msqrt>{inner}</msqrt>"
+            if name == "exp":
+                return f"<msup><mi>e</mi>{inner}</msup>"
+            return f"<mrow><mo>|</mo>{inner}<mo>|</mo></mrow>"
+        return f"<mi>{html.escape(name)}</mi>{self._arguments(arguments)}"
+
+    def _arguments(self, arguments: Sequence[ast.expr]) -> str:
+        inner = "<mo>,</mo>".join(self._written(argument)[0] for argument in arguments)
+        return f"<mo>&#x2061;</mo><mrow><mo>(</mo>{inner}<mo>)</mo></mrow>"
+
+    def _piecewise(self, branches: Sequence[ast.expr]) -> str:
+        rows = ""
+        for branch in branches:
+            if not isinstance(branch, ast.Tuple) or len(branch.elts) != 2:
+                raise _NoFormulaError
+            value, condition = branch.elts
+            cells = self._written(value)[0], self._condition(condition)
+            rows += f"<mtr><mtd>{cells[0]}</mtd><mtd>{cells[1]}</mtd></mtr>"
+        return f"<mrow><mo>{{</mo><mtable columnalign='left'>{rows}</mtable></mrow>"
+
+    def _condition(self, node: ast.expr) -> str:
+        match node:
+            case ast.Constant(value=True):
+                return "<mtext>otherwise</mtext>"
+            case ast.BinOp(left=left, op=ast.BitAnd() | ast.BitOr() as op, right=right):
+                word = f"{_SPACE}<mtext>{_LOGIC[type(op)]}</mtext>{_SPACE}"
+                return f"{self._condition(left)}{word}{self._condition(right)}"
+            case ast.Compare(left=left, ops=compared, comparators=others):
+                text = self._written(left)[0]
+                for sign, other in zip(compared, others, strict=True):
+                    if type(sign) not in _COMPARED:
+                        raise _NoFormulaError
+                    text += f"<mo>{_COMPARED[type(sign)]}</mo>{self._written(other)[0]}"
+                return text
+        raise _NoFormulaError
+
+
+def _derivatives(metadata: SolutionMetadata) -> Mapping[str, tuple[str, int]]:
+    """For each derivative that is a state the unknown and its order."""
+    found = {}
+    for name, role in zip(metadata.states, metadata.roles, strict=True):
+        base, _, suffix = name.rpartition("_")
+        order = len(suffix) // max(len(metadata.time), 1)
+        if role == Role.DERIVATIVE and base and suffix == metadata.time * order:
+            found[name] = base, order
+    return found
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """Letters and subscript of a name."""
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return name, ""
+    index = match[2] or match[3] or ""
+    return _GREEK.get(match[1], match[1]), _GREEK.get(index, index)
+
+
+def _number(value: float) -> tuple[str, int]:
+    digits, _, power = repr(value).partition("e")
+    if not power:
+        return f"<mn>{digits}</mn>", _ATOM
+    ten = f"<msup><mn>10</mn><mn>{int(power)}</mn></msup>".replace("<mn>-", "<mn>−")
+    return f"<mn>{digits.removesuffix('.0')}</mn><mo>·</mo>{ten}", _PRODUCT
+
+
+def _protected(match: re.Match[str]) -> str:
+    """``lambda`` and its like as ordinary names."""
+    word = match.group()
+    known = word in ("True", "False", "None") or not keyword.iskeyword(word)
+    return word if known else word + _KEYWORD_SUFFIX

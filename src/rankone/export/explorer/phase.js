@@ -1,0 +1,87 @@
+/** Two unknowns against each other; what lies behind the present time is drawn stronger. */
+
+import { around } from "./values.js";
+import { axis, colour, follow } from "./looks.js";
+import { dot } from "./curves.js";
+
+/** @param {object} state the present values: `time`, `curves`, `values`, `phase` (two unknowns) */
+export function phasePlot(place, data, state) {
+  const { times, unknowns } = data;
+  let ranges = [];
+  let shownPair = "";
+  const label = (k) => {
+    const { text, unit } = unknowns[state.phase[k]];
+    return unit ? `${text} [${unit}]` : text;
+  };
+  let plot;
+  let observer;
+
+  /** Axes have their labels for good: a new pair is a new plot. */
+  function make() {
+    observer?.disconnect();
+    plot?.destroy();
+    shownPair = state.phase.join();
+    ranges = state.phase.map((i) => around([unknowns[i].extent]));
+    const height = (width) => Math.round(Math.min(380, Math.max(250, 0.8 * width)));
+    const width = place.clientWidth || 400;
+    plot = new uPlot(
+      {
+        width,
+        height: height(width),
+        padding: [8, 22, 0, 0],
+        legend: { show: false },
+        cursor: { show: false },
+        scales: {
+          x: { time: false, range: () => ranges[0] },
+          y: { range: () => ranges[1] },
+        },
+        axes: [axis(2, label(0)), axis(3, label(1))],
+        series: [{}, { stroke: "transparent", points: { show: false } }],
+        hooks: { draw: [draw] },
+      },
+      [ranges[0].slice(), ranges[1].slice()],
+      place,
+    );
+    observer = follow(plot, place, height);
+  }
+
+  function draw(u) {
+    const [xs, ys] = state.phase.map((i) => state.curves[i]);
+    const now = times.findLastIndex((time) => time <= state.time) + 1;
+    const { ctx, bbox } = u;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.lineJoin = "round";
+    ctx.lineWidth = 2.2 * devicePixelRatio;
+    const end = state.phase.map((i) => state.values[i]);
+    const at = (x, y) => [u.valToPos(x, "x", true), u.valToPos(y, "y", true)];
+    for (const [last, strength] of [[times.length, 0.28], [now, 1]]) {
+      ctx.strokeStyle = colour("accent", strength);
+      ctx.beginPath();
+      for (let i = 0; i < last; i++) ctx.lineTo(...at(xs[i], ys[i]));
+      if (strength === 1) ctx.lineTo(...at(...end));
+      ctx.stroke();
+    }
+    dot(ctx, ...at(...end), colour("accent"));
+    ctx.restore();
+  }
+
+  make();
+  return {
+    update() {
+      if (shownPair !== state.phase.join()) make();
+      state.phase.forEach((i, k) => {
+        for (const value of state.curves[i]) {
+          if (value < ranges[k][0] || value > ranges[k][1]) {
+            ranges[k] = around([ranges[k], [value, value]]);
+          }
+        }
+      });
+      plot.setData([ranges[0].slice(), ranges[1].slice()]);
+    },
+    mark: () => plot.redraw(false, false),
+    redraw: () => plot.redraw(true, true),
+  };
+}

@@ -1,0 +1,94 @@
+/** Numbers without a page: steps of sliders, values in between, links and tables. */
+
+/** Steps of a slider from one end to the other. */
+export const STEPS = 1000;
+
+/** The value at a step of a slider: one with few digits, inside of the range. */
+export function valueAt([lower, upper], step) {
+  if (step <= 0) return lower;
+  if (step >= STEPS) return upper;
+  const value = lower + ((upper - lower) * step) / STEPS;
+  const decimals = 3 - Math.floor(Math.log10(upper - lower));
+  const short = decimals > 20 ? value : Number(value.toFixed(Math.max(0, decimals)));
+  return Math.min(upper, Math.max(lower, short));
+}
+
+/** The step of a slider that is closest to a value. */
+export function stepAt([lower, upper], value) {
+  return upper > lower ? Math.round(((value - lower) / (upper - lower)) * STEPS) : 0;
+}
+
+/** Piecewise linear between (xs, ys); null where an end of the piece has no value. */
+export function between(xs, ys, x) {
+  let last = xs.length - 1;
+  let first = 0;
+  while (last - first > 1) {
+    const middle = (first + last) >> 1;
+    if (xs[middle] <= x) first = middle;
+    else last = middle;
+  }
+  const share = xs[last] > xs[first] ? (x - xs[first]) / (xs[last] - xs[first]) : 0;
+  if (share === 0) return ys[first];
+  if (share === 1) return ys[last];
+  if (ys[first] === null || ys[last] === null) return null;
+  return ys[first] + share * (ys[last] - ys[first]);
+}
+
+/** Values by name as the fragment of an address. Each number is written so that it comes back. */
+export function toFragment(values) {
+  const pairs = Object.entries(values);
+  return pairs.map(([name, value]) => `${encodeURIComponent(name)}=${value}`).join("&");
+}
+
+/**
+ * Values by name from the fragment of an address, and what is wrong with it.
+ *
+ * Numbers outside of their range become its nearest end.
+ */
+export function fromFragment(fragment, ranges) {
+  const values = {};
+  const problems = [];
+  for (const pair of fragment.replace(/^#/, "").split("&")) {
+    if (!pair.includes("=")) continue;
+    const [name, text] = pair.split(/=(.*)/s).map(decoded);
+    const range = ranges.get(name);
+    const value = text.trim() === "" ? NaN : Number(text);
+    if (!range) problems.push(`there is no ${name}`);
+    else if (!Number.isFinite(value)) problems.push(`${name} = ${text} is not a number`);
+    else {
+      values[name] = Math.min(range[1], Math.max(range[0], value));
+      if (values[name] !== value) {
+        problems.push(`${name} = ${value} is not in [${range[0]}, ${range[1]}], ${values[name]} is shown`);
+      }
+    }
+  }
+  return { values, problems };
+}
+
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
+/** Columns as comma-separated values. */
+export function toTable(heads, columns) {
+  const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  const rows = [heads.map(quoted)];
+  for (let i = 0; i < columns[0].length; i++) rows.push(columns.map((column) => column[i]));
+  return rows.map((row) => row.join(",")).join("\n") + "\n";
+}
+
+/** The interval of all of them, with a little room on both sides. */
+export function around(extents) {
+  let lower = Infinity;
+  let upper = -Infinity;
+  for (const [a, b] of extents) {
+    lower = Math.min(lower, a);
+    upper = Math.max(upper, b);
+  }
+  const room = 0.06 * (upper - lower) || 0.06 * Math.abs(upper) || 1;
+  return [lower - room, upper + room];
+}

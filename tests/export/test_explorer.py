@@ -1,0 +1,379 @@
+"""Pages with sliders and curves, in a browser and as text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.cli import main
+from rankone.errors import ExportError, OptionError
+from rankone.export.explorer.mathml import Notation
+from rankone.metadata import Role
+from rankone.plotting.style import PALETTE
+from rankone.solvers.outcome import Status
+from tests.export.browser import NoBrowserError, browser, settle
+from tests.export.solutions import solved, synthetic, synthetic_with_breaks
+from tests.solution.functions import oscillator, two_unknowns
+
+TOLERANCE = 1e-10
+SOLVED = two_unknowns().solution
+UNITS = (("t", "s"), ("x", "m"), ("x0", "m"))
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    try:
+        with browser() as found:
+            yield found
+    except NoBrowserError as reason:
+        pytest.skip(str(reason))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The page of a solution that has units."""
+    return with_units(SOLVED).explore(tmp_path_factory.mktemp("explorer") / "page.html")
+
+
+def with_units(solution, units=UNITS):
+    return ro.Solution(solution.outcome, replace(solution.metadata, units=units))
+
+
+def failed(solution):
+    outcome = replace(solution.outcome, status=Status.RANK_LIMIT, message="rank 100 was reached")
+    return ro.Solution(outcome, solution.metadata)
+
+
+def values(page):
+    return page.evaluate("rankone.values()")
+
+
+def assert_agrees(found, solution):
+    """The curves and values of a page are those of a solution."""
+    clock = solution.metadata.time
+    times = np.clip(found["times"], *solution.time)
+    for name, curve in found["curves"].items():
+        wanted = solution[name]({clock: times, **found["parameters"]})
+        np.testing.assert_allclose(curve, wanted, rtol=0, atol=TOLERANCE * np.abs(wanted).max())
+        now = solution[name]({clock: found["time"], **found["parameters"]})
+        assert abs(found["values"][name] - now) <= TOLERANCE * np.abs(wanted).max()
+
+
+# --- in a browser ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "solution",
+    [solved("lotka_volterra"), oscillator().solution, synthetic(), synthetic_with_breaks()],
+    ids=["slabs", "derivative", "names", "breaks"],
+)
+def test_curves_are_those_of_the_solution(chromium, tmp_path, solution):
+    path = solution.explore(tmp_path / "page.html")
+    with chromium.open(path) as page:
+        assert_agrees(values(page), solution)
+        rng = np.random.default_rng(3)
+        point = {name: rng.uniform(*ends) for name, ends in solution.parameters.items()}
+        point[solution.metadata.time] = rng.uniform(*solution.time)
+        page.evaluate("(point) => rankone.set(point)", point)
+        settle(page)
+        found = values(page)
+        assert {**found["parameters"], solution.metadata.time: found["time"]} == point
+        assert_agrees(found, solution)
+
+
+def test_sliders_and_numbers(chromium, written):
+    (lower, upper), *_ = SOLVED.parameters.values()
+    name, *_ = SOLVED.parameters
+    with chromium.open(written) as page:
+        middle = values(page)["parameters"]
+        assert middle == {
+            k: pytest.approx(0.5 * (a + b)) for k, (a, b) in SOLVED.parameters.items()
+        }
+        slider = page.locator("#parameters input[type=range]").first
+        field = page.locator("#parameters input[type=number]").first
+        slider.focus()
+        page.keyboard.press("End")
+        settle(page)
+        assert values(page)["parameters"][name] == upper
+        assert float(field.input_value()) == upper
+        page.keyboard.press("ArrowLeft")
+        settle(page)
+        assert lower < values(page)["parameters"][name] < upper
+        assert_agrees(values(page), SOLVED)
+
+        exact = lower + (upper - lower) / 7
+        field.fill(repr(exact))
+        settle(page)
+        assert values(page)["parameters"][name] == exact
+        assert_agrees(values(page), SOLVED)
+
+        field.fill(repr(upper + 1))
+        settle(page)
+        assert values(page)["parameters"][name] == exact
+        assert field.get_attribute("aria-invalid") == "true"
+        assert str(exact) in page.locator("#parameters .wrong").first.inner_text()
+        field.blur()
+        assert float(field.input_value()) == exact
+        assert field.get_attribute("aria-invalid") == "false"
+
+        page.locator("#reset").click()
+        settle(page)
+        assert values(page)["parameters"] == middle
+
+
+def test_links(chromium, written):
+    point = {name: a + (b - a) / 3 for name, (a, b) in SOLVED.parameters.items()}
+    with chromium.open(written) as page:
+        page.evaluate("(point) => rankone.set(point)", {**point, "t": 0.7})
+        settle(page)
+        page.locator("#link").click()
+        page.wait_for_selector("#notice:not([hidden])")
+        fragment = page.evaluate("location.hash")
+    with chromium.open(written, fragment) as page:
+        found = values(page)
+        assert (found["parameters"], found["time"]) == (point, 0.7)
+        assert page.locator("#notice").is_hidden()
+    name, other = SOLVED.parameters
+    with chromium.open(written, f"#{name}=1e9&{other}=much&what=1&t") as page:
+        found = values(page)["parameters"]
+        assert found[name] == SOLVED.parameters[name][1]
+        notice = page.locator("#notice").inner_text()
+        assert all(text in notice for text in ("1000000000", "much", "there is no what"))
+
+
+def test_time_shares_and_bands(chromium, written):
+    end = SOLVED.time[1]
+    with chromium.open(written) as page:
+        page.locator("#time").focus()
+        page.keyboard.press("End")
+        settle(page)
+        found = values(page)
+        assert found["time"] == end
+        assert_agrees(found, SOLVED)
+        indices = SOLVED.sobol(end)
+        for j, name in enumerate(SOLVED.parameters):
+            wanted = indices.first[0, j].item(), indices.total[0, j].item()
+            assert found["shares"][name] == pytest.approx(wanted, abs=1e-4)
+        page.locator("#shares-of").select_option("1")
+        settle(page)
+        name, *_ = SOLVED.parameters
+        assert values(page)["shares"][name][0] == pytest.approx(
+            indices.first[1, 0].item(), abs=1e-4
+        )
+        data = json.loads(page.locator("#data").inner_text())
+    times = np.clip(data["times"], *SOLVED.time)
+    low, high = SOLVED.quantile((0.025, 0.975), times, count=2**12)
+    for i, unknown in enumerate(data["unknowns"]):
+        size = np.abs(high[i]).max()
+        np.testing.assert_allclose(unknown["low"], low[i], rtol=0, atol=1e-6 * size)
+        np.testing.assert_allclose(unknown["high"], high[i], rtol=0, atol=1e-6 * size)
+
+
+def test_play_and_point_at_a_time(chromium, written):
+    with chromium.open(written) as page:
+        page.locator("#play").click()
+        page.wait_for_function("rankone.values().time > 0")
+        page.locator("#play").click()
+        box = page.locator("#plots .u-over").first.bounding_box()
+        page.mouse.click(box["x"] + 0.25 * box["width"], box["y"] + 20)
+        settle(page)
+        start, end = SOLVED.time
+        share = (values(page)["time"] - start) / (end - start)
+        assert share == pytest.approx(0.25, abs=0.01)
+
+
+def test_tables(chromium, written):
+    with chromium.open(written) as page:
+        with page.expect_download() as download:
+            page.locator("#csv").click()
+        assert download.value.suggested_filename == "Page.csv"
+        head, *rows = csv.reader(io.StringIO(Path(download.value.path()).read_text()))
+        assert head == ["t", *SOLVED.unknowns, *SOLVED.parameters]
+        t, *columns = np.array(rows, dtype=float).T
+        point = {
+            name: columns[len(SOLVED.unknowns) + j][0] for j, name in enumerate(SOLVED.parameters)
+        }
+        wanted = SOLVED(t=np.clip(t, *SOLVED.time), **point)
+        np.testing.assert_allclose(columns[: len(wanted)], wanted, rtol=0, atol=1e-9)
+        page.locator("#legend button").first.click()
+        assert SOLVED.unknowns[0] not in page.evaluate("rankone.table()").partition("\n")[0].split(
+            ","
+        )
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_cut_off(chromium, written, width, scheme):
+    with chromium.open(written, width=width, scheme=scheme) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        assert page.evaluate("document.documentElement.dataset.theme") == scheme
+        page.locator("#theme").click()
+        assert page.evaluate("document.documentElement.dataset.theme") != scheme
+        assert "[m]" in page.locator("#parameters").inner_text()
+        unnamed = page.evaluate(
+            "[...document.querySelectorAll('input, select, button')].filter((e) => "
+            "!(e.labels?.length || e.ariaLabel || e.textContent.trim())).length"
+        )
+        assert unnamed == 0
+
+
+def test_a_failed_solution_says_so(chromium, tmp_path, written):
+    path = failed(SOLVED).explore(tmp_path / "page.html", allow_failed=True)
+    with chromium.open(path) as page:
+        assert "no success" in page.locator(".verdict.bad").inner_text()
+        assert "Rank 100 was reached" in page.locator(".verdict.bad").inner_text()
+    with chromium.open(written) as page:
+        assert page.locator(".verdict.bad").count() == 0
+
+
+def test_without_parameters_and_with_one(chromium, tmp_path):
+    alone = solved("decay")
+    name, (lower, upper) = next(iter(alone.parameters.items()))
+    none = alone.fix({name: 0.5 * (lower + upper)})
+    for solution in (alone, none):
+        path = solution.explore(tmp_path / "page.html", overwrite=True, allow_failed=True)
+        with chromium.open(path) as page:
+            assert_agrees(values(page), solution)
+            assert page.locator("#shares, #phase").count() == 0
+
+
+# --- as text -----------------------------------------------------------------------------------
+
+
+def test_it_is_written_as_other_exports_are(tmp_path):
+    path = SOLVED.export(tmp_path / "page.html")
+    again = SOLVED.explore(tmp_path / "other.html", title="Page")
+    assert path.read_bytes() == again.read_bytes()
+    assert not re.search(r"https?://(?!github\.com/leeoniya)", path.read_text())
+    with pytest.raises(ExportError, match="exists"):
+        SOLVED.explore(path)
+    with pytest.raises(ExportError, match="suffix"):
+        SOLVED.explore(tmp_path / "page.pdf")
+    with pytest.raises(ExportError, match="not a success"):
+        failed(SOLVED).explore(tmp_path / "failed.html")
+    with pytest.raises(OptionError, match="title"):
+        SOLVED.explore(tmp_path / "new.html", title=3)
+    with pytest.raises(OptionError, match="states"):
+        SOLVED.export(tmp_path / "new.html", states="some")
+    with pytest.raises(ExportError, match="do not depend on time"):
+        SOLVED.at(1.0).explore(tmp_path / "new.html", allow_failed=True)
+
+
+def test_names_cannot_end_a_script(tmp_path):
+    title = "<script>alert(1)</script>"
+    metadata = replace(SOLVED.metadata, units=(("x", "</script>"),), equations=("x' = </script>",))
+    solution = ro.Solution(SOLVED.outcome, metadata)
+    text = solution.explore(tmp_path / "page.html", title=title).read_text()
+    assert text.count("</script>") == text.count("<script") == 3
+    assert "&lt;script&gt;alert(1)" in text
+
+
+def test_pages_are_small(tmp_path):
+    path = solved("kirchhoff").explore(tmp_path / "kirchhoff.html")
+    assert path.stat().st_size < 5e6
+
+
+def test_correlated_parameters_have_no_shares(tmp_path):
+    metadata = replace(SOLVED.metadata, correlations=((*SOLVED.parameters, 0.9),))
+    solution = ro.Solution(SOLVED.outcome, metadata)
+    text = solution.explore(tmp_path / "page.html").read_text()
+    assert "Parameters are correlated" in text
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
+    assert data["sobol"] is None
+    low = solution.quantile(0.025, data["times"][-2], count=2**12)
+    assert data["unknowns"][0]["low"][-2] == pytest.approx(low[0], rel=1e-6)
+
+
+def test_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    SOLVED.save("model.npz")
+    failed(SOLVED).save("failed.npz")
+    assert main(["explore", "model.npz", "--title", "Mine"]) == 0
+    assert capsys.readouterr().out == "model.html\n"
+    assert "<h1>Mine</h1>" in Path("model.html").read_text()
+    assert main(["explore", "model.npz"]) == 2
+    assert main(["explore", "model.npz", "-o", "model.pdf"]) == 2
+    assert main(["explore", "failed.npz"]) == 1
+    assert not Path("failed.html").exists()
+    assert main(["explore", "failed.npz", "--allow-failed"]) == 1
+    assert Path("failed.html").exists()
+
+
+def test_colours_are_those_of_plots():
+    style = Path(ro.__file__).parent / "export" / "explorer" / "page.css"
+    root = style.read_text().partition("}")[0]
+    assert re.findall(r"--c\d: (#\w{6})", root) == [colour.lower() for colour in PALETTE]
+
+
+# --- equations ---------------------------------------------------------------------------------
+
+
+def notation(*equations, states=("x", "x_t"), roles=(Role.UNKNOWN, Role.DERIVATIVE)):
+    return Notation(replace(SOLVED.metadata, states=states, roles=roles, equations=equations))
+
+
+def plain(element):
+    """The characters of an element."""
+    return re.sub(r"<[^>]+>|&#x206[12];", "", element)
+
+
+def test_equations_are_typeset():
+    groups = notation(
+        "x' = x_t", "x_t' = -c*x_t - 2.5*sin(theta0)**2/(k + 1)", "x(0) = C_D", "x_t(0) = 1e-05"
+    ).equations()
+    (motion,), (place, speed) = groups
+    assert plain(motion) == "x′′=−cx′−2.5sin2(θ0)k+1"
+    assert motion.count("<mfrac>") == 1
+    assert "<msub><mi>C</mi><mi>D</mi></msub>" in place
+    assert plain(speed) == "x′(0)=1·10−5"
+    assert notation().equations() == []
+
+
+def test_parentheses_are_where_they_are_needed():
+    cases = {
+        "a - (b - c)": "a−(b−c)",
+        "(a + b)*c": "(a+b)c",
+        "a*(-b)": "a(−b)",
+        "(-a)**2": "(−a)2",
+        "(a/b)**2": "(ab)2",
+        "2*3*x": "2·3x",
+        "x_t**2": "(x′)2",
+        "lambda + exp(-k*t)": "λ+e−kt",
+        "Piecewise((1, t > 2), (0, True))": "{1t&gt;20otherwise",
+    }
+    for text, wanted in cases.items():
+        assert plain(notation().formula(text)) == wanted
+
+
+@pytest.mark.parametrize("text", ["x' = ~a", "no equation", "x' = 1 ... 2", "at t: x"])
+def test_other_texts_stay_as_they_are(text):
+    assert notation(text).equations() == [[f"<code>{text.replace(chr(39), '&#x27;')}</code>"]]
+
+
+def test_jumps_are_typeset():
+    ((line,),) = notation("at t = 12, 24: x -> x + Min(1, k), x_t -> 0").equations()
+    assert plain(line) == "att=12,24:x→x+Min(1,k),x′→0"
+
+
+def test_names_are_plain_text_too():
+    names = notation()
+    texts = ["theta0", "C_D", "x_t", "u1", "x_{0}", "α", "k12", "Omega_max"]
+    assert [*map(names.text, texts)] == ["θ₀", "C_D", "x′", "u₁", "x_{0}", "α", "k₁₂", "Ω_max"]
+
+
+# --- the wheel ---------------------------------------------------------------------------------
+
+
+def test_files_of_the_page_are_package_data():
+    """What is read when a page is written lies inside of the package, with its licence."""
+    place = Path(ro.__file__).parent / "export"
+    assert "MIT" in (place / "vendor" / "uPlot.LICENSE").read_text()
+    assert (place / "vendor" / "uPlot.iife.min.js").stat().st_size < 60_000
