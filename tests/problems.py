@@ -10,6 +10,7 @@ from examples import (
     coupled,
     decay,
     doses,
+    falling_card,
     free_fall,
     kirchhoff,
     linear,
@@ -20,7 +21,7 @@ from examples import (
 )
 from rankone import Problem
 
-__all__ = ["EXAMPLES", "GENERAL", "REFERENCE"]
+__all__ = ["EXAMPLES", "GENERAL", "REFERENCE", "SAMPLED"]
 
 EXAMPLES: dict[str, ModuleType] = {
     "decay": decay,
@@ -39,6 +40,9 @@ GENERAL: dict[str, ModuleType] = {
     "projectile": projectile,
 }
 """Examples that do not separate as they are written."""
+
+SAMPLED: dict[str, ModuleType] = {"falling_card": falling_card}
+"""Those that are for ``method="cross"`` alone: lifted, they take the other engines too long."""
 
 
 def _builder(example: ModuleType) -> Callable[[], Problem]:

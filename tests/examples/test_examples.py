@@ -11,11 +11,11 @@ import pytest
 import examples
 import rankone as ro
 from rankone.problem_files import load_problem
-from tests.problems import EXAMPLES, GENERAL
+from tests.problems import EXAMPLES, GENERAL, SAMPLED
 from tests.reference.measure import measured_errors
 from tests.reference.systems import INDEPENDENT
 
-ALL = EXAMPLES | GENERAL
+ALL = EXAMPLES | GENERAL | SAMPLED
 FOLDER = Path(next(iter(examples.__path__)))
 
 

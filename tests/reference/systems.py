@@ -66,6 +66,30 @@ def _projectile(t: float, u: Array, p: Array) -> list[Array]:
     return [u[2], u[3], -drag * u[2] - lift * u[3], -drag * u[3] + lift * u[2] - 9.81]
 
 
+def _falling_card(t: float, z: Array, p: Array) -> list[Array]:
+    """By angle of attack: drag against the velocity, lift C_L sin(2 attack) across it."""
+    half, rho, mass = 0.15, 1.2, 0.3
+    across, lift = p[0], p[1]
+    _, _, angle, u, v, w = z
+    added = np.pi * rho * half**2
+    speed = np.hypot(u, v)
+    attack = np.arctan2(v, u)
+    drag = rho * half * speed**2 * (0.4 * np.cos(attack) ** 2 + across * np.sin(attack) ** 2)
+    circulation = 2 * half * (np.pi * half * w - 0.5 * lift * speed * np.sin(2 * attack))
+    along = -drag * np.cos(attack) - rho * circulation * v - 9.81 * mass * np.sin(angle)
+    normal = -drag * np.sin(attack) + rho * circulation * u - 9.81 * mass * np.cos(angle)
+    fast = np.hypot(w, np.sqrt(9.81 * mass / (np.pi * rho * half)) / half)
+    moment = -added * u * v - 0.3 * np.pi * rho * half**4 * fast * w
+    return [
+        u * np.cos(angle) - v * np.sin(angle),
+        u * np.sin(angle) + v * np.cos(angle),
+        w,
+        (along + (mass + added) * v * w) / mass,
+        (normal - mass * u * w) / (mass + added),
+        moment / (mass * (2 * half) ** 2 / 12 + np.pi * rho * half**4 / 8),
+    ]
+
+
 INDEPENDENT: dict[str, Independent] = {
     "decay": Independent(_decay, lambda p: [1.0], ((0.5, 5),), 2.0, (1.0,)),
     "linear": Independent(_linear, lambda p: [0.0], ((1, 10),), 5.0, (45.0,)),
@@ -102,5 +126,12 @@ INDEPENDENT: dict[str, Independent] = {
         ((0.2, 0.3), (0.1, 0.2), (55, 70), (0.15, 0.35)),
         3.0,
         (100.0, 30.0, 60.0, 20.0),
+    ),
+    "falling_card": Independent(
+        _falling_card,
+        lambda p: [0.0, 0.0, p[3], p[2] * np.cos(p[3]), -p[2] * np.sin(p[3]), p[4]],
+        ((1.8, 2.4), (1.0, 1.4), (1.2, 1.8), (-0.5, -0.1), (3, 7)),
+        1.5,
+        (1.0, 3.0, 3.0, 3.0, 3.0, 10.0),
     ),
 }
