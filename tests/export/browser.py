@@ -23,7 +23,7 @@ def browser() -> Iterator[Browser]:
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError:
-        raise NoBrowserError("Playwright is not installed (pip install playwright)") from None
+        raise NoBrowserError("Playwright is not installed: extra browser") from None
     found = next(filter(None, map(shutil.which, NAMES)), None)
     with sync_playwright() as playwright:
         try:
