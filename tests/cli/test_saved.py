@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import json
 import os
@@ -102,7 +101,7 @@ def test_states_and_what_does_not_depend_on_time(run: Run) -> None:
     assert float(run("eval", "number.npz")[1].removeprefix("u = ")) == pytest.approx(np.exp(-1))
     assert run("eval", "number.npz", "--csv")[1].startswith("u\n0.36787")
     for file in ("at.nc", "number.npz"):
-        status, out, err = run("report", file)
+        status, out, err = run("report", file, "--no-plots")
         assert (status, err) == (0, "")
         assert "Over the box:\n" in out
 
@@ -113,7 +112,7 @@ def test_a_failed_solution_is_evaluated_and_said(run: Run) -> None:
     assert out.startswith("x = ")
     message = "the error is not within the tolerance: rank 100 was reached"
     assert err == f"rankone: warning: {message}\n"
-    status, out, err = run("report", "failed.npz")
+    status, out, err = run("report", "failed.npz", "--no-plots")
     assert status == 1
     assert message in err
 
@@ -155,12 +154,12 @@ def test_bad_arguments_are_one_line(arguments: list[str], message: str, run: Run
 
 
 def test_a_report(run: Run) -> None:
-    status, out, err = run("report", "u.nc")
+    status, out, err = run("report", "u.nc", "--no-plots")
     assert (status, err) == (0, "")
     assert repr(UNITS) in out
     assert "Over the box at t = 3 s:\n" in out
     assert f"\n  x [m]  {SOLVED.mean(3.0)[0]:.5g}  " in out
-    status, out, _ = run("report", "u.npz", "--json")
+    status, out, _ = run("report", "u.npz", "--json", "--no-plots")
     data = json.loads(out, parse_constant=pytest.fail)
     assert data["units"] == {"t": "s", "x": "m"}
     assert data["ranks"] == [list(ranks) for ranks in SOLVED.ranks]
@@ -176,43 +175,111 @@ def test_a_report(run: Run) -> None:
 def test_a_report_of_what_was_not_solved(run: Run) -> None:
     outcome = replace(SOLVED.outcome, slabs=(), status=Status.RANK_LIMIT, measured=None)
     Solution(outcome, SOLVED.metadata).save("nothing.nc")
-    status, out, _ = run("report", "nothing.nc", "--json")
+    status, out, _ = run("report", "nothing.nc", "--json", "--no-plots")
     assert status == 1
     assert "statistics" not in json.loads(out)
 
 
-def test_a_report_in_a_directory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+KINDS = ("trajectories", "bands", "sobol", "main_effects")
+TEXTS = ["report.json", "report.txt"]
+
+
+def test_a_report_has_plots(run: Run) -> None:
     pytest.importorskip("matplotlib")
-    plotting = importlib.import_module("rankone.plotting")
+    status, out, err = run("report", "u.nc")
+    assert (status, err) == (0, "rankone: written to the directory `u_report`\n")
+    plots = [f"{kind}_{name}.png" for kind in KINDS for name in "xy"]
+    assert sorted(os.listdir("u_report")) == sorted([*plots, *TEXTS])
+    for name in plots:
+        assert (Path("u_report") / name).read_bytes().startswith(b"\x89PNG")
+    assert Path("u_report/report.txt").read_text() == out
+
+
+def test_a_report_in_a_directory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plots are drawn at the centre and at the end of the horizon."""
+    plotting = pytest.importorskip("rankone.plotting")
+    pytest.importorskip("matplotlib")
     asked = []
 
-    def plot(solution: Solution, unknown: str, t: float | None = None, *, ax: object) -> object:
-        asked.append((unknown, t))
+    def plot(solution: Solution, *what: object, ax: object, **options: object) -> object:
+        asked.append((*what, options))
         return ax
 
-    for name in ("plot_bands", "plot_sobol", "plot_main_effects"):
-        monkeypatch.setattr(plotting, name, plot, raising=False)
-    status, out, err = run("report", "u.nc", "-o", "out")
+    for kind in KINDS:
+        monkeypatch.setattr(plotting, f"plot_{kind}", plot)
+    status, out, err = run("report", "u.nc", "-o", "out", "--json")
     assert (status, err) == (0, "")
-    plots = [f"{kind}_{name}.png" for kind in ("bands", "sobol", "main_effects") for name in "xy"]
-    assert sorted(os.listdir("out")) == sorted([*plots, "report.json", "report.txt"])
-    assert Path("out/report.txt").read_text() == out
-    assert Path("out/bands_x.png").read_bytes().startswith(b"\x89PNG")
-    assert asked == [("x", None), ("y", None)] * 2 + [("x", 3.0), ("y", 3.0)]
-    assert json.loads(Path("out/report.json").read_text())["success"] is True
+    centre = {name: 0.5 * sum(ends) for name, ends in SOLVED.parameters.items()}
+    assert asked == [
+        *((centre, {"unknowns": name}) for name in "xy"),
+        *((name, {}) for name in "xyxy"),
+        *((name, 3.0, {}) for name in "xy"),
+    ]
+    assert Path("out/report.json").read_text() == out
+    assert json.loads(out)["success"] is True
     status, _, err = run("report", "u.nc", "-o", "out")
     assert status == 2
     assert "report.txt` exists" in err
     assert run("report", "u.nc", "-o", "out", "--overwrite")[0] == 0
-    assert run("report", "u.nc", "-o", "u.npz")[0] == 2
+
+
+def test_places_of_reports(run: Run) -> None:
+    """Nothing is made where a report cannot be."""
+    before = sorted(os.listdir())
+    for arguments, message in (
+        (["u.nc", "-o", "u.npz"], "`u.npz` is no directory"),
+        (["u.nc", "-o", "u.npz", "--overwrite"], "`u.npz` is no directory"),
+        (["u.nc", "-o", "none/out"], "there is no directory `none`"),
+        (["none.nc"], "none.nc"),
+    ):
+        status, out, err = run("report", *arguments)
+        assert (status, out) == (2, "")
+        assert message in err
+        assert sorted(os.listdir()) == before
+
+
+def test_a_report_without_plots(run: Run) -> None:
+    before = sorted(os.listdir())
+    status, out, err = run("report", "u.nc", "--no-plots")
+    assert (status, err, sorted(os.listdir())) == (0, "", before)
+    assert "Sobol indices" in out
+    assert run("report", "u.nc", "--no-plots", "-o", "out") == (0, out, "")
+    assert sorted(os.listdir("out")) == TEXTS
 
 
 def test_a_report_without_matplotlib(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says what to install, and prints all the same."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    status, _, err = run("report", "u.nc", "-o", "out")
-    assert status == 0
-    assert err == "rankone: warning: no plots without matplotlib; remedy: pip install matplotlib\n"
-    assert sorted(os.listdir("out")) == ["report.json", "report.txt"]
+    said = "rankone: warning: no plots without matplotlib; remedy: pip install matplotlib\n"
+    before = sorted(os.listdir())
+    status, out, err = run("report", "u.nc")
+    assert (status, err, sorted(os.listdir())) == (0, said, before)
+    assert "Sobol indices" in out
+    assert run("report", "u.nc", "-o", "out") == (0, out, said)
+    assert sorted(os.listdir("out")) == TEXTS
+
+
+def test_a_report_of_correlated_parameters(run: Run) -> None:
+    """There are no Sobol indices of them."""
+    pytest.importorskip("matplotlib")
+    metadata = replace(SOLVED.metadata, correlations=(("x0", "y0", 0.6),))
+    Solution(SOLVED.outcome, metadata).save("c.npz")
+    status, out, err = run("report", "c.npz", "-o", "out")
+    assert (status, err) == (0, "")
+    assert out.endswith("No Sobol indices: the parameters are correlated\n")
+    plots = [f"{kind}_{name}.png" for kind in KINDS if kind != "sobol" for name in "xy"]
+    assert sorted(os.listdir("out")) == sorted([*plots, *TEXTS])
+
+
+def test_plots_that_make_no_sense_are_left_out(run: Run) -> None:
+    pytest.importorskip("matplotlib")
+    UNITS.at(1.0).save("late.npz")
+    Path("plain.toml").write_text('time = [0, 1]\n[rhs]\nu = "-u"\n[initial]\nu = 1\n')
+    run("report", "late.npz", "-o", "late")
+    assert run("report", "plain.toml", "-o", "plain", "--rtol", "1e-3")[0] == 0
+    late = [f"{kind}_{name}.png" for kind in ("main_effects", "sobol") for name in "xy"]
+    assert sorted(os.listdir("late")) == sorted([*late, *TEXTS])
+    assert sorted(os.listdir("plain")) == sorted(["trajectories_u.png", *TEXTS])
 
 
 def test_models_of_saved_solutions_and_of_problems(run: Run) -> None:

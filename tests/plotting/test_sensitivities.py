@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
 
 import rankone as ro
 from rankone import plotting
-from rankone.plotting.main_effects import main_effects_of
 from tests.plotting.drawn import band, legend, lines, populations, product, texts, with_units
 
 TIMES = np.linspace(0.0, 6.0, 13)
@@ -63,6 +64,17 @@ def test_indices_below_the_error_are_left_out():
         plotting.plot_sobol(product(), t=0.0)
 
 
+def test_no_indices_of_correlated_parameters():
+    solution = populations()
+    metadata = replace(solution.metadata, correlations=(("x0", "y0", 0.6),))
+    correlated = ro.Solution(solution.outcome, metadata)
+    with pytest.raises(ro.OptionError, match="not defined for correlated parameters"):
+        plotting.plot_sobol(correlated, t=TIMES)
+    ax = plotting.plot_sobol(correlated, t=TIMES, correlation={})
+    wanted = correlated.sobol(TIMES, correlation={}).total[0]
+    np.testing.assert_allclose([values for _, values in lines(ax)], wanted)
+
+
 def test_main_effects():
     """Of t (a + 2 b + a b): the mean over the other parameter."""
     ax = plotting.plot_main_effects(product(), "u", t=0.5)
@@ -79,12 +91,14 @@ def test_main_effects():
     assert later.get_ylabel() == "mean of u"
 
 
-def test_main_effects_are_means_of_smaller_solutions():
+def test_main_effects_are_those_of_the_solution():
     under = {"y0": scipy.stats.norm(5, 0.3), "x0": scipy.stats.norm(10, 0.5)}
-    found = main_effects_of(populations(), 4.0, 3, under)
-    for x0, mean in zip(found.values["x0"], found.means["x0"].T, strict=True):
-        fixed = populations().fix(x0=float(x0))
-        np.testing.assert_allclose(mean, fixed.mean(4.0, under={"y0": under["y0"]}), rtol=1e-8)
+    for over in ({"under": under}, {"under": under, "correlation": {("x0", "y0"): 0.6}}):
+        ax = plotting.plot_main_effects(populations(), "y", 4.0, **over)
+        found = populations().main_effects(4.0, **over)
+        drawn = [values for _, values in lines(ax)]
+        np.testing.assert_allclose(drawn[:2], [found.means[name][1] for name in ("x0", "y0")])
+        np.testing.assert_allclose(drawn[2], populations().mean(4.0, **over)[1])
 
 
 def test_main_effects_with_units():

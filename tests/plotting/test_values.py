@@ -97,6 +97,21 @@ def test_bands_of_quantiles():
     assert legend(ax) == ["mean", "10 to 80 %"]
 
 
+def test_bands_of_correlated_parameters():
+    over = {"under": {"x0": scipy.stats.norm(10, 0.5)}, "correlation": {("x0", "y0"): 0.8}}
+    for options in ({}, {"sigmas": 1}):
+        ax = plotting.plot_bands(populations(), unknowns="x", t=[1.0, 2.0], **options, **over)
+        _, lower, upper = band(ax)
+        if options:
+            wanted = 2 * populations().std([1.0, 2.0], **over)[0]
+        else:
+            low, high = populations().quantile([0.025, 0.975], [1.0, 2.0], **over)[:, 0]
+            wanted = high - low
+        np.testing.assert_allclose(upper - lower, wanted)
+        mean = populations().mean([1.0, 2.0], **over)[0]
+        np.testing.assert_allclose(lines(ax)[0][1], mean)
+
+
 def test_bands_of_standard_deviations():
     solution = with_units()
     ax = plotting.plot_bands(solution, t=TIMES, sigmas=1.5)
@@ -115,8 +130,9 @@ def test_bands_of_standard_deviations():
         ({"quantiles": (0.1, 0.9), "sigmas": 2}, "both given"),
         ({"sigmas": -1}, "sigmas=-1"),
         ({"under": {"z0": scipy.stats.norm()}}, "no parameter `z0`"),
-        ({"unknown": []}, "there are none"),
-        ({"unknown": ["x", "x"]}, "twice"),
+        ({"unknowns": []}, "there are none"),
+        ({"unknowns": ["x", "x"]}, "twice"),
+        ({"correlation": {("x0", "z0"): 0.5}}, "no parameter `z0`"),
         ({"t": [[0.0, 1.0]]}, "more than one dimension"),
         ({"t": []}, "no entry"),
     ],
@@ -166,10 +182,10 @@ def test_a_constant_is_drawn():
 
 def test_surfaces_of_one_time():
     later = product().at(0.5)
-    ax = plotting.plot_surface(later, None, x="b", y="a")
+    ax = plotting.plot_surface(later, x="b", y="a")
     assert ax.get_title("left") == ""
     with pytest.raises(ro.EvaluationError, match="no coordinate `t`"):
-        plotting.plot_surface(later, None, x="t", y="a")
+        plotting.plot_surface(later, x="t", y="a")
 
 
 @pytest.mark.parametrize(
@@ -183,6 +199,7 @@ def test_surfaces_of_one_time():
         ({"x": "t", "y": "x0", "y0": 5, "x0": 9}, ro.OptionError, "along an axis"),
         ({"x": "t", "y": "x0", "y0": 5, "points": 1}, ro.OptionError, "points=1"),
         ({"x": "t", "y": "x0", "y0": 5, "unknown": "z"}, ro.EvaluationError, "no unknown `z`"),
+        ({"x": "t", "y": "x0", "y0": 5, "unknown": None}, ro.EvaluationError, "2 unknowns: x, y"),
         ({"x": "t", "y": "x0", "y0": 5, "unknown": ["x", "y"]}, ro.OptionError, "are several"),
     ],
 )

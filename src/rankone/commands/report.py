@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import io
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rankone.commands.inputs import SOLVED_HELP, complain, solution_of, status_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from rankone.solution import Solution
 
 __all__ = ["register", "run"]
 
 _BAND = (0.025, 0.975)
-_PLOTS = {"bands": "plot_bands", "sobol": "plot_sobol", "main_effects": "plot_main_effects"}
-"""Plots of each unknown: for the beginning of the file's name the function."""
-_OVER_TIME, _AT_ONE_TIME = ("bands",), ("main_effects",)
-"""Those that need time, and those of one time."""
+_SIZE = (5.6, 3.5)
+"""Width and height of a plot, in inches."""
 
 
 def register(commands: Any) -> None:
@@ -32,7 +31,8 @@ def register(commands: Any) -> None:
         "report",
         help="print what a solution is, its statistics and sensitivities",
         description="Print the summary of a solution, and means, spreads, 95 % bands and Sobol "
-        "indices of its unknowns at the end of the horizon, for parameters spread over the box.",
+        "indices of its unknowns at the end of the horizon, for parameters spread over the box; "
+        "write the same and plots (with matplotlib) into a directory.",
     )
     parser.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
     parser.add_argument(
@@ -40,7 +40,14 @@ def register(commands: Any) -> None:
         "--output",
         metavar="DIR",
         type=Path,
-        help="write report.txt, report.json and plots (with matplotlib) into a directory",
+        help="the directory of report.txt, report.json and the plots (default: NAME_report for "
+        "NAME.nc, in the working directory)",
+    )
+    parser.add_argument(
+        "--no-plots",
+        dest="plots",
+        action="store_false",
+        help="no plots, and no files unless -o is given",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--overwrite", action="store_true", help="replace existing files")
@@ -51,38 +58,62 @@ def register(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print, and write files if a directory is given."""
+    """Print, and write files if there are plots or a directory is given."""
     from rankone.errors import StorageError
     from rankone.files import Content, write_files
 
-    texts = {}
-    if arguments.output is not None:  # find out before the solve, not after it
-        texts = _places(arguments.output, arguments.overwrite)
+    plots = arguments.plots and _can_plot()
+    folder: Path | None = arguments.output
+    if folder is None and plots:
+        folder = Path(f"{arguments.file.stem}_report")
+    if folder is not None:  # find out before the solve, not after it
+        _check_place(folder, arguments.overwrite)
     solution = solution_of(arguments.file, arguments.rtol)
     data = {"file": str(arguments.file), **_data(solution)}
     text, as_json = _text(solution, data), json.dumps(data, indent=2, allow_nan=False)
-    if texts:
-        files: dict[Path, Content] = {texts["txt"]: text + "\n", texts["json"]: as_json + "\n"}
-        files |= {arguments.output / name: content for name, content in _plots(solution)}
+    if folder is not None:
+        files: dict[Path, Content] = dict(
+            zip(_texts(folder), (text + "\n", as_json + "\n"), strict=True)
+        )
+        if plots:
+            files |= {folder / name: content for name, content in _plots(solution)}
+        _make(folder)
         write_files(files, arguments.overwrite, StorageError)
     print(as_json if arguments.json else text)
+    if folder is not None and arguments.output is None:
+        complain(f"written to the directory `{folder}`")
     sys.stdout.flush()
     return status_of(solution)
 
 
-def _places(folder: Path, overwrite: bool) -> dict[str, Path]:
-    """Where the texts go; the directory is made."""
+def _texts(folder: Path) -> tuple[Path, Path]:
+    """Where the texts go."""
+    return folder / "report.txt", folder / "report.json"
+
+
+def _check_place(folder: Path, overwrite: bool) -> None:
+    """Raise a StorageError if the directory cannot be made, or has a report that has to stay."""
     from rankone.errors import StorageError
     from rankone.files import free_target
+
+    if folder.is_dir():
+        for path in _texts(folder):
+            free_target(path, overwrite, StorageError)
+    elif folder.exists():
+        raise StorageError(
+            f"`{folder}` is no directory", term=folder, remedy="give another: -o DIR"
+        )
+    else:
+        free_target(folder, overwrite, StorageError)
+
+
+def _make(folder: Path) -> None:
+    from rankone.errors import StorageError
 
     try:
         folder.mkdir(exist_ok=True)
     except (OSError, ValueError) as error:
         raise StorageError(f"the directory `{folder}` cannot be made: {error}") from error
-    return {
-        kind: free_target(folder / f"report.{kind}", overwrite, StorageError)
-        for kind in ("txt", "json")
-    }
 
 
 # --- numbers -----------------------------------------------------------------------------------
@@ -111,7 +142,7 @@ def _data(solution: Solution) -> dict[str, Any]:
             for name, values in columns.items()
         },
     }
-    if solution.parameters:
+    if _has_indices(solution):
         indices = solution.sobol(*at)
         for name, shares in (("first", indices.first), ("total", indices.total)):
             data["statistics"][f"sobol_{name}"] = {
@@ -139,14 +170,21 @@ def _text(solution: Solution, data: dict[str, Any]) -> str:
         for name, unknown in zip(names, solution.unknowns, strict=True)
     ]
     parts = [repr(solution), f"Over the box{clock}:", _table(["", *heads.values()], rows)]
-    if solution.parameters:
+    if _has_indices(solution):
         rows = [
             [name, kind, *map(_shown, found[f"sobol_{kind}"][name].values())]
             for name in solution.unknowns
             for kind in ("first", "total")
         ]
         parts += [f"Sobol indices{clock}:", _table(["", "", *solution.parameters], rows)]
+    elif solution.parameters:
+        parts.append("No Sobol indices: the parameters are correlated")
     return "\n".join(parts)
+
+
+def _has_indices(solution: Solution) -> bool:
+    """Whether Sobol indices are defined: there are parameters, and they are independent."""
+    return bool(solution.parameters) and not solution.metadata.correlations
 
 
 def _shown(value: float | None) -> str:
@@ -166,29 +204,55 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the plots that can be made; what cannot is said."""
+    from matplotlib.figure import Figure
+
     from rankone.errors import RankoneError
 
-    try:
-        figures: Any = importlib.import_module("matplotlib.figure")
-        plotting: Any = importlib.import_module("rankone.plotting")
-    except (ImportError, RankoneError):
-        complain("warning: no plots without matplotlib; remedy: pip install matplotlib")
+    if not solution.outcome.slabs:
         return
-    if not (solution.outcome.slabs and solution.parameters):
-        return
-    for kind, name in _PLOTS.items():
-        if not hasattr(plotting, name) or (kind in _OVER_TIME and solution.metadata.timeless):
-            continue
-        at_end = kind in _AT_ONE_TIME and not solution.metadata.timeless
-        at = {"t": solution.time[1]} if at_end else {}
+    for kind, draw in _standard(solution).items():
         for number, unknown in enumerate(solution.unknowns):
-            figure = figures.Figure(layout="constrained")
+            figure = Figure(figsize=_SIZE, layout="constrained")
             try:
-                getattr(plotting, name)(solution, unknown, ax=figure.subplots(), **at)
+                draw(unknown, figure.subplots())
             except RankoneError as error:
-                complain(f"warning: no plot of {kind}: {error}")
-                break
+                complain(f"warning: no plot of {kind} of `{unknown}`: {error}")
+                continue
             content = io.BytesIO()
             figure.savefig(content, format="png", dpi=150)
             file = re.sub(r"\W", "_", unknown) if unknown.isidentifier() else str(number)
             yield f"{kind}_{file}.png", content.getvalue()
+
+
+def _standard(solution: Solution) -> dict[str, Callable[[str, Axes], object]]:
+    """How the plots of each unknown that make sense are drawn, by the start of their names."""
+    from rankone import plotting
+
+    plots: dict[str, Callable[[str, Axes], object]] = {}
+    timeless = solution.metadata.timeless
+    end = None if timeless else solution.time[1]
+    centre = {name: 0.5 * (low + high) for name, (low, high) in solution.parameters.items()}
+    if not timeless:
+        title = "at the centre of the box" if centre else ""
+        plots["trajectories"] = lambda unknown, ax: plotting.plot_trajectories(
+            solution, centre, unknowns=unknown, ax=ax
+        ).set_title(title, fontsize="medium", loc="left")
+    if solution.parameters and not timeless:
+        plots["bands"] = lambda unknown, ax: plotting.plot_bands(solution, unknown, ax=ax)
+    if _has_indices(solution):
+        plots["sobol"] = lambda unknown, ax: plotting.plot_sobol(solution, unknown, ax=ax)
+    if solution.parameters:
+        plots["main_effects"] = lambda unknown, ax: plotting.plot_main_effects(
+            solution, unknown, end, ax=ax
+        )
+    return plots
+
+
+def _can_plot() -> bool:
+    """Whether Matplotlib is there; if not it says what to install."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        complain("warning: no plots without matplotlib; remedy: pip install matplotlib")
+        return False
+    return True

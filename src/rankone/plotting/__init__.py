@@ -4,9 +4,8 @@ They need Matplotlib: ``pip install matplotlib``, or ``pip install ".[plot]"`` i
 sources.
 
 Nothing is shown: ``ax.figure.savefig("name.png")`` writes a figure, ``matplotlib.pyplot.show()``
-shows it. Plots of values and statistics draw into the axes given as ``ax``, or into those of a
-new figure, and return the axes. :func:`plot_history` and :func:`plot_modes` have several panels
-and return a new figure.
+shows it. All draw into the axes given as ``ax``, or into those of a new figure, and return them:
+:func:`plot_history` and :func:`plot_modes`, which have several panels, an array of them.
 """
 
 from rankone.plotting.bands import plot_bands

@@ -22,6 +22,7 @@ __all__ = [
     "labels_of",
     "needs_time",
     "one_time",
+    "only_unknown",
     "range_of",
     "sometimes_of",
     "states_of",
@@ -128,6 +129,16 @@ def unknown_of(solution: Solution, asked: Any) -> str:
             f"unknown={shown(asked)} are several", term=asked, remedy="one unknown for each plot"
         )
     return unknowns_of(solution, asked)[0] if asked is not None else solution.unknowns[0]
+
+
+def only_unknown(solution: Solution, function: str) -> str:
+    """The one unknown that there is; an EvaluationError if there are several."""
+    if len(solution.unknowns) > 1:
+        raise EvaluationError(
+            f"there are {len(solution.unknowns)} unknowns: {', '.join(solution.unknowns)}",
+            remedy=f"choose one: {function}(solution, unknown)",
+        )
+    return solution.unknowns[0]
 
 
 # --- times -------------------------------------------------------------------------------------

@@ -34,12 +34,13 @@ _QUANTILES = (0.025, 0.975)
 
 def plot_bands(
     solution: Solution,
-    unknown: Any = None,
+    unknowns: Any = None,
     t: Any = None,
     *,
     quantiles: tuple[float, float] | None = None,
     sigmas: float | None = None,
     under: Mapping[Any, Any] | None = None,
+    correlation: Mapping[Any, Any] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the mean over the box and a band around it, over time.
@@ -47,7 +48,7 @@ def plot_bands(
     Parameters
     ----------
     solution : Solution
-    unknown : symbol, str or list of them, optional
+    unknowns : symbol, str or list of them, optional
         All unknowns if left out.
     t : array_like, optional
         Times; about 201 over the horizon if left out.
@@ -55,8 +56,9 @@ def plot_bands(
         Probabilities at the lower and the upper end of the band; 0.025 and 0.975 if left out.
     sigmas : float, optional
         Instead of quantiles: the band is the mean and so many standard deviations to either side.
-    under : mapping, optional
-        Distributions of parameters, as for :meth:`rankone.Solution.mean`.
+    under, correlation : mapping, optional
+        Distributions of parameters and correlations of pairs of them, as for
+        :meth:`rankone.Solution.mean`.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; those of a new figure if left out.
 
@@ -71,20 +73,22 @@ def plot_bands(
     EvaluationError
         If there is no such unknown, a time is outside of the horizon, or the solution has no time.
     OptionError
-        If quantiles or sigmas are out of their range or both given, or ``under`` does not fit.
+        If quantiles or sigmas are out of their range or both given, or ``under`` or
+        ``correlation`` do not fit.
     """
     check_solution("plot_bands", solution)
     needs_time(solution, "bands")
-    names = unknowns_of(solution, unknown)
+    names = unknowns_of(solution, unknowns)
     ends = _checked(quantiles, sigmas)
     times = times_of(solution, t, _TIMES)
     rows = [solution.unknowns.index(name) for name in names]
-    mean = solution.mean(times, under=under)[rows]
+    over: dict[str, Any] = {"under": under, "correlation": correlation}
+    mean = solution.mean(times, **over)[rows]
     if sigmas is None:
-        lower, upper = solution.quantile(ends, times, under=under)[:, rows]
+        lower, upper = solution.quantile(ends, times, **over)[:, rows]
         meaning = f"{100 * ends[0]:.3g} to {100 * ends[1]:.3g} %"
     else:
-        spread = sigmas * solution.std(times, under=under)[rows]
+        spread = sigmas * solution.std(times, **over)[rows]
         lower, upper = mean - spread, mean + spread
         meaning = f"± {sigmas:g} std"
     axes = axes_for(ax)

@@ -2,59 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.coordinates import name_of
 from rankone.errors import OptionError
-from rankone.plotting.asked import fine_times, label_of, labels_of, needs_time, states_of, times_of
+from rankone.estimation.fit import Fit
+from rankone.plotting.asked import fine_times, label_of, labels_of, needs_time
 from rankone.plotting.style import axes_for, colours_for, name_ends, stacked
-from rankone.wording import quote, shown
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from matplotlib.axes import Axes
 
     from rankone.solution import Solution
 
-__all__ = ["FitLike", "plot_fit"]
+__all__ = ["plot_fit"]
 
 _TIMES = 401
 
 
-class FitLike(Protocol):
-    """What is needed of a fit.
-
-    Attributes
-    ----------
-    solution : Solution
-    times : ndarray (times,), or dict of str to them
-    data : ndarray (outputs, times) or (times,), or dict of str to ndarray (times,)
-        Measurements; NaN where there is none.
-    observe : tuple of str
-        The unknown, or derivative that is a state, of each row of the data.
-    sigma : float or ndarray (outputs,) or that of the data, or dict of them, or None
-        Standard deviations of the measurements; None if they are not known.
-    x : dict of str to float
-        The parameters found, and those that were fixed.
-    """
-
-    solution: Any
-    times: Any
-    data: Any
-    observe: Any
-    sigma: Any
-    x: Any
-
-
-def plot_fit(fit: FitLike, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
     """Plot measurements with error bars, the fitted curves, and below them the residuals.
 
-    Error bars are one standard deviation to either side. Residuals are measurement less curve, in
-    standard deviations where these are known.
+    Error bars are one standard deviation to either side, as given or as estimated by the fit.
+    Around each curve is the band in which it is known, by linearisation, at the level of the fit.
+    Residuals are measurement less curve, in standard deviations.
 
     Parameters
     ----------
@@ -74,28 +51,32 @@ def plot_fit(fit: FitLike, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If a time or a parameter of the fit is outside of its interval.
+        If the values fitted do not depend on time.
     OptionError
         If ``ax`` are not one or two axes, or ``fit`` is no fit.
+
+    Notes
+    -----
+    There is no band where the data do not identify the curve. Residuals have the unit of the data
+    if sigma is not given and the data are met exactly.
     """
-    missing = [name for name in FitLike.__annotations__ if not hasattr(fit, name)]
-    if missing:
+    if not isinstance(fit, Fit):
         raise OptionError(
-            f"{shown(fit)} is not a fit: it has no {missing[0]}",
+            f"plot_fit needs a Fit, not {type(fit).__name__}",
             term=fit,
             remedy="give what solution.fit(...) returns",
         )
+    solution = cast("Solution", fit.solution)
+    needs_time(solution, "curves of a fit")
     axes = _axes(ax)
-    outputs = _outputs(fit)
-    names = [output.name for output in outputs]
-    solution: Solution = fit.solution
-    _draw_data(axes[0], outputs)
-    axes[0].set_ylabel(labels_of(solution, names))
+    outputs = [_output(fit, solution, i) for i in range(len(fit.observations.names))]
+    _draw_data(axes[0], outputs, f"{100 * fit.level:g} % band of the curve")
+    axes[0].set_ylabel(labels_of(solution, fit.observations.names))
     axes[-1].set_xlabel(label_of(solution, solution.metadata.time))
     if len(axes) > 1:
         _draw_residuals(axes[1], outputs)
-        known = all(output.sigma is not None for output in outputs)
-        axes[1].set_ylabel("residual\n[std]" if known else "residual")
+        unit = "[std]" if fit.observations.known else "[estimated std]"
+        axes[1].set_ylabel("residual" if outputs[0].sigma is None else f"residual\n{unit}")
     return axes
 
 
@@ -106,10 +87,11 @@ class _Output:
     Attributes
     ----------
     name : str
-    times, data, fitted : ndarray (times,)
-    sigma : ndarray (times,) or None
-    curve : (ndarray, ndarray)
-        Times and values of the curve fitted.
+    times, data, fitted : ndarray (data,)
+    sigma : ndarray (data,) or None
+        Standard deviations; None if they are not known.
+    curve : ndarray (3, times)
+        Times, values of the curve fitted, and half the width of its band.
     """
 
     name: str
@@ -117,7 +99,7 @@ class _Output:
     data: Array
     fitted: Array
     sigma: Array | None
-    curve: tuple[Array, Array]
+    curve: Array
 
     @property
     def residuals(self) -> Array:
@@ -125,52 +107,33 @@ class _Output:
         return (self.data - self.fitted) / (1.0 if self.sigma is None else self.sigma)
 
 
-def _outputs(fit: FitLike) -> list[_Output]:
-    """The outputs of a fit.
-
-    Raises
-    ------
-    OptionError
-        If shapes do not fit.
-    """
-    solution: Solution = fit.solution
-    needs_time(solution, "curves of a fit")
-    keys = fit.observe if isinstance(fit.observe, list | tuple) else (fit.observe,)
-    names = states_of(solution, list(keys))
-    found = []
-    for i, name in enumerate(names):
-        times = times_of(solution, _part(fit.times, name, None), 1)
-        data = np.ravel(np.asarray(_part(fit.data, name, i), dtype=float))
-        sigma = None if fit.sigma is None else _sigma(fit, name, i, len(names))
-        if data.shape != times.shape or (sigma is not None and sigma.shape not in ((), data.shape)):
-            raise OptionError(
-                f"the data of {quote(name)} or their sigma do not fit {times.size} times",
-                term=fit,
-                remedy="give what solution.fit(...) returns",
-            )
-        fine = fine_times(solution, float(times.max()), _TIMES)
-        one = solution[name]
-        sigma = None if sigma is None else np.broadcast_to(sigma, data.shape)
-        curve = fine, one(fine, fit.x)
-        found.append(_Output(name, times, data, one(times, fit.x), sigma, curve))
-    return found
+def _output(fit: Fit, solution: Solution, number: int) -> _Output:
+    """One output of a fit."""
+    observed = fit.observations
+    name, here = observed.names[number], observed.owner == number
+    times = observed.times[here]
+    unit = 1.0 if observed.known else fit.sigma
+    sigma = unit / observed.scale[here] if np.isfinite(unit) and unit > 0.0 else None
+    fine = fine_times(solution, float(times.max(initial=solution.time[0])), _TIMES)
+    curve = np.array([fine, solution[name](fine, fit.values), _half_widths(fit, name, fine)])
+    return _Output(
+        name, times, observed.values[here], solution[name](times, fit.values), sigma, curve
+    )
 
 
-def _part(given: Any, name: str, row: int | None) -> Any:
-    """What was given for one output: by its name, by its row, or the same for all."""
-    if isinstance(given, Mapping):
-        by_name = {name_of(key): value for key, value in given.items()}
-        return by_name[name]
-    array = np.asarray(given)
-    return array[row] if row is not None and array.ndim > 1 else array
+def _half_widths(fit: Fit, name: str, times: Array) -> Array:
+    """Half the width of the band of a curve, by its exact derivatives; NaN where there is none."""
+    solution = cast("Solution", fit.solution)
+    slopes = {p: solution.diff(p)[name](times, fit.values) for p in fit.parameters}
 
+    def ends(i: int) -> float:
+        def change(values: Mapping[str, float]) -> float:
+            return float(sum(slopes[p][i] * (values[p] - fit.x[p]) for p in slopes))
 
-def _sigma(fit: FitLike, name: str, row: int, outputs: int) -> Array:
-    """Standard deviations of one output."""
-    given = fit.sigma
-    if not isinstance(given, Mapping) and np.shape(given) == (outputs,) != np.shape(fit.data):
-        given = given[row]
-    return np.asarray(_part(given, name, row), dtype=float)
+        return fit.interval_of(change)[1]
+
+    found = np.array([ends(i) for i in range(times.size)])
+    return np.where(np.isfinite(found), found, np.nan)
 
 
 def _axes(ax: Any) -> tuple[Axes, ...]:
@@ -183,12 +146,17 @@ def _axes(ax: Any) -> tuple[Axes, ...]:
     return tuple(axes_for(one) for one in several)
 
 
-def _draw_data(ax: Axes, outputs: Sequence[_Output]) -> None:
-    """Measurements and curve of each output."""
-    lines = []
+def _draw_data(ax: Axes, outputs: Sequence[_Output], band: str) -> None:
+    """Measurements, curve and band of each output."""
     several = len(outputs) > 1
-    for output, colour in zip(outputs, colours_for(ax, len(outputs)), strict=True):
+    banded = any(np.isfinite(output.curve[2]).any() for output in outputs)
+    colours = colours_for(ax, len(outputs))
+    lines = []
+    for output, colour in zip(outputs, colours, strict=True):
+        times, curve, half = output.curve
         before = f"{output.name}, " if several else ""
+        if banded:
+            ax.fill_between(times, curve - half, curve + half, color=colour, alpha=0.2, linewidth=0)
         ax.errorbar(
             output.times,
             output.data,
@@ -200,22 +168,42 @@ def _draw_data(ax: Axes, outputs: Sequence[_Output]) -> None:
             elinewidth=1,
             label=f"{before}measured",
         )
-        lines += ax.plot(*output.curve, color=colour, label=f"{before}fitted")
+        lines += ax.plot(times, curve, color=colour, label=f"{before}fitted")
+    _legend(ax, "0.3" if several else colours[0], band if banded else None)
     if several:
         name_ends(ax, lines, [output.name for output in outputs])
-    else:
-        ax.legend(fontsize="small", framealpha=0.8)
+
+
+def _legend(ax: Axes, colour: str, band: str | None) -> None:
+    """What points, lines and bands are, above the axes, where it hides nothing."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    points = Line2D([], [], color=colour, marker="o", markersize=4, markerfacecolor="white", ls="")
+    handles: dict[str, Any] = {"measured": points, "fitted": Line2D([], [], color=colour)}
+    if band:
+        handles[band] = Patch(color=colour, alpha=0.2, linewidth=0)
+    ax.legend(
+        handles.values(),
+        handles.keys(),
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        borderaxespad=0.2,
+        ncols=len(handles),
+        frameon=False,
+        fontsize="small",
+    )
 
 
 def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:
     """What is left of each measurement."""
     for output, colour in zip(outputs, colours_for(ax, len(outputs)), strict=True):
         ax.plot(output.times, output.residuals, "o", color=colour, markersize=4, label=output.name)
-    known = all(output.sigma is not None for output in outputs)
+    known = outputs[0].sigma is not None
     if known:
         ax.axhspan(-2.0, 2.0, color="0.93", zorder=0)
     ax.axhline(0.0, color="0.4", linewidth=1, zorder=1.5)
-    largest = float(np.nanmax(np.abs([r for o in outputs for r in o.residuals]), initial=0.0))
+    largest = max(float(np.abs(output.residuals).max(initial=0.0)) for output in outputs)
     limit = 1.15 * max(largest, 2.3 if known else 0.0)
     if limit > 0.0:
         ax.set_ylim(-limit, limit)

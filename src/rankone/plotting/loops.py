@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rankone.errors import EvaluationError, OptionError
 from rankone.plotting.asked import check_solution
-from rankone.plotting.style import panels
+from rankone.plotting.style import several_axes
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
 from rankone.solvers.outcome import SlabRecord
@@ -15,7 +18,6 @@ from rankone.wording import count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from rankone.solution import Solution
 
@@ -25,7 +27,9 @@ _MOST_NAMED = 8
 """Lines up to which each one is named."""
 
 
-def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
+def plot_history(
+    solution: Solution, *, slab: int = -1, ax: Sequence[Axes] | NDArray[np.object_] | None = None
+) -> NDArray[np.object_]:
     """Plot what happened in the loops of a solve.
 
     For ``method="greedy"``, on one slab: change of each new mode in the passes of its fixed point,
@@ -39,6 +43,14 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
     slab : int
         Slab of the first three plots of ``method="greedy"``: an index into the accepted slabs of
         the last attempt.
+    ax : sequence of matplotlib.axes.Axes, optional
+        Axes to draw into: four for ``method="greedy"``, else two. Those of a new figure, which has
+        a title, if left out.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes
+        One for each panel.
 
     Raises
     ------
@@ -47,27 +59,34 @@ def plot_history(solution: Solution, *, slab: int = -1) -> Figure:
     EvaluationError
         If there is no history.
     OptionError
-        If there is no such slab.
+        If there is no such slab, or ``ax`` are not as many axes as there are panels.
     """
     check_solution("plot_history", solution)
     records = _last_attempt(solution)
     if isinstance(records[-1], CrossRecord):
-        return _plot_attempts(solution, records[-1].slabs)
+        return _plot_attempts(solution, records[-1].slabs, ax)
     chosen = _chosen(records, slab)
     if isinstance(chosen, GreedySlabRecord) and chosen.equations:
-        figure, axes = panels(4)
         over = f"slab [{chosen.start:.3g}, {chosen.end:.3g}]"
-        figure.suptitle(f"{solution.metadata.method}, {over}; updates of all slabs")
+        title = f"{solution.metadata.method}, {over}; updates of all slabs"
+        axes = _titled(ax, 4, title)
         _plot_fixed_points(axes[0], chosen.equations)
         _plot_residuals(axes[1], chosen.equations, chosen.tolerance)
         _plot_amplitudes(axes[2], chosen.equations)
         _plot_changes(axes[3], records, "update of the lagged terms")
-        return figure
-    figure, axes = panels(2)
-    figure.suptitle(f"{solution.metadata.method}, {count(len(records), 'slab')}")
+        return axes
+    axes = _titled(ax, 2, f"{solution.metadata.method}, {count(len(records), 'slab')}")
     _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
     _plot_ranks(axes[1], records)
-    return figure
+    return axes
+
+
+def _titled(ax: Any, panels: int, title: str) -> NDArray[np.object_]:
+    """Axes of so many panels; a new figure gets a title."""
+    axes, new = several_axes(ax, panels)
+    if new:
+        axes[0].figure.suptitle(title)
+    return axes
 
 
 # --- parts of the history ----------------------------------------------------------------------
@@ -124,11 +143,11 @@ def _plot_changes(axes: Axes, records: Sequence[SlabRecord], step: str) -> None:
         axes.legend(title="slab", fontsize="small")
 
 
-def _plot_attempts(solution: Solution, slabs: int) -> Figure:
+def _plot_attempts(solution: Solution, slabs: int, ax: Any) -> NDArray[np.object_]:
     """For each parameter its highest modes and the rank before it, a line for each attempt."""
     records = solution.history
-    figure, axes = panels(2)
-    figure.suptitle(f"cross, {count(slabs, 'slab')}, {count(len(records), 'attempt')}")
+    title = f"cross, {count(slabs, 'slab')}, {count(len(records), 'attempt')}"
+    axes = _titled(ax, 2, title)
     names = solution.metadata.parameters
     for record in records:
         label = f"{record.attempt + 1}"
@@ -140,7 +159,7 @@ def _plot_attempts(solution: Solution, slabs: int) -> Figure:
         panel.set_xticks(range(len(names)), names)
         panel.set_xlabel("parameter")
         panel.legend(title="attempt", fontsize="small")
-    return figure
+    return axes
 
 
 def _plot_ranks(axes: Axes, records: Sequence[SlabRecord]) -> None:

@@ -18,7 +18,6 @@ from rankone.plotting.asked import (
     unknown_of,
     value_of,
 )
-from rankone.plotting.main_effects import main_effects_of
 from rankone.plotting.style import PALETTE, axes_for, beside, colours_for, name_ends
 from rankone.wording import did_you_mean, quote, shown
 
@@ -44,6 +43,7 @@ def plot_sobol(
     *,
     kind: Kind = "total",
     under: Mapping[Any, Any] | None = None,
+    correlation: Mapping[Any, Any] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the Sobol indices of one unknown: lines over time, or bars at one time.
@@ -63,6 +63,8 @@ def plot_sobol(
         what is left to one is that of interactions. Or both as lines.
     under : mapping, optional
         Distributions of parameters, as for :meth:`rankone.Solution.mean`.
+    correlation : mapping, optional
+        There are no indices of correlated parameters: ``{}`` where the problem has correlations.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; those of a new figure if left out.
 
@@ -78,7 +80,7 @@ def plot_sobol(
         If there is no such unknown or no parameter, a time is outside of the horizon, or there
         are no indices at any time.
     OptionError
-        If ``kind`` is unknown or ``under`` does not fit.
+        If ``kind`` is unknown, ``under`` does not fit, or parameters are correlated.
     """
     check_solution("plot_sobol", solution)
     name = unknown_of(solution, unknown)
@@ -90,10 +92,11 @@ def plot_sobol(
         )
     _needs_parameters(solution)
     times = sometimes_of(solution, t, _TIMES)
-    found = solution.sobol(times, under=under)
+    over: dict[str, Any] = {"under": under, "correlation": correlation}
+    found = solution.sobol(times, **over)
     row, count = found.unknowns.index(name), len(found.parameters)
     kinds = ("total", "first") if kind == "both" else (kind,)
-    sure = _varies(solution, row, times, under)
+    sure = _varies(solution, row, times, over)
     shares = {
         one: np.where(sure, np.reshape(getattr(found, one)[row], (count, -1)), np.nan)
         for one in kinds
@@ -126,6 +129,7 @@ def plot_main_effects(
     t: Any = None,
     *,
     under: Mapping[Any, Any] | None = None,
+    correlation: Mapping[Any, Any] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the mean of an unknown given one parameter, as a function of each parameter.
@@ -140,8 +144,9 @@ def plot_main_effects(
         The first if left out.
     t : float
         The time; left out for solutions without time.
-    under : mapping, optional
-        Distributions of parameters, as for :meth:`rankone.Solution.mean`.
+    under, correlation : mapping, optional
+        Distributions of parameters and correlations of pairs of them, as for
+        :meth:`rankone.Solution.main_effects`.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; those of a new figure if left out.
 
@@ -156,28 +161,28 @@ def plot_main_effects(
     EvaluationError
         If there is no such unknown or no parameter, or the time is outside of the horizon.
     OptionError
-        If there is no time, or ``under`` does not fit.
+        If there is no time, or ``under`` or ``correlation`` do not fit.
     """
     check_solution("plot_main_effects", solution)
     name = unknown_of(solution, unknown)
     _needs_parameters(solution)
     time = one_time(solution, t)
-    found = main_effects_of(solution, time, _VALUES, under)
+    found = solution.main_effects(time, count=_VALUES, under=under, correlation=correlation)
     row = solution.unknowns.index(name)
-    mean = solution.mean(time, under=under)[row]
+    mean = solution.mean(time, under=under, correlation=correlation)[row]
     axes = axes_for(ax)
     colours = colours_for(axes, len(found.parameters))
     for parameter, colour in zip(found.parameters, colours, strict=True):
         values = found.values[parameter]
         lower, upper = solution.parameters[parameter]
-        means = np.reshape(found.means[parameter][row], values.shape)
+        means = found.means[parameter][row]
         axes.plot(
             (values - lower) / (upper - lower),
             means,
             color=colour,
             label=range_of(solution, parameter),
         )
-    axes.axhline(float(np.ravel(mean)[0]), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
+    axes.axhline(float(mean), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
     when = _at(solution, time)
     axes.set(
         xlabel="parameter within its range",
@@ -198,17 +203,15 @@ def _needs_parameters(solution: Solution) -> None:
         )
 
 
-def _varies(
-    solution: Solution, row: int, times: Array | None, under: Mapping[Any, Any] | None
-) -> Array:
+def _varies(solution: Solution, row: int, times: Array | None, over: Mapping[str, Any]) -> Array:
     """Whether the spread of an unknown at each time is above its measured error."""
     everywhere = sometimes_of(solution, None, _TIMES)
-    mean = np.ravel(solution.mean(everywhere, under=under)[row])
-    std = np.ravel(solution.std(everywhere, under=under)[row])
+    mean = np.ravel(solution.mean(everywhere, **over)[row])
+    std = np.ravel(solution.std(everywhere, **over)[row])
     size = float(np.hypot(mean, std).max())
     error = solution.errors[solution.unknowns[row]]
     least = size * (error if np.isfinite(error) else _ROUNDING)
-    return np.asarray(np.ravel(solution.std(times, under=under)[row]) > least)
+    return np.asarray(np.ravel(solution.std(times, **over)[row]) > least)
 
 
 def _at(solution: Solution, time: float | None) -> str:

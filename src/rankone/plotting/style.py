@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.optimize
+from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.errors import OptionError, RankoneError
@@ -14,7 +15,6 @@ from rankone.wording import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = [
     "MOST_NAMED",
@@ -23,7 +23,7 @@ __all__ = [
     "beside",
     "colours_for",
     "name_ends",
-    "panels",
+    "several_axes",
     "stacked",
 ]
 
@@ -40,17 +40,42 @@ _LINE = 1.25
 """Height of a line of labels, in units of the size of their letters."""
 
 
-def panels(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure with a number of axes, at most three in a row (four as two by two)."""
+def _panels(count: int) -> list[Axes]:
+    """So many axes of a new figure, at most three in a row (four as two by two)."""
     columns = 2 if count in (2, 4) else min(count, 3)
     rows = -(-count // columns)
-    figure, grid = _pyplot().subplots(
+    _, grid = _pyplot().subplots(
         rows, columns, figsize=(3.7 * columns, 2.9 * rows), layout="constrained", squeeze=False
     )
     axes: list[Axes] = [*grid.flat]
     for unused in axes[count:]:
         unused.remove()
-    return figure, [_dressed(one) for one in axes[:count]]
+    return [_dressed(one) for one in axes[:count]]
+
+
+def several_axes(ax: Any, count: int) -> tuple[NDArray[np.object_], bool]:
+    """The axes of so many panels (count,): those given, or of a new figure, and whether it is new.
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    OptionError
+        If another number was given, or what is given are no axes.
+    """
+    found = np.empty(count, dtype=object)
+    if ax is None:
+        found[:] = _panels(count)
+        return found, True
+    given = list(np.ravel(np.asarray(ax, dtype=object)))
+    if len(given) != count:
+        raise OptionError(
+            f"{len(given)} axes were given for {count} panels",
+            term=ax,
+            remedy=f"give {count}, or leave ax out",
+        )
+    found[:] = [axes_for(one) for one in given]
+    return found, False
 
 
 def stacked(*heights: float) -> tuple[Axes, ...]:

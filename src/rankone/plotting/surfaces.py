@@ -11,7 +11,7 @@ from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import EvaluationError, OptionError
 from rankone.options import checked_number
-from rankone.plotting.asked import check_solution, label_of, states_of, value_of
+from rankone.plotting.asked import check_solution, label_of, only_unknown, states_of, value_of
 from rankone.plotting.style import axes_for
 from rankone.smaller import merged
 from rankone.wording import did_you_mean, listing, quote, shown
@@ -28,7 +28,7 @@ _LEVELS = 20
 
 def plot_surface(
     solution: Solution,
-    unknown: Any,
+    unknown: Any = None,
     values: Mapping[Any, Any] | None = None,
     *,
     x: Any,
@@ -42,8 +42,8 @@ def plot_surface(
     Parameters
     ----------
     solution : Solution
-    unknown : symbol or str
-        An unknown, or a derivative that is a state; None is the first.
+    unknown : symbol or str, optional
+        An unknown, or a derivative that is a state; may be left out if there is only one unknown.
     values, **fixed
         For each other coordinate, by symbols or names, a number.
     x, y : symbol or str
@@ -63,7 +63,8 @@ def plot_surface(
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If there is no such unknown or coordinate, a value is missing or outside of its interval.
+        If there are several unknowns and none was chosen, there is no such unknown or coordinate,
+        a value is missing or outside of its interval.
     OptionError
         If both coordinates are the same, one has a value as well, or a value is no number.
     """
@@ -96,6 +97,8 @@ def _state(solution: Solution, unknown: Any) -> str:
         raise OptionError(
             f"unknown={shown(unknown)} are several", term=unknown, remedy="plot one after another"
         )
+    if unknown is None:
+        return only_unknown(solution, "plot_surface")
     return states_of(solution, unknown)[0]
 
 
