@@ -162,7 +162,9 @@ def test_correlations_go_with_the_solution(tmp_path):
     assert pickle.loads(pickle.dumps(correlated({(c, k): 0.6}))).correlation == {("k", "c"): 0.6}
     with pytest.raises(RankoneError, match="not defined for correlated"):
         solution.sobol(1.0)
-    assert solution.sobol(1.0, correlation={}).first.shape == (1, 2, 1)
+    alone = ro.solve(correlated(None), rtol=1e-6)
+    assert np.allclose(solution.sobol(1.0, correlation={}).first, alone.sobol(1.0).first, atol=1e-9)
+    assert np.allclose(solution.skewness(1.0, correlation={}), alone.skewness(1.0), rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -287,7 +287,7 @@ class DistributionOverBox(StatisticsOverBox):
         def of(statistics: Statistics, times: Array) -> Array:
             return statistics.higher(times, central, 0.1 * self.rtol)
 
-        return self._over_box(t, under, of)
+        return self._over_box(t, under, of, correlation)
 
     def _one(self, unknown: Any) -> tuple[str, int]:
         """Name and row of one state."""

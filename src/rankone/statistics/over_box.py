@@ -119,7 +119,9 @@ class StatisticsOverBox(SolutionCore):
         times = t if t is None else np.atleast_1d(np.asarray(t))
         if times is not None and times.ndim > 1:
             raise OptionError("times have more than one dimension", term=t, remedy="give a list")
-        variance, first, total, second = (self._over_box(times, under, part) for part in parts)
+        variance, first, total, second = (
+            self._over_box(times, under, part, correlation) for part in parts
+        )
         with np.errstate(all="ignore"):
             share = np.where(variance > 0.0, 1.0 / variance, np.nan)
         names = self.metadata.parameters, self.unknowns
@@ -203,7 +205,7 @@ class StatisticsOverBox(SolutionCore):
         t: Any,
         under: Mapping[Any, Any] | None,
         part: Callable[[Statistics, Array], Array],
-        correlation: Mapping[Any, Any] | None = None,
+        correlation: Mapping[Any, Any] | None,
     ) -> Array:
         """A statistic at times of any shape."""
         self._evaluator  # noqa: B018 - raises if nothing was solved
@@ -241,7 +243,7 @@ class StatisticsOverBox(SolutionCore):
         return {name: from_text(text) for name, text in self.metadata.distributions}
 
     def _statistics(
-        self, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None = None
+        self, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None
     ) -> Statistics:
         """The statistics for the distributions that are given, kept for the next question."""
         copula = self._copula(correlation)
