@@ -59,7 +59,9 @@ def laplace(distribution, lower, upper, time):
 
 
 @pytest.mark.parametrize(
-    "distribution", [scipy.stats.uniform(0.5, 4.5), scipy.stats.gamma(9, scale=0.2)], ids=str
+    "distribution",
+    [scipy.stats.uniform(0.5, 4.5), scipy.stats.gamma(9, scale=0.2)],
+    ids=["uniform", "gamma"],
 )
 def test_statistics_are_under_it(distribution):
     solution = ro.solve(decay(distribution), rtol=1e-8)
