@@ -14,10 +14,10 @@ from scipy import special
 from sympy.core.function import AppliedUndef
 
 from rankone.codegen.narrow import peaks, steps
-from rankone.codegen.printer import numpy_text, readable_text
+from rankone.codegen.printer import numpy_text, readable_text, representable
 from rankone.codegen.switching import boundaries, switches
 from rankone.coordinates import name_of
-from rankone.errors import OptionError, RankoneError
+from rankone.errors import OptionError, ProblemError, RankoneError
 from rankone.functions import known_applied
 from rankone.ir import Coordinate
 from rankone.metadata import SolutionMetadata
@@ -154,6 +154,7 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
         names = {
             metadata.time: t,
             **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
+            **{f"{state}_t": sp.Function(state)(t).diff(t) for state in metadata.states},
             **{state: sp.Function(state)(t) for state in metadata.states},
         }
         further = {
@@ -161,7 +162,14 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
             "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
         }
         where = f"output {quote(name)}"
-        return parse_expression(value, names, where=where, further=further)
+        try:
+            return parse_expression(value, names, where=where, further=further)
+        except ProblemError as error:
+            text = str(error).removesuffix(f"; remedy: {error.remedy}")
+            known = [*metadata.states, *metadata.coordinates]
+            raise OptionError(
+                text, term=value, remedy=f"the solution knows {listing(known)}"
+            ) from None
     try:
         expression = sp.sympify(value, strict=True)
     except (sp.SympifyError, TypeError):
@@ -208,7 +216,7 @@ class _Translator:
             kind, inner, start, end = self._integral(name, part)
         elif isinstance(part, first_crossing):
             inner, direction = part.parts
-            if direction not in (-1, 0, 1):
+            if not direction.is_number or float(direction) not in (-1.0, 0.0, 1.0):
                 raise OptionError(
                     f"the direction of {quote(part)} is {quote(direction)}",
                     term=part,
@@ -239,13 +247,18 @@ class _Translator:
         variable, *ends = limits
         if others:
             raise self._wrong_integral(name, part, "it has several variables")
+        if variable != t and variable.name in self.metadata.parameters:
+            raise self._wrong_integral(name, part, f"{quote(variable)} is a parameter")
+        if variable != t and t in part.function.free_symbols:
+            raise self._wrong_integral(name, part, f"it has both {quote(variable)} and {quote(t)}")
         inner = part.function.xreplace({variable: t})
         if not ends and variable == t:
             return Kind.INTEGRAL, inner, start, end
         if len(ends) != 2:
             raise self._wrong_integral(name, part, "it has no two limits")
         lower, upper = ends
-        if not lower.is_number or not (upper.is_number or upper == t):
+        known = lower.is_extended_real and (upper.is_extended_real or upper == t)
+        if not known or not lower.is_number or not (upper.is_number or upper == t):
             raise self._wrong_integral(name, part, "its limits are no numbers")
         low, high = float(lower), end if upper == t else float(upper)
         if not start <= low <= high <= end:
@@ -268,7 +281,7 @@ class _Translator:
         known = {*self.sources.values(), *self.reduced}
         names = self.metadata.coordinates
         for symbol in sorted(plain.free_symbols - known, key=str):
-            if symbol.name in names:
+            if symbol == sp.Symbol(symbol.name) and symbol.name in names:
                 continue
             if symbol.name in self.metadata.states:
                 state = sp.Function(symbol.name)(sp.Symbol(self.metadata.time))
@@ -280,12 +293,12 @@ class _Translator:
                 term=symbol,
                 remedy=f"the solution knows {listing([*self.metadata.states, *names])}",
             )
-        if plain.has(sp.I, sp.nan, sp.zoo, sp.oo):
+        if plain.has(sp.I, sp.nan, sp.zoo, sp.oo) or plain.is_extended_real is False:
             raise OptionError(
                 f"the output {quote(name)}, {quote(expression)}, is not real and finite",
                 term=expression,
             )
-        return plain
+        return representable(plain)
 
     def _source(self, name: str, part: sp.Expr) -> sp.Dummy:
         """The symbol of a state or a derivative of one."""

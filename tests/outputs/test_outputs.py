@@ -239,7 +239,7 @@ def decaying():
     ids=str,
 )
 def test_what_is_narrow_is_not_missed(narrow):
-    output = decaying().output({"q": narrow}, max_seconds=2)
+    output = decaying().output({"q": narrow}, max_seconds=10)
     assert not output.success
     assert output.error > output.rtol
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +16,16 @@ from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.spread import spread
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Check", "CheckPoints", "split", "spread_over"]
+__all__ = ["Check", "CheckPoints", "critical_points", "split", "spread_over"]
 
+_ROUNDING = 1e-13
+"""Quantities so small, over what they are made of, are zero."""
 _POINTS, _CORNERS = 96, 32
 """Points of the interior where an error is measured, and most corners of the box."""
+_SCOUTS, _CLIMBERS, _TRIES = 512, 16, 5
+"""Points where a search begins, best of them that go on, and steps that each tries."""
+_DESCENTS, _CLIMBS, _RADIUS, _SHRINK = 24, 10, 0.25, 0.8
+"""Rounds of steps, the size of the first ones in widths of the box, and the factor on it."""
 _FIRST_PART = 0.55
 """Of a slab of the grid on which the error is measured, so that its nodes are others."""
 _MOST_BREAKS, _NEAR, _BISECTIONS = 32, 1e-6, 60
@@ -36,7 +42,7 @@ class Check:
     points : ndarray (m, d)
     values : ndarray (quantities, rows, m)
     sizes : ndarray (quantities,)
-        Their largest values.
+        Their largest values; those of what they are made of where they vanish but for rounding.
     """
 
     points: Array
@@ -48,7 +54,8 @@ class Check:
         """A check at points (m, d)."""
         values = sampler(points)
         sizes: Array = np.abs(values).max(axis=(1, 2))
-        return cls(points, values, np.where(sizes == 0.0, 1.0, sizes))
+        nothing = sizes <= _ROUNDING * sampler.largest
+        return cls(points, values, np.where(nothing, sampler.largest or 1.0, sizes))
 
     def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:
         """Error of trains over the sizes, (quantities, m)."""
@@ -62,6 +69,25 @@ class Check:
             found = np.concatenate(parts, axis=2)
         missed = np.abs(found.swapaxes(1, 2) - self.values).max(axis=1)
         return np.asarray(missed / self.sizes[:, None])
+
+    def with_points(self, sampler: Sampler, points: Array) -> Check:
+        """The same with further points."""
+        values = np.concatenate([self.values, sampler(points)], axis=2)
+        sizes = np.maximum(self.sizes, np.abs(values).max(axis=(1, 2)))
+        return Check(np.concatenate([self.points, points]), values, sizes)
+
+    def climbed(self, slabs: Sequence[SlabTrain], sampler: Sampler, domain: Domain) -> Check:
+        """Points of larger and larger errors of trains, from the worst ones here on."""
+        missed = self.missed(slabs, sampler).max(axis=0)
+        best = np.argsort(-missed)[:_CLIMBERS]
+        points, errors = self.points[best], missed[best]
+
+        def minus_error(at: Array) -> Array:
+            found = Check(at, sampler(at), self.sizes).missed(slabs, sampler)
+            return np.asarray(-found.max(axis=0))
+
+        points, _ = _descended(minus_error, points, -errors, domain, _CLIMBS)
+        return Check(points, sampler(points), self.sizes)
 
     def amplified(self, sampler: Sampler, rtol: float) -> Array:
         """What errors of the sources change the quantities by, over their sizes.
@@ -79,6 +105,42 @@ class Check:
             change += np.max([np.abs(found - self.values).max(axis=1) for found in both], axis=0)
         relative: Array = total / self.sizes[:, None]
         return relative
+
+
+def critical_points(sampler: Sampler, domain: Domain) -> Array:
+    """Points of the box where extremes, durations or crossings are nearest to a change: (m, d).
+
+    A maximum that changes from one peak to another in a small part of the box, and a crossing that
+    is there in a small part alone, are hardly met by points spread over the box.
+    """
+    if not domain.box:
+        return np.zeros((0, 0))
+    points = spread_over(domain, _SCOUTS)
+    margins = sampler.margins(points)
+    best = np.argsort(margins)[:_CLIMBERS]
+    found, left = _descended(sampler.margins, points[best], margins[best], domain, _DESCENTS)
+    return found[np.isfinite(left)]
+
+
+def _descended(
+    function: Callable[[Array], Array], points: Array, values: Array, domain: Domain, rounds: int
+) -> tuple[Array, Array]:
+    """Points (m, d) of lower values of a function, by random steps that grow smaller."""
+    lower, upper = domain.bounds.T
+    generator = np.random.default_rng(20147)
+    radius = _RADIUS
+    for _ in range(rounds):
+        steps = generator.standard_normal((_TRIES, *points.shape)) * radius * (upper - lower)
+        some = generator.random(steps.shape) < 0.5  # some coordinates stay, such as at an end
+        tried = np.clip(points + steps * some, lower, upper)
+        found = function(tried.reshape(-1, points.shape[1])).reshape(_TRIES, -1)
+        best = found.argmin(axis=0)
+        columns = np.arange(len(points))
+        better = found[best, columns] < values
+        points = np.where(better[:, None], tried[best, columns], points)
+        values = np.where(better, found[best, columns], values)
+        radius *= _SHRINK
+    return points, values
 
 
 @dataclass(frozen=True)

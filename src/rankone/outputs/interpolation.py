@@ -16,7 +16,7 @@ from rankone.deadline import OutOfTimeError, time_limit
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError
-from rankone.outputs.check import Check, CheckPoints, split, spread_over
+from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solution_core import SolutionCore
@@ -41,7 +41,14 @@ _SHARE = 0.1
 _LEFT_POINTS = 7
 _ATTEMPTS = 8
 _PROBES = 12
-"""Points whose functions of time are resolved."""
+"""Points whose functions of time are resolved, besides the corners."""
+_GRIDS, _ROUGHEST, _ROUGH = 4, 8, 3.0
+"""Most grids in time, points that each has to resolve besides those before it, and the highest
+modes there, over what is aimed at, that suffice."""
+_SLABS = 500
+"""Most slabs of a grid, or twice those that the solution has."""
+_LARGEST = 0.1
+"""Largest tolerance where none is given."""
 
 
 def solved_quantities(
@@ -66,15 +73,17 @@ def solved_quantities(
     slabs, names = solution.outcome.slabs, solution.metadata.parameters
     points = CheckPoints.of(domain, quantities)
     with _limited(max_seconds):
-        grid = _grid(solution, quantities, domain, options, _AIM * (rtol or solution.rtol))
+        level = _AIM * (rtol or solution.rtol)
+        grid = _resolving_grid(solution, quantities, domain, options, level, points)
         sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
         finer = Sampler(slabs, names, quantities, split(grid), solution.rtol)
-        check = Check.at(finer, points.further)
+        critical = critical_points(sampler, domain)
+        check = Check.at(finer, np.concatenate([points.further, critical]))
         amplified = check.amplified(finer, solution.rtol)
         if rtol is None:
             most = float(amplified.sum(axis=0).max(initial=0.0))
-            rtol = _DEFAULT * max(solution.rtol, most)
-        target = Check.at(sampler, points.aimed)
+            rtol = min(_DEFAULT * max(solution.rtol, most), max(_LARGEST, solution.rtol))
+        target = Check.at(sampler, np.concatenate([points.aimed, critical]))
         found = _interpolated(sampler, target, domain, options, _AIM * rtol)
     errors = list(solution.errors.values())
     shares = [
@@ -83,6 +92,9 @@ def solved_quantities(
     ]
     brought = np.tensordot(np.array(shares), amplified, 1)
     missed = check.missed(found, finer) + sampler.narrow(check.points)
+    if domain.box:
+        climbed = check.climbed(found, finer, domain).missed(found, finer)
+        missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))
     return _outcome(found, missed, brought, points.corners, rtol), rtol
 
 
@@ -99,12 +111,37 @@ def _limited(seconds: float) -> Iterator[None]:
         ) from None
 
 
+def _resolving_grid(
+    solution: SolutionCore,
+    quantities: Quantities,
+    domain: Domain,
+    options: CrossOptions,
+    level: float,
+    points: CheckPoints,
+) -> TimeGrid:
+    """A grid that resolves the functions of time at corners, and where they are roughest."""
+    probes = np.concatenate([points.aimed[: points.corners], spread_over(domain, _PROBES)])
+    slabs, names = solution.outcome.slabs, solution.metadata.parameters
+    for _ in range(_GRIDS):
+        grid = _grid(solution, quantities, domain, options, level, probes)
+        sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
+        if solution.metadata.timeless:
+            break
+        rough = sampler.roughness(points.aimed)
+        worst = np.argsort(-rough)[:_ROUGHEST]
+        if rough[worst[0]] <= _ROUGH * level:
+            break
+        probes = np.concatenate([probes, points.aimed[worst]])
+    return grid
+
+
 def _grid(
     solution: SolutionCore,
     quantities: Quantities,
     domain: Domain,
     options: CrossOptions,
     level: float,
+    points: Array,
 ) -> TimeGrid:
     """Slabs that resolve the integrands, and what is no reduction, at some points."""
     slabs, names = solution.outcome.slabs, solution.metadata.parameters
@@ -116,7 +153,6 @@ def _grid(
     edges = [start, *sorted(cuts), end]
     count = options.nodes_in_time(level)
     first = Sampler(slabs, names, quantities, TimeGrid(tuple(edges), count), solution.rtol)
-    points = spread_over(domain, _PROBES)
     found = np.abs(first.at(first.grid.times, points))
     sizes = np.maximum(found.max(axis=(1, 2), where=np.isfinite(found), initial=0.0), 1e-300)
 
@@ -124,7 +160,7 @@ def _grid(
         exact = first.at(times, points) / sizes[:, None, None]
         return np.asarray(np.nan_to_num(exact.swapaxes(1, 2), posinf=0.0, neginf=0.0))
 
-    breaks = resolving_breaks(values, edges, count, level, 4 * options.max_slabs)
+    breaks = resolving_breaks(values, edges, count, level, max(_SLABS, 2 * len(edges)))
     return TimeGrid(tuple(edges) if breaks is None else breaks, count)
 
 
@@ -144,7 +180,8 @@ def _interpolated(
         try:
             if not attempt:
                 known = [(borders, 0) for borders in sampler.quantities.breaks[1:]]
-                bases = resolving_bases(function, domain, inner, options, known)
+                if domain.box:
+                    bases = resolving_bases(function, domain, inner, options, known)
             else:
                 bases = divided(bases, function, domain, inner, options, worst)
             slabs, spectra = _one(function, bases, left_count, inner, options, worst)
@@ -154,6 +191,10 @@ def _interpolated(
             break
         missed = check.missed(slabs, sampler)
         error = float(missed.max())
+        if error <= level and domain.box:
+            check = check.with_points(sampler, check.climbed(slabs, sampler, domain).points)
+            missed = check.missed(slabs, sampler)
+            error = float(missed.max())
         if best is None or error < best[0]:
             best = error, slabs
         if error <= level or not domain.box:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.discretization import legendre_derivative, legendre_values
+from rankone.outputs.quantities import Kind
 from rankone.solvers.cross.time_grid import TimeGrid
 
 __all__ = ["Polynomials"]
@@ -85,6 +86,26 @@ class Polynomials:
         left, right = times[np.maximum(last[where, columns], 0)], times[where + 1]
         found = self._root(left, right, signs[where + 1, columns], columns)
         return np.where(crossed, found, np.nan)
+
+    def margins(self, kind: Kind) -> Array:
+        """How far functions are from a change of what is reduced, over their sizes: (m,).
+
+        For extremes the distance of the two largest, at different times; else the distance of an
+        extreme from zero, where crossings come and go.
+        """
+        _, dense = self._dense()
+        dense = -dense if kind is Kind.MINIMUM else dense
+        size = np.abs(dense).max(axis=0) + 1e-300
+        inner = np.pad(dense, ((1, 1), (0, 0)), constant_values=-np.inf)
+        tops = (inner[1:-1] >= inner[:-2]) & (inner[1:-1] > inner[2:])
+        if kind in (Kind.MAXIMUM, Kind.MINIMUM):
+            two = np.sort(np.where(tops, dense, -np.inf), axis=0)[-2:]
+            found = np.where(np.isfinite(two[0]), two[1] - two[0], np.inf)
+        else:
+            inner = np.pad(dense, ((1, 1), (0, 0)), constant_values=np.inf)
+            tops |= (inner[1:-1] <= inner[:-2]) & (inner[1:-1] < inner[2:])
+            found = np.where(tops, np.abs(dense), np.inf).min(axis=0)
+        return np.asarray(found / size)
 
     def duration(self) -> Array:
         """For how long values are positive, (m,)."""

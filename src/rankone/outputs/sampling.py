@@ -20,6 +20,7 @@ _NUMBERS = 1 << 21
 """Numbers of a chunk of trajectories."""
 _MIDDLES = 4
 """Most places of something narrow on each trajectory that are looked at."""
+_CHANGING = (Kind.MAXIMUM, Kind.MINIMUM, Kind.CROSSING, Kind.DURATION)
 _SIGNS, _LEAST = 10.0, 1e-9
 """What has a sign at all, relative to the largest value: over the tolerance, and at least."""
 
@@ -50,6 +51,7 @@ class Sampler:
         self.slabs, self.parameters, self.quantities = slabs, parameters, quantities
         self.grid = grid
         self._nothing = max(_SIGNS * rtol, _LEAST)
+        self.largest = 0.0
         self._orders: dict[int, Sequence[SlabTrain]] = {0: slabs}
         for order in range(1, 1 + max((s.order for s in quantities.sources), default=0)):
             self._orders[order] = [slab.derivative() for slab in self._orders[order - 1]]
@@ -82,6 +84,32 @@ class Sampler:
         given = times[:, None], self._sources(times, points), points.T
         shape = times.size, len(points)
         return np.array([np.broadcast_to(part, shape) for part in self._functions(*given)])
+
+    def margins(self, points: Array) -> Array:
+        """How near functions of time are to a change of what is reduced, at points (m, d): (m,)."""
+        margins = np.full(len(points), np.inf)
+        kinds = [r for r in self.quantities.reductions if r.kind in _CHANGING]
+        if kinds:
+            given = self.grid.times[:, None], self.sources(points), points.T
+            with np.errstate(all="ignore"):
+                integrands = self.quantities.integrands(*given)
+            for reduction in kinds:
+                values = np.broadcast_to(
+                    integrands[reduction.integrand], (given[0].size, len(points))
+                )
+                functions = Polynomials(self.grid, np.nan_to_num(values))
+                margins = np.minimum(margins, functions.margins(reduction.kind))
+        return margins
+
+    def roughness(self, points: Array) -> Array:
+        """Largest of the highest modes in time of the functions, over their sizes: (m,)."""
+        values = self.at(self.grid.times, points)
+        found = np.zeros(len(points))
+        for function in values:
+            finite = np.nan_to_num(function, posinf=0.0, neginf=0.0)
+            modes = np.abs(Polynomials(self.grid, finite).modes[:, -2:]).max(axis=(0, 1))
+            found = np.maximum(found, modes / max(np.abs(finite).max(), 1e-300))
+        return found
 
     def narrow(self, points: Array) -> float:
         """What the grid misses where something narrow is, over the largest values.
@@ -140,6 +168,9 @@ class Sampler:
             sources = sources + shifts[:, None, None]
         with np.errstate(all="ignore"):
             integrands = self.quantities.integrands(times, sources, points.T)
+            operands = [sources, *integrands]
+            largest = [float(np.nanmax(np.abs(part), initial=0.0)) for part in operands]
+            self.largest = max(self.largest, *(x for x in largest if np.isfinite(x)), 0.0)
             reduced = [
                 self._reduced(reduction, integrands[reduction.integrand], points)
                 for reduction in self.quantities.reductions

@@ -23,6 +23,8 @@ def with_outputs(
     max_seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
     outcome, rtol = solved_quantities(solution, quantities, rtol, max_seconds)
     metadata = solution.metadata
+    if solution.time[1] < metadata.horizon[1]:
+        outcome = replace(outcome, status=solution.status, message=_partial(solution, outcome))
     return outcome, replace(
         metadata,
         states=quantities.names,
@@ -33,4 +35,13 @@ def with_outputs(
         source=None,
         timeless=quantities.timeless,
         units=tuple(pair for pair in metadata.units if pair[0] in metadata.coordinates),
+    )
+
+
+def _partial(solution: SolutionCore, outcome: Outcome) -> str:
+    """The message of quantities of a solution that ends before its horizon."""
+    (start, end), asked = solution.time, solution.metadata.horizon[1]
+    return (
+        f"the solution ends at {end:.6g} instead of {asked:.6g}, and so do its outputs, "
+        f"which are those of [{start:g}, {end:.6g}] ({outcome.message}); {solution.message}"
     )
