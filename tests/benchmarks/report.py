@@ -66,7 +66,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="four problems, fewer repetitions")
     parser.add_argument("--json", metavar="PATH", type=Path, help="write the numbers to PATH")
-    parser.add_argument("--update", action="store_true", help="write the tables to the README")
+    parser.add_argument(
+        "--update", action="store_true", help="write the tables to docs/measured.md"
+    )
     parser.add_argument("--method", default="auto", help="the engine (default: %(default)s)")
     parser.add_argument("--one", nargs=4, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -85,7 +87,7 @@ def main() -> None:
     text = _markdown(report)
     print(text)
     if arguments.update:
-        update(ROOT / "README.md", text)
+        update(ROOT / "docs" / "measured.md", text)
     if arguments.json:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n")
 

@@ -174,6 +174,14 @@ def test_the_reference_names_everything_public():
         assert name.startswith("__") or f"`{name}" in text, name
 
 
+def test_the_site_has_the_docstrings_of_everything_public():
+    pages = "".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.rst"))
+    for name in rankone.__all__:
+        home = getattr(rankone, name)
+        shown = re.search(rf"^\.\. auto(?:class|function):: {name}$", pages, re.M)
+        assert shown or name.startswith("__") or home.__module__ == "rankone.errors", name
+
+
 @pytest.mark.parametrize(
     ("wanted", "got", "agrees"),
     [

@@ -153,7 +153,8 @@ def test_surfaces(x, y):
     ax = plt.figure().add_subplot(projection="3d")
     assert plotting.plot_surface(populations(), "x", rest, x=x, y=y, points=3, ax=ax) is ax
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_zlabel()) == (x, y, "x")
-    faces = np.concatenate(ax.collections[0]._faces)
+    surface = ax.collections[0]  # Matplotlib 3.9 keeps its corners in homogeneous coordinates
+    faces = np.concatenate(surface._faces) if hasattr(surface, "_faces") else surface._vec[:3].T
     at = {name: np.full(len(faces), value) for name, value in rest.items()}
     wanted = populations()["x"]({**at, x: faces[:, 0], y: faces[:, 1]})
     np.testing.assert_allclose(faces[:, 2], wanted)
