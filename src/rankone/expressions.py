@@ -159,6 +159,7 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
         }
         further = {
             **{kind.__name__: kind for kind in _KINDS},
+            **{name: _several(name) for name in ("max", "min", "Max", "Min")},
             "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
         }
         where = f"output {quote(name)}"
@@ -182,6 +183,21 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
         )
     plain = {symbol: sp.Symbol(symbol.name) for symbol in expression.atoms(sp.Symbol)}
     return expression.xreplace({k: v for k, v in plain.items() if not isinstance(k, sp.Dummy)})
+
+
+def _several(name: str) -> Callable[..., sp.Expr]:
+    """The largest or smallest of several; of one alone is what was meant over time."""
+
+    def function(*arguments: sp.Expr) -> sp.Expr:
+        if len(arguments) == 1:
+            raise OptionError(
+                f"{quote(f'{name}({arguments[0]})')} is of one argument",
+                term=arguments[0],
+                remedy=f"write {name.lower()}imum(...) for the one over time",
+            )
+        return getattr(sp, name.title())(*arguments)
+
+    return function
 
 
 @dataclass

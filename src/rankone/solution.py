@@ -248,6 +248,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         *,
         rtol: float | None = None,
         max_seconds: float = 25.0,
+        units: Mapping[str, str] | None = None,
     ) -> Solution:
         """Quantities of interest as a solution of their own.
 
@@ -264,6 +265,8 @@ class Solution(DistributionOverBox, EstimationFromData):
             errors of the solution's tolerance in every unknown would bring, or that tolerance.
         max_seconds : float
             Time limit; the best is returned.
+        units : mapping of str to str, optional
+            Units of quantities.
 
         Returns
         -------
@@ -285,7 +288,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
         asked = _expressions().quantities_of(quantities, self.metadata, self.time)
-        return Solution(*with_outputs(self, asked, rtol, max_seconds))
+        return Solution(*with_outputs(self, asked, rtol, max_seconds, units or {}))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.

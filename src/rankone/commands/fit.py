@@ -90,6 +90,10 @@ def _table(
     time = solution.metadata.time
     if solution.metadata.timeless:
         raise OptionError("values that do not depend on time are fitted from Python alone")
+    if len(header) == 1 and ";" in header[0]:
+        raise OptionError(
+            f"{quote(file)} has semicolons between its columns", remedy="write commas"
+        )
     if time not in header:
         raise OptionError(
             f"{quote(file)} has no column {quote(time)} for time{did_you_mean(time, header)}",
@@ -97,6 +101,8 @@ def _table(
             remedy=f"its columns are {listing(header)}",
         )
     names = list(observe or [name for name in header if name in solution.states])
+    if len({*names}) < len(names):
+        raise OptionError(f"--observe names an unknown twice: {listing(names)}", term=names)
     for name in names:
         if name not in header:
             raise OptionError(

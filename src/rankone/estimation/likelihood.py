@@ -59,8 +59,10 @@ class Posterity:
         values = self.problem.free.values(z)
         for column, measure in zip(values.T, self.measures, strict=True):
             if measure.distribution is not None:
+                near = _INSIDE * (measure.upper - measure.lower)
+                at = np.clip(column, measure.lower + near, measure.upper - near)
                 with np.errstate(divide="ignore"):
-                    found = found + measure.distribution.logpdf(column)
+                    found = found + measure.distribution.logpdf(at)
         return np.where(np.isnan(found), -math.inf, found)
 
 

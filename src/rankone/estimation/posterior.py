@@ -198,13 +198,23 @@ def posterior(
     likely, extents = _likely(found, density)
     if density.dimension > _BY_QUADRATURE:
         links = chain(density, likely, seed, steps)
-        return Posterior(found, "mcmc", math.nan, links.success, links.message, density, links)
+        return Posterior(
+            found, "mcmc", math.nan, links.success, links.message + _boxed(found), density, links
+        )
     cells, evidence = adapted(density, likely, extents)
     success = cells.error <= _ACCURATE
-    message = f"integrals are exact to about {cells.error:.1e}"
+    message = f"integrals are exact to about {cells.error:.1e}{_boxed(found)}"
     if not success:
         message += "; remedy: restrict the box to where the density is, or fix parameters"
     return Posterior(found, "quadrature", evidence, success, message, density, cells)
+
+
+def _boxed(found: Fit) -> str:
+    """Words on parameters that the data alone do not identify."""
+    names = [name for name, identified in found.identifiable.items() if not identified]
+    if not names:
+        return ""
+    return f"; the data do not identify {listing(names)} alone: box and prior limit them"
 
 
 def _smaller(found: Fit) -> LeastSquares:

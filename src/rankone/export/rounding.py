@@ -29,6 +29,9 @@ _MARGIN = 0.7
 _ENOUGH = 0.45
 """Of what was asked; no larger difference is sought."""
 _ATTEMPTS = 9
+_CLIMBERS, _TRIES, _ROUNDS, _RADIUS, _SHRINK = 24, 6, 15, 0.2, 0.8
+"""Points from which larger differences are looked for, steps that each tries in a round, rounds,
+the size of the first steps in widths of the box, and the factor on it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def rounded_slabs(
     low, high, tolerance = 0.0, 0.0, rtol
     for _ in range(_ATTEMPTS):
         found = tuple(slab for run in _sharing(slabs) for slab in _smaller(run, sizes, tolerance))
-        changes = np.abs(TrainEvaluator(found).many(points, rows) - values).max(axis=1) / sizes
+        changes = _changes(slabs, found, points, values, sizes, intervals)
         largest = float(changes.max())
         if largest <= _MARGIN * rtol:
             best, low = Rounding(found, tuple(changes.tolist())), tolerance
@@ -89,6 +92,37 @@ def rounded_slabs(
             break
         tolerance = _next(low, high)
     return best
+
+
+def _changes(
+    slabs: Sequence[SlabTrain],
+    found: Sequence[SlabTrain],
+    points: Array,
+    values: Array,
+    sizes: Array,
+    intervals: Sequence[tuple[float, float]],
+) -> Array:
+    """Largest difference of each state over its size: at points, and climbing from the worst."""
+    before, after = TrainEvaluator(slabs), TrainEvaluator(found)
+    rows = slice(0, len(sizes))
+    each = np.abs(after.many(points, rows) - values) / sizes[:, None]
+    worst = np.argsort(-each.max(axis=0))[:_CLIMBERS]
+    at, heights = points[:, worst], each[:, worst].max(axis=0)
+    largest = each.max(axis=1)
+    ends, rng, radius = np.array(intervals), np.random.default_rng(1), _RADIUS
+    for _ in range(_ROUNDS):
+        steps = rng.standard_normal((*at.shape, _TRIES)) * (rng.random((*at.shape, _TRIES)) < 0.5)
+        tried = at[:, :, None] + radius * np.diff(ends)[:, :, None] * steps
+        tried = np.clip(tried, ends[:, :1, None], ends[:, 1:, None]).reshape(len(ends), -1)
+        there = np.abs(after.many(tried, rows) - before.many(tried, rows)) / sizes[:, None]
+        largest = np.maximum(largest, there.max(axis=1))
+        height = there.max(axis=0).reshape(-1, _TRIES)
+        best, columns = height.argmax(axis=1), np.arange(len(height))
+        better = height[columns, best] > heights
+        chosen = tried.reshape(len(ends), -1, _TRIES)[:, columns, best]
+        at, heights = np.where(better, chosen, at), np.maximum(heights, height[columns, best])
+        radius *= _SHRINK
+    return np.asarray(largest)
 
 
 def _next(low: float, high: float) -> float:

@@ -29,6 +29,7 @@ from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.outcome import Measured, Outcome, Status
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, mode_norms
+from rankone.wording import quote
 
 __all__ = ["solved_quantities"]
 
@@ -95,7 +96,7 @@ def solved_quantities(
     if domain.box:
         climbed = check.climbed(found, finer, domain).missed(found, finer)
         missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))
-    return _outcome(found, missed, brought, points.corners, rtol), rtol
+    return _outcome(quantities, found, missed, brought, points.corners, rtol), rtol
 
 
 @contextmanager
@@ -256,7 +257,12 @@ def _one(
 
 
 def _outcome(
-    slabs: tuple[SlabTrain, ...], missed: Array, brought: Array, corners: int, rtol: float
+    quantities: Quantities,
+    slabs: tuple[SlabTrain, ...],
+    missed: Array,
+    brought: Array,
+    corners: int,
+    rtol: float,
 ) -> Outcome:
     """What was found and how good it is; the first points are corners."""
     interpolation = f"{missed.max():.1e} of the interpolation"
@@ -279,4 +285,12 @@ def _outcome(
     )
     status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
     message = f"{status.value}: {interpolation}, {brought.max():.1e} of the solution"
+    if status is Status.TOLERANCE:
+        worst = quantities.names[int(total.max(axis=1).argmax())]
+        message += f"; largest for {quote(worst)}; remedy: " + (
+            "solve with a smaller rtol, or loosen that of the output"
+            if brought.max() > missed.max()
+            else "give more time by max_seconds, loosen rtol or restrict the solution; what jumps or "
+            "kinks as parameters change is hardly resolved"
+        )
     return Outcome(slabs, status, message, measured, ())

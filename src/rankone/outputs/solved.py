@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
+from rankone.errors import OptionError
 from rankone.metadata import Role, SolutionMetadata
 from rankone.options import checked_number
 from rankone.outputs.interpolation import solved_quantities
 from rankone.outputs.quantities import Quantities
 from rankone.solution_core import SolutionCore
 from rankone.solvers.outcome import Outcome
+from rankone.wording import did_you_mean, quote
 
 __all__ = ["with_outputs"]
 
 
 def with_outputs(
-    solution: SolutionCore, quantities: Quantities, rtol: float | None, max_seconds: float
+    solution: SolutionCore,
+    quantities: Quantities,
+    rtol: float | None,
+    max_seconds: float,
+    units: Mapping[str, str],
 ) -> tuple[Outcome, SolutionMetadata]:
     """Quantities of interest; see :meth:`rankone.Solution.output`."""
     if rtol is not None:
         rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
     max_seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
+    _check_units(units, quantities)
     outcome, rtol = solved_quantities(solution, quantities, rtol, max_seconds)
     metadata = solution.metadata
     if solution.time[1] < metadata.horizon[1]:
@@ -34,8 +42,24 @@ def with_outputs(
         equations=quantities.texts,
         source=None,
         timeless=quantities.timeless,
-        units=tuple(pair for pair in metadata.units if pair[0] in metadata.coordinates),
+        units=(
+            *(pair for pair in metadata.units if pair[0] in metadata.coordinates),
+            *units.items(),
+        ),
     )
+
+
+def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
+    """Raise unless units are texts by names of quantities."""
+    if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
+        raise OptionError(
+            f"units={units!r} is no mapping to texts", term=units, remedy='give {"name": "m/s"}'
+        )
+    for name in units:
+        if name not in quantities.names:
+            raise OptionError(
+                f"there is no output {quote(name)}{did_you_mean(name, quantities.names)}", term=name
+            )
 
 
 def _partial(solution: SolutionCore, outcome: Outcome) -> str:

@@ -29,6 +29,8 @@ _INSIDE = (1e-300, 1.0 - 2.0**-53)
 """Shares of the probability: at the very ends there may be infinite values."""
 _LEVELS, _SETTLED = 52, 1e-14
 """Most halvings of panels, and the change of a mean of a mode from which they go on."""
+_INSIDE_AT_LEAST = 1e-6
+"""Probability inside of the box below which a distribution is refused."""
 _OUTSIDE = 1e-3
 """Probability outside of the box from which there is a warning."""
 _NOTHING, _INVARIANT = 1e-40, 1e-13
@@ -46,12 +48,15 @@ class Measure:
     lower, upper : float
     distribution : frozen continuous distribution of scipy.stats, optional
         Cut at the ends of the interval; uniform if none is given.
+    usual : bool
+        Whether it came with the problem, which said where it is cut.
     """
 
     name: str
     lower: float
     upper: float
     distribution: Any = None
+    usual: bool = False
 
     def __post_init__(self) -> None:
         if self.distribution is None:
@@ -64,9 +69,9 @@ class Measure:
                 remedy="give one of scipy.stats, for example scipy.stats.norm(1, 0.1)",
             )
         mass = self.mass
-        if not mass > 0.0:
+        if not mass > (0.0 if self.usual else _INSIDE_AT_LEAST):
             raise OptionError(
-                f"the distribution of {quote(self.name)} has no probability in "
+                f"the distribution of {quote(self.name)} has hardly any probability in "
                 f"[{self.lower:g}, {self.upper:g}]",
                 term=self.distribution,
                 remedy="choose one that fits the box, or solve on another box",
@@ -80,7 +85,7 @@ class Measure:
                 remedy="give one with finite moments, or one that is cut, such as "
                 "scipy.stats.truncnorm",
             )
-        if 1.0 - mass > _OUTSIDE:
+        if 1.0 - mass > _OUTSIDE and not self.usual:
             warn(
                 f"{100 * (1 - mass):.3g} % of the distribution of {quote(self.name)} is outside of "
                 f"[{self.lower:g}, {self.upper:g}] and left out; remedy: solve on a wider box"

@@ -20,6 +20,12 @@ from rankone.statistics.solution_statistics import Sobol, Statistics, measures_o
 __all__ = ["StatisticsOverBox"]
 
 
+_TIMES = 25
+"""Times at which the size of an unknown is looked for."""
+_ROUNDING = 1e-13
+"""Error of values, relative to the largest, where none is measured."""
+
+
 class StatisticsOverBox(SolutionCore):
     """A solution whose parameters are random: means, spreads, sensitivities, quantiles."""
 
@@ -103,7 +109,8 @@ class StatisticsOverBox(SolutionCore):
     ) -> Sobol:
         """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
 
-        Arguments as for :meth:`mean`; times are one-dimensional. Correlations are refused: the
+        Arguments as for :meth:`mean`; times are one-dimensional. Where an unknown does not vary by
+        more than its measured error the indices are NaN. Correlations are refused: the
         shares of correlated parameters overlap, and depend on the order in which they are counted.
         """
         if self._copula(correlation) is not None:
@@ -122,8 +129,9 @@ class StatisticsOverBox(SolutionCore):
         variance, first, total, second = (
             self._over_box(times, under, part, correlation) for part in parts
         )
+        least = self._noise(variance, times, under, correlation)
         with np.errstate(all="ignore"):
-            share = np.where(variance > 0.0, 1.0 / variance, np.nan)
+            share = np.where(variance > least**2, 1.0 / variance, np.nan)
         names = self.metadata.parameters, self.unknowns
         return Sobol(
             *names,
@@ -212,6 +220,23 @@ class StatisticsOverBox(SolutionCore):
         times = self._times(t)
         values = part(self._statistics(under, correlation), times.ravel())
         return values.reshape(*values.shape[:-1], *times.shape)
+
+    def _noise(
+        self,
+        variance: Array,
+        times: Array | None,
+        under: Mapping[Any, Any] | None,
+        correlation: Mapping[Any, Any] | None,
+    ) -> Array:
+        """Standard deviations that are no more than the measured errors, (unknowns, 1 or none)."""
+        ends = None if times is None else np.linspace(*self.time, _TIMES)
+        given = under, correlation
+        spread_of = np.sqrt(self._over_box(ends, given[0], Statistics.variance, given[1]))
+        size = np.hypot(self._over_box(ends, given[0], Statistics.mean, given[1]), spread_of)
+        errors = np.array([self.errors[name] for name in self.unknowns])
+        relative = np.where(np.isfinite(errors), errors, _ROUNDING)
+        least = size.reshape(len(size), -1).max(axis=1) * np.maximum(relative, _ROUNDING)
+        return np.asarray(least.reshape(-1, *[1] * (variance.ndim - 1)))
 
     def _times(self, t: Any) -> Array:
         """Checked times; any one of the horizon if nothing depends on time."""

@@ -90,7 +90,7 @@ def measures_of(
             raise OptionError(f"{quote(name)} is given twice", term=name)
         given[name] = distribution
     return [
-        Measure(name, lower, upper, given.get(name, usual.get(name)))
+        Measure(name, lower, upper, given.get(name, usual.get(name)), name not in given)
         for name, (lower, upper) in zip(names, box, strict=True)
     ]
 
