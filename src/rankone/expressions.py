@@ -190,7 +190,7 @@ def _several(name: str) -> Callable[..., sp.Expr]:
 
     def function(*arguments: sp.Expr) -> sp.Expr:
         if len(arguments) == 1:
-            raise OptionError(
+            raise ProblemError(
                 f"{quote(f'{name}({arguments[0]})')} is of one argument",
                 term=arguments[0],
                 remedy=f"write {name.lower()}imum(...) for the one over time",

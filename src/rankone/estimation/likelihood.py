@@ -21,6 +21,10 @@ from rankone.wording import quote
 __all__ = ["Posterity", "priors"]
 
 
+_INSIDE = 1e-9
+"""Distance from the ends of an interval, in widths: a density may be infinite there."""
+
+
 @dataclass(frozen=True)
 class Posterity:
     """Logarithm of the posterior density in the unit cube.

@@ -290,7 +290,7 @@ def _outcome(
         message += f"; largest for {quote(worst)}; remedy: " + (
             "solve with a smaller rtol, or loosen that of the output"
             if brought.max() > missed.max()
-            else "give more time by max_seconds, loosen rtol or restrict the solution; what jumps or "
-            "kinks as parameters change is hardly resolved"
+            else "give more time by max_seconds, loosen rtol or restrict the solution; what jumps "
+            "or kinks as parameters change is hardly resolved"
         )
     return Outcome(slabs, status, message, measured, ())

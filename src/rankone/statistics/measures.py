@@ -29,8 +29,6 @@ _INSIDE = (1e-300, 1.0 - 2.0**-53)
 """Shares of the probability: at the very ends there may be infinite values."""
 _LEVELS, _SETTLED = 52, 1e-14
 """Most halvings of panels, and the change of a mean of a mode from which they go on."""
-_INSIDE_AT_LEAST = 1e-6
-"""Probability inside of the box below which a distribution is refused."""
 _OUTSIDE = 1e-3
 """Probability outside of the box from which there is a warning."""
 _NOTHING, _INVARIANT = 1e-40, 1e-13
@@ -69,9 +67,9 @@ class Measure:
                 remedy="give one of scipy.stats, for example scipy.stats.norm(1, 0.1)",
             )
         mass = self.mass
-        if not mass > (0.0 if self.usual else _INSIDE_AT_LEAST):
+        if not mass > 0.0:
             raise OptionError(
-                f"the distribution of {quote(self.name)} has hardly any probability in "
+                f"the distribution of {quote(self.name)} has no probability in "
                 f"[{self.lower:g}, {self.upper:g}]",
                 term=self.distribution,
                 remedy="choose one that fits the box, or solve on another box",

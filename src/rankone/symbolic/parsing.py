@@ -234,6 +234,8 @@ class _Translator(ast.NodeVisitor):
         """One of the further functions."""
         try:
             return self.further[name](*arguments)
+        except ProblemError:
+            raise
         except (TypeError, ValueError):
             called = f"{name}({', '.join(map(str, arguments))})"
             raise self.error(f"{quote(called)} is not understood") from None
