@@ -167,10 +167,9 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
             return parse_expression(value, names, where=where, further=further)
         except ProblemError as error:
             text = str(error).removesuffix(f"; remedy: {error.remedy}")
-            known = [*metadata.states, *metadata.coordinates]
-            raise OptionError(
-                text, term=value, remedy=f"the solution knows {listing(known)}"
-            ) from None
+            known = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
+            remedy = known if "declare" in (error.remedy or "declare") else error.remedy
+            raise OptionError(text, term=value, remedy=remedy) from None
     try:
         expression = sp.sympify(value, strict=True)
     except (sp.SympifyError, TypeError):

@@ -261,3 +261,82 @@ def test_kinks_at_known_places_begin_elements(kinked, exact):
     wanted = exact(at, rate, start * np.exp(-rate * at))
     found = output["q"](t=at, k=rate, a=start)
     assert np.abs(found - wanted).max() <= 2 * output.rtol * np.abs(wanted).max()
+
+
+S = sp.Function("x")
+s = sp.Symbol("s")
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        (sp.Integral(sp.exp(s - t) * S(s), (s, 0, t)), "both `s` and `t`"),
+        (sp.Integral(x, (x0, 8, 9)), "`x0` is a parameter"),
+        (sp.Integral(x, (t, 0, sp.I)), "no numbers"),
+        (sp.Dummy("x0") * x, "the solution knows"),
+        ("max(x)", r"of one argument.*maximum\("),
+    ],
+)
+def test_what_would_be_another_quantity_is_refused(given, match):
+    with pytest.raises(RankoneError, match=match):
+        prey().output({"q": given})
+
+
+def test_a_dummy_variable_of_an_integral_is_time():
+    one = prey().output({"q": sp.Integral(S(s), (s, 0, 2))})
+    other = prey().output({"q": "integral(x, 0, 2)"})
+    assert one(x0=9, y0=5) == other(x0=9, y0=5)
+
+
+def two_peaks(second, box):
+    """Peaks of size one and of another size, which depends on parameters."""
+    curve = sp.exp(-4 * (t - 1) ** 2) + second * sp.exp(-4 * (t - 3) ** 2)
+    problem = ro.Problem([sp.Eq(x.diff(t), curve.diff(t))], (t, 0, 4), box, {x: curve.subs(t, 0)})
+    return ro.solve(problem, rtol=1e-6)
+
+
+@pytest.mark.parametrize("quantity", [ro.maximum(x), ro.duration(x - 1.01)])
+def test_islands_where_another_peak_is_the_largest_are_found(quantity):
+    p, q = sp.symbols("p q")
+    solution = two_peaks(1.05 * (p + q) / 2, {p: (0, 1), q: (0, 1)})
+    output = solution.output({"q": quantity}, max_seconds=5)
+    assert not output.success
+    assert output.error > 1e-4
+
+
+def test_outputs_without_parameters():
+    solution = ro.solve(
+        ro.Problem([sp.Eq(x.diff(t, 2), -x)], (t, 0, 10), {}, {x: 1, x.diff(t): 0}), rtol=1e-8
+    )
+    output = solution.output({"largest": ro.maximum(x), "smallest": "minimum(x)", "none": sp.pi})
+    assert output.success
+    assert np.allclose(output(), [1, -1, np.pi], atol=1e-7)
+
+
+def test_corners_are_resolved_in_time():
+    c, w = sp.symbols("c w")
+    curve = a * sp.exp(-c * t) * sp.cos(w * t)
+    box = {a: (0.5, 1.5), c: (0.05, 0.4), w: (1, 3)}
+    problem = ro.Problem([sp.Eq(x.diff(t), curve.diff(t))], (t, 0, 6), box, {x: a})
+    output = ro.solve(problem, rtol=1e-6).output({"q": sp.exp(x)})
+    assert output.success
+    times = np.linspace(0, 6, 301)
+    wanted = np.exp(1.5 * np.exp(-0.05 * times) * np.cos(3 * times))
+    found = output["q"](t=times, a=1.5, c=0.05, w=3.0)
+    assert np.abs(found - wanted).max() <= output.rtol * np.exp(1.5)
+
+
+def test_outputs_of_a_part_of_the_horizon_say_so():
+    blowing = ro.Problem([sp.Eq(x.diff(t), k * x**2)], (t, 0, 2), {k: (0.9, 1.1)}, {x: 1})
+    with pytest.raises(ro.BlowUpError) as caught:
+        ro.solve(blowing, rtol=1e-6)
+    output = caught.value.solution.output({"m": ro.maximum(x)})
+    assert not output.success
+    assert "ends at" in output.message
+
+
+def test_units_of_outputs():
+    output = prey().output({"peak": ro.maximum(x)}, units={"peak": "1e3"})
+    assert dict(output.metadata.units)["peak"] == "1e3"
+    with pytest.raises(OptionError, match="no output `top`"):
+        prey().output({"peak": ro.maximum(x)}, units={"top": "1"})
