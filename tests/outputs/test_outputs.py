@@ -297,8 +297,8 @@ def two_peaks(second, box):
 
 @pytest.mark.parametrize("quantity", [ro.maximum(x), ro.duration(x - 1.01)])
 def test_islands_where_another_peak_is_the_largest_are_found(quantity):
-    p, q = sp.symbols("p q")
-    solution = two_peaks(1.05 * (p + q) / 2, {p: (0, 1), q: (0, 1)})
+    p, r = sp.symbols("p r")
+    solution = two_peaks(1.05 * (p + r) / 2, {p: (0, 1), r: (0, 1)})
     output = solution.output({"q": quantity}, max_seconds=5)
     assert not output.success
     assert output.error > 1e-4
