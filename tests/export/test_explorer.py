@@ -15,6 +15,7 @@ import pytest
 import rankone as ro
 from rankone.cli import main
 from rankone.errors import ExportError, OptionError
+from rankone.export.explorer.content import curve_times
 from rankone.export.explorer.mathml import Notation
 from rankone.metadata import Role
 from rankone.plotting.style import PALETTE
@@ -87,6 +88,21 @@ def test_curves_are_those_of_the_solution(chromium, tmp_path, solution):
         found = values(page)
         assert {**found["parameters"], solution.metadata.time: found["time"]} == point
         assert_agrees(found, solution)
+
+
+def test_scripts_see_what_they_set_or_an_error(chromium, written):
+    """What is set is there at once; what cannot be shown is an error, and changes nothing."""
+    name, (_, upper) = next(iter(SOLVED.parameters.items()))
+    with chromium.open(written) as page:
+        found = page.evaluate(f"(rankone.set({{{name}: {upper}}}), rankone.values())")
+        assert found["parameters"][name] == upper
+        assert_agrees(found, SOLVED)
+        for wrong in (f"{name}: 1e9", f"{name}: NaN", f"{name}: 'abc'", f"{name}: null", "nope: 1"):
+            caught = (
+                f"(() => {{try {{rankone.set({{{wrong}}})}} catch (e) {{return e.message}}}})()"
+            )
+            assert page.evaluate(caught), wrong
+            assert page.evaluate("rankone.values()") == found
 
 
 def test_sliders_and_numbers(chromium, written):
@@ -377,3 +393,13 @@ def test_files_of_the_page_are_package_data():
     place = Path(ro.__file__).parent / "export"
     assert "MIT" in (place / "vendor" / "uPlot.LICENSE").read_text()
     assert (place / "vendor" / "uPlot.iife.min.js").stat().st_size < 60_000
+
+
+def test_all_jumps_are_drawn():
+    """Also those of more slabs than are drawn evenly."""
+    jumps = {tuple(range(1, 150)): {"x": "x + 1"}}
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x"}, {"x": 1}, {"k": (0.1, 0.3)}, (0, 150), jumps=jumps
+    )
+    times = curve_times(ro.solve(problem, rtol=1e-4))
+    assert {float(time) for time in range(1, 150)} <= {*times.tolist()}

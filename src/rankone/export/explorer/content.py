@@ -98,7 +98,7 @@ def curve_times(solution: DistributionOverBox) -> Array:
     if len(slabs) <= _MOST_SLABS:
         times += [np.linspace(slab.start, slab.end, _IN_SLAB, endpoint=False) for slab in slabs]
     inner = [slab.start for slab in itertools.islice(slabs, 1, None)]
-    found = np.unique(np.concatenate([*times, np.nextafter(inner, start)]))
+    found = np.unique(np.concatenate([*times, inner, np.nextafter(inner, start)]))
     return found[(found >= start) & (found <= end)]
 
 

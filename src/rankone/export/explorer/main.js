@@ -25,6 +25,7 @@ const state = {
   phase: [0, Math.min(1, unknowns.length - 1)],
   sharesOf: 0,
   playing: false,
+  frame: 0, // the next one of playing
 };
 const flat = new Float64Array(unknowns.length * times.length);
 let plots = [];
@@ -41,12 +42,16 @@ function schedule(kind) {
     return;
   }
   waiting = { kind, since };
-  requestAnimationFrame(() => {
-    const asked = waiting;
-    waiting = null;
-    draw(asked.kind);
-    queueMicrotask(() => latencies.push(performance.now() - asked.since));
-  });
+  requestAnimationFrame(drawWaiting);
+}
+
+/** Draw what waits to be drawn, now. */
+function drawWaiting() {
+  if (!waiting) return;
+  const asked = waiting;
+  waiting = null;
+  draw(asked.kind);
+  queueMicrotask(() => latencies.push(performance.now() - asked.since));
 }
 
 function draw(kind) {
@@ -119,16 +124,24 @@ function setParameter(j, value) {
 function reset() {
   parameters.forEach(({ range: [lower, upper] }, j) => (state.p[j] = lower + 0.5 * (upper - lower)));
   state.time = data.time.range[0];
+  $("notice").hidden = true;
   showAll();
 }
 
-/** Set some parameters, or time, by name. */
+/** Set some parameters, or time, by name. What cannot be shown is an error, and changes nothing. */
 function set(values) {
+  const p = state.p.slice();
+  let time = state.time;
   for (const [name, value] of Object.entries(values)) {
+    if (typeof value !== "number") throw new TypeError(`${name} is ${String(value)}, not a number`);
     const j = parameters.findIndex((parameter) => parameter.name === name);
-    if (j >= 0) state.p[j] = value;
-    else if (name === data.time.name) state.time = value;
+    if (j >= 0) p[j] = value;
+    else if (name === data.time.name) time = value;
+    else throw new RangeError(`there is no ${name}`);
   }
+  model.evaluate(time, p);
+  state.p.set(p);
+  state.time = time;
   showAll();
 }
 
@@ -141,6 +154,7 @@ function readLink() {
   if (!location.hash.includes("=")) return;
   const { values, problems } = fromFragment(location.hash, ranges);
   set(values);
+  $("notice").hidden = true;
   if (problems.length) say(`The link could not be followed altogether: ${problems.join("; ")}.`);
 }
 
@@ -160,6 +174,7 @@ async function copyLink() {
 }
 
 function table() {
+  drawWaiting();
   const rows = unknowns.map((_, i) => i).filter((i) => state.visible[i]);
   const heads = [data.time.name, ...rows.map((i) => unknowns[i].name), ...parameters.map((p) => p.name)];
   const fixed = parameters.map((_, j) => Array(times.length).fill(state.p[j]));
@@ -180,6 +195,7 @@ function say(text) {
 }
 
 function play() {
+  cancelAnimationFrame(state.frame);
   const [start, end] = data.time.range;
   state.playing = !state.playing;
   $("play").classList.toggle("playing", state.playing);
@@ -192,9 +208,9 @@ function play() {
     setTime(Math.min(end, state.time + (Math.max(0, now - before) / 1000 / SECONDS) * (end - start)));
     before = now;
     if (state.time >= end) play();
-    else requestAnimationFrame(step);
+    else state.frame = requestAnimationFrame(step);
   };
-  requestAnimationFrame(step);
+  state.frame = requestAnimationFrame(step);
 }
 
 function recolour(theme) {
@@ -294,10 +310,10 @@ readLink();
  *
  * `values()` is what is drawn: `time`, `parameters` by name, `values` of the unknowns at that time,
  * `times` and `curves` by unknown, `shares` (first, total) by parameter. `set({name: value})` sets
- * parameters and time. `latencies` are milliseconds from what somebody did to the end of the drawing.
+ * parameters and time, or throws and changes nothing. `latencies` are milliseconds from what somebody did to the end of the drawing.
  */
 window.rankone = {
-  values: () => ({
+  values: () => (drawWaiting(), {
     time: state.time,
     parameters: Object.fromEntries(parameters.map(({ name }, j) => [name, state.p[j]])),
     values: Object.fromEntries(unknowns.map(({ name }, i) => [name, state.values[i]])),

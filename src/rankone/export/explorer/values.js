@@ -46,7 +46,7 @@ export function toFragment(values) {
  * Numbers outside of their range become its nearest end.
  */
 export function fromFragment(fragment, ranges) {
-  const values = {};
+  const values = Object.create(null);
   const problems = [];
   for (const pair of fragment.replace(/^#/, "").split("&")) {
     if (!pair.includes("=")) continue;
