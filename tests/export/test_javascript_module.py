@@ -187,7 +187,15 @@ BAD = {
     "m.evaluate(0, [1, 0.5], out)": ("Shape", "2 parameters were given, not 3", None),
     "m.evaluate(0, 1, out)": ("Shape", "the parameters are 1, neither", None),
     "m.evaluate(0, P, new Float64Array(1))": ("Shape", "out is 1 numbers; it needs 2", None),
-    "m.gradient(0, P, 'x')": ("Shape", 'out is "x"; it needs 6', None),
+    "m.gradient(0, P, 'x')": ("Shape", 'out is "x", not a Float64Array', None),
+    "m.gradient(0, P, Symbol('x'))": ("Shape", "out is Symbol(x), not a Float64Array", None),
+    "m.evaluate(0, P, new Int32Array(2))": ("Shape", "out is Int32Array, not a Float64", None),
+    "m.evaluate(0, P, new BigInt64Array(2))": ("Shape", "out is BigInt64Array, not", None),
+    "m.evaluate(0, P, Object.freeze([0, 0]))": ("Shape", "out is frozen", None),
+    "m.evaluate(Object.create(null), P, out)": ("NotANumber", "t is an object, not a number", "t"),
+    "m.evaluate(Symbol('x'), P, out)": ("NotANumber", "t is Symbol(x), not a number", "t"),
+    "m.evaluate(0, [1, 0.5, 1n], out)": ("NotANumber", "α is 1, not a number", "α"),
+    "m.evaluateBatch([], [1, 0.9, 1.5], out)": ("OutOfRange", "x_{0} is 0.9, not in", "x_{0}"),
     "m.curve(P, 0, out)": ("Shape", "the times are 0, not an array", None),
     "m.curve(P, [0, 1, 3], out)": ("OutOfRange", "t is 3 at position 2", "t"),
     "m.evaluateBatch([0, 0], [1, [0.5, 0.9], 1.5], out)": (
@@ -227,6 +235,45 @@ def test_bad_input(call, attempts):
         assert where == coordinate
     assert is_one
     assert kept
+
+
+@needs_node
+def test_names_that_every_object_has(tmp_path):
+    """A parameter may be called as something that objects inherit."""
+    problem = ro.Problem.from_strings(
+        rhs={"u": "-constructor*u"},
+        initial={"u": 1},
+        parameters={"constructor": (1, 2)},
+        time=(0, 1),
+    )
+    solution = ro.solve(problem, rtol=1e-6)
+    solution.export(tmp_path / "model.mjs")
+    text = """let name = "";
+    try { m.evaluate(1, {}); } catch (error) { name = error.name; }
+    console.log(JSON.stringify([m.evaluate(1, { constructor: 1.5 })[0], name]));"""
+    value, name = script(tmp_path, text)
+    assert value == pytest.approx(solution(t=1, constructor=1.5)[0], rel=1e-12)
+    assert name == "MissingParameterError"
+
+
+@needs_node
+def test_out_may_be_what_is_read(tmp_path):
+    """Times and parameters may be in the memory that is written to."""
+    synthetic().export(tmp_path / "model.mjs")
+    text = """
+    const times = Float64Array.of(0, 0.3, 0.8, 1.9);
+    const p = [1, 0.5, 1.5];
+    const calls = [(t, out) => m.evaluateBatch(t, p, out), (t, out) => m.curve(p, t, out)];
+    console.log(JSON.stringify(calls.map((call) => {
+      const memory = new Float64Array(16);
+      const part = memory.subarray(4, 8);
+      part.set(times);
+      const wanted = Array.from(call(times));
+      const got = Array.from(call(part, memory.subarray(0, 8)));
+      return [wanted, got];
+    })));"""
+    for wanted, got in script(tmp_path, text):
+        assert got == wanted
 
 
 @needs_node

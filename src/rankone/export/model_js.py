@@ -1,8 +1,8 @@
 """The solved model in JavaScript: one ES module without dependencies, and its declarations.
 
-A core is evaluated as a matrix, eight entries together. For each such block of entries the
-coefficients go on only as far as there are others than zero, and cores that several time slabs
-share are there once.
+A core is contracted with a column, eight rows together. In each such block of rows the
+coefficients of a column go on only as far as there are others than zero, and cores that several
+time slabs share are there once.
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ from rankone.version import __version__
 __all__ = ["javascript_model"]
 
 _WIDTH = 96
-_BLOCK, _STRIDE = 8, 2
-"""Entries of a matrix evaluated together, and multiple to which its rows are padded; the same in
-the template."""
+_BLOCK = 8
+"""Rows of a core contracted together; the same in the template."""
 
 
 def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
@@ -165,24 +164,20 @@ def _row(core: PackedCore, sparse: bool) -> str:
 
 
 def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
-    """Of one element how many polynomials each block of entries has, and their coefficients.
+    """Of one element how many polynomials each column of a block has, and their coefficients.
 
-    ``tensor`` is (left, degree, right). The entries of the matrix are in the order (right, left),
-    the coefficients in the order (block, polynomial, entry).
+    ``tensor`` is (left, degree, right). The columns are in the order (block of rows, right), the
+    coefficients in the order (block of rows, right, degree, row).
     """
     left, degree, right = tensor.shape
-    stride = -(-left // _STRIDE) * _STRIDE
-    blocks = -(-stride * right // _BLOCK)
-    padded = np.zeros((right, stride, degree))
-    padded[:, :left] = tensor.transpose(2, 0, 1)
-    entries = np.zeros((blocks * _BLOCK, degree))
-    entries[: stride * right] = padded.reshape(-1, degree)
-    there = np.arange(blocks * _BLOCK)
-    there = ((there % stride < left) & (there < stride * right)).reshape(blocks, 1, _BLOCK)
-    parts = entries.reshape(blocks, _BLOCK, degree).transpose(0, 2, 1)
-    runs = ((parts != 0.0).any(axis=2) * np.arange(1, degree + 1)).max(axis=1)
-    within = np.arange(degree)[:, None] < runs[:, None, None]
-    return runs, parts[there & within]
+    blocks = -(-left // _BLOCK)
+    padded = np.zeros((blocks * _BLOCK, degree, right))
+    padded[:left] = tensor
+    parts = padded.reshape(blocks, _BLOCK, degree, right).transpose(0, 3, 2, 1)
+    runs = ((parts != 0.0).any(axis=3) * np.arange(1, degree + 1)).max(axis=2)
+    within = np.arange(degree) < runs[..., None]
+    there = (np.arange(blocks * _BLOCK) < left).reshape(blocks, 1, 1, _BLOCK)
+    return runs.ravel(), parts[there & within[..., None]]
 
 
 def _base64(arrays: list[Any], kind: str) -> str:
