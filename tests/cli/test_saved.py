@@ -291,6 +291,9 @@ def test_models_of_saved_solutions_and_of_problems(run: Run) -> None:
     assert Path("d.h").exists()
     assert run("export", "decay.toml", "-o", "d.py", "--model", "--rtol", "1e-4") == (0, "", "")
     assert "Solved model of u" in Path("d.py").read_text()
+    options = ("--model-rtol", "1e-3", "--states", "all")
+    assert run("export", "u.npz", "-o", "small.js", *options) == (0, "", "")
+    assert "Made smaller: within 0.001" in Path("small.js").read_text()
     assert run("export", "decay.toml", "-o", "solver.py") == (0, "", "")
     assert "a solver for every parameter value" in Path("solver.py").read_text()
 
@@ -302,8 +305,13 @@ def test_what_cannot_be_exported(run: Run) -> None:
         (["decay.toml", "-o", "m.txt"], 2, "the suffix '.txt' names no target"),
         (["decay.toml", "-o", "m.py", "--rtol", "1e-3"], 2, "--rtol is for models"),
         (["decay.toml", "-o", "m.py", "--allow-failed"], 2, "--allow-failed is for models"),
+        (["decay.toml", "-o", "m.py", "--fmi", "3.0"], 2, "--fmi is for models"),
+        (["decay.toml", "-o", "m.py", "--model-rtol", "0.1"], 2, "--model-rtol is for models"),
+        (["u.nc", "-o", "m.c", "--fmi", "3.0"], 2, "fmi='3.0' does not apply to a `.c` file"),
+        (["u.nc", "-o", "m.fmu", "--fmi", "1.0"], 2, "invalid choice: '1.0'"),
+        (["u.nc", "-o", "m.c", "--model-rtol", "2"], 2, "rtol=2"),
         (["u.nc", "-o", "m.c", "--method", "cross"], 2, "--method is for problem files"),
-        (["failed.npz", "-o", "m.c"], 1, "nothing was written: rank 100 was reached"),
+        (["failed.npz", "-o", "m.c"], 1, "rank 100 was reached; remedy: solve again"),
         (["none.toml", "-o", "m.py"], 2, "there is no file"),
     ):
         found, out, err = run("export", *arguments)

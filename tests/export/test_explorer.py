@@ -145,6 +145,30 @@ def test_sliders_and_numbers(chromium, written):
         assert values(page)["parameters"] == middle
 
 
+def test_it_opens_at_the_medians(chromium, tmp_path):
+    name, (lower, upper) = next(iter(SOLVED.parameters.items()))
+    given = f"expon({lower}, {0.2 * (upper - lower)})"
+    metadata = replace(SOLVED.metadata, distributions=((name, given),))
+    path = ro.Solution(SOLVED.outcome, metadata).explore(tmp_path / "page.html", title=" ")
+    share = -np.log(1 - 0.5 * (1 - np.exp(-5.0))) * 0.2
+    with chromium.open(path) as page:
+        found = values(page)["parameters"]
+        assert abs(found.pop(name) - (lower + share * (upper - lower))) <= 1e-3 * (upper - lower)
+        assert found == {k: 0.5 * (a + b) for k, (a, b) in SOLVED.parameters.items() if k != name}
+        assert page.title() == "Page"
+
+
+def test_times_far_from_zero_are_told_apart(chromium, tmp_path):
+    problem = ro.Problem.from_strings(
+        rhs={"u": "-k*u"}, initial={"u": 1}, parameters={"k": (1, 2)}, time=(2e6, 2e6 + 1)
+    )
+    path = ro.solve(problem, rtol=1e-4).explore(tmp_path / "page.html")
+    with chromium.open(path) as page:
+        page.evaluate("rankone.set({t: 2e6 + 0.25})")
+        settle(page)
+        assert page.locator("#time-shown").inner_text() == "2000000.2500"
+
+
 def test_links(chromium, written):
     point = {name: a + (b - a) / 3 for name, (a, b) in SOLVED.parameters.items()}
     with chromium.open(written) as page:
@@ -372,6 +396,12 @@ def test_parentheses_are_where_they_are_needed():
 @pytest.mark.parametrize("text", ["x' = ~a", "no equation", "x' = 1 ... 2", "at t: x"])
 def test_other_texts_stay_as_they_are(text):
     assert notation(text).equations() == [[f"<code>{text.replace(chr(39), '&#x27;')}</code>"]]
+
+
+def test_names_that_look_the_same_stay_apart():
+    names = ("theta0", "theta_0", "omega0", "theta")
+    written = notation(states=names, roles=(Role.UNKNOWN,) * 4)
+    assert [written.text(name) for name in names] == ["theta0", "theta_0", "ω₀", "θ"]
 
 
 def test_jumps_are_typeset():

@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rankone.commands.inputs import FAILURE, SOLVED_HELP, SUCCESS, complain, layout, solution_of
+from rankone.commands.inputs import (
+    FAILURE,
+    MODEL_RTOL,
+    SOLVED_HELP,
+    SUCCESS,
+    layout,
+    may_be_written,
+    solution_of,
+)
 
 __all__ = ["register", "run"]
 
@@ -32,6 +40,7 @@ def register(commands: Any) -> None:
     parser.add_argument("--title", help="title of the page (default: from its name)")
     parser.add_argument("--rtol", type=float, help="tolerance for a problem file (default: 1e-6)")
     parser.add_argument("--method", help="the engine for a problem file (default: auto)")
+    parser.add_argument("--model-rtol", **MODEL_RTOL)
     parser.add_argument(
         "--allow-failed",
         action="store_true",
@@ -43,17 +52,17 @@ def register(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Load or solve, and write the page."""
+    from rankone.export import check_options
     from rankone.export.explorer import page_target
 
     target = arguments.output or Path(f"{arguments.file.stem}.html")
-    page_target(target, arguments.overwrite)  # before the solve, not after it
+    # before the solve, not after it
+    page_target(target, arguments.overwrite)
+    check_options(target, rtol=arguments.model_rtol)
     solution = solution_of(arguments.file, arguments.rtol, arguments.method)
-    if not (solution.success or arguments.allow_failed):
-        complain(
-            f"error: nothing was written: {solution.message}; remedy: another --rtol, or "
-            "--allow-failed to write it as it is"
-        )
+    if not may_be_written(solution, arguments):
         return FAILURE
     given = {"overwrite": arguments.overwrite, "allow_failed": arguments.allow_failed}
-    print(solution.explore(target, title=arguments.title, **given))
+    path = solution.explore(target, title=arguments.title, rtol=arguments.model_rtol, **given)
+    print(path)
     return SUCCESS if solution.success else FAILURE

@@ -6,9 +6,19 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rankone.commands.inputs import FAILURE, SUCCESS, complain, is_saved, layout, solution_of
+from rankone.commands.inputs import (
+    FAILURE,
+    MODEL_RTOL,
+    SUCCESS,
+    is_saved,
+    layout,
+    may_be_written,
+    solution_of,
+)
 
 __all__ = ["register", "run"]
+
+_FMI = ("2.0", "3.0")
 
 
 def register(commands: Any) -> None:
@@ -41,6 +51,13 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("--rtol", type=float, help="tolerance of a model (default: 1e-6)")
     parser.add_argument("--method", help="the engine (default: auto)")
+    parser.add_argument("--model-rtol", **MODEL_RTOL)
+    parser.add_argument(
+        "--states",
+        choices=("unknowns", "all"),
+        help="whether a model evaluates derivatives that are states as well (default: unknowns)",
+    )
+    parser.add_argument("--fmi", choices=_FMI, help="version of an FMU (default: 2.0)")
     parser.add_argument(
         "--allow-failed",
         action="store_true",
@@ -63,10 +80,11 @@ def _write_solver(arguments: argparse.Namespace) -> int:
     from rankone.export import solver_target
     from rankone.problem_files import load_problem
 
-    for option, given in (("--rtol", arguments.rtol), ("--allow-failed", arguments.allow_failed)):
-        if given:
+    for name in ("rtol", "allow_failed", "model_rtol", "states", "fmi"):
+        if getattr(arguments, name):
             raise OptionError(
-                f"{option} is for models; a standalone solver is told when it solves",
+                f"--{name.replace('_', '-')} is for models; a standalone solver is told when it "
+                "solves",
                 remedy="add --model, or leave it out",
             )
     solver_target(arguments.output, arguments.overwrite)
@@ -78,17 +96,20 @@ def _write_solver(arguments: argparse.Namespace) -> int:
 
 def _write_model(arguments: argparse.Namespace) -> int:
     """Load or solve, and write a solved model."""
-    from rankone.export import model_target
+    from rankone.export import check_options, model_target
 
-    model_target(arguments.output, arguments.overwrite)  # before the solve, not after it
+    # before the solve, not after it
+    target = model_target(arguments.output, arguments.overwrite)
+    check_options(target, rtol=arguments.model_rtol, fmi=arguments.fmi)
     solution = solution_of(arguments.file, arguments.rtol, arguments.method)
-    if not (solution.success or arguments.allow_failed):
-        complain(
-            f"error: nothing was written: {solution.message}; remedy: another --rtol, or "
-            "--allow-failed to write it as it is"
-        )
+    if not may_be_written(solution, arguments):
         return FAILURE
     solution.export(
-        arguments.output, overwrite=arguments.overwrite, allow_failed=arguments.allow_failed
+        target,
+        states=arguments.states or "unknowns",
+        rtol=arguments.model_rtol,
+        fmi=arguments.fmi,
+        overwrite=arguments.overwrite,
+        allow_failed=arguments.allow_failed,
     )
     return SUCCESS if solution.success else FAILURE

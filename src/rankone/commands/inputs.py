@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import argparse
+
     from rankone.solution import Solution
 
 __all__ = [
     "BAD_INPUT",
     "FAILURE",
+    "MODEL_RTOL",
     "PROBLEM_HELP",
     "SOLVED_HELP",
     "SUCCESS",
     "complain",
     "is_saved",
     "layout",
+    "may_be_written",
     "solution_of",
     "status_of",
 ]
@@ -25,6 +29,12 @@ __all__ = [
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
 PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
+MODEL_RTOL: dict[str, Any] = {
+    "metavar": "RTOL",
+    "type": float,
+    "help": "by how much the model may differ from the solution, to be smaller (default: not)",
+}
+"""The option of commands that write a model."""
 _DEFAULT_RTOL = 1e-6
 
 
@@ -75,6 +85,18 @@ def solution_of(path: Path, rtol: float | None, method: str | None = None) -> So
         compiled = rankone.compile(load_problem(path))
     rtol = _DEFAULT_RTOL if rtol is None else rtol
     return compiled.solve(rtol=rtol, method="auto" if method is None else method)  # type: ignore[arg-type]
+
+
+def may_be_written(solution: Solution, arguments: argparse.Namespace) -> bool:
+    """Whether to write a model of a solution; a word on the standard error stream if not."""
+    if solution.success or arguments.allow_failed:
+        return True
+    again = "solve again" if is_saved(arguments.file) else "another --rtol"
+    complain(
+        f"error: nothing was written: {solution.message}; remedy: {again}, or --allow-failed to "
+        "write it as it is"
+    )
+    return False
 
 
 def status_of(solution: Solution) -> int:

@@ -32,14 +32,21 @@ from typing import Any
 
 from rankone.errors import ExportError
 from rankone.export.fmu_description import FMI
-from rankone.export.packing import PackedModel, States, check_states, pack
+from rankone.export.packing import PackedModel, States, check_states, checked_rtol, pack
 from rankone.export.standalone import standalone_source
 from rankone.files import Content, as_path, free_target, write_files
 from rankone.solution_core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.wording import quote
 
-__all__ = ["MODELS", "export_model", "export_solver", "model_target", "solver_target"]
+__all__ = [
+    "MODELS",
+    "check_options",
+    "export_model",
+    "export_solver",
+    "model_target",
+    "solver_target",
+]
 
 MODELS = {
     ".py": "model in Python",
@@ -198,6 +205,14 @@ def export_model(
     files = writers[target.suffix](model, target)
     write_files(files, overwrite, ExportError)
     return target
+
+
+def check_options(target: Path, *, rtol: float | None = None, fmi: FMI | None = None) -> None:
+    """Raise an OptionError if a model cannot be written so."""
+    from rankone.export.model_fmu import checked_fmi
+
+    checked_rtol(rtol)
+    checked_fmi(fmi, target.suffix)
 
 
 def _named(path: str | PathLike[str], kinds: Mapping[str, str]) -> Path:

@@ -19,7 +19,7 @@ from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
 from rankone.units import with_unit
 
-__all__ = ["PackedCore", "PackedModel", "States", "check_states", "pack"]
+__all__ = ["PackedCore", "PackedModel", "States", "check_states", "checked_rtol", "pack"]
 
 States = Literal["unknowns", "all"]
 """What a model evaluates: the unknowns, or every state."""
@@ -120,8 +120,7 @@ def pack(
         If nothing was solved, or the solution is not a success and ``allow_failed`` is False.
     """
     check_states(states)
-    if rtol is not None:
-        rtol = checked_number("rtol", rtol, _SMALLEST, _LARGEST, float)
+    rtol = checked_rtol(rtol)
     if not solution.outcome.slabs:
         raise ExportError(f"there is nothing to export: {solution.message}")
     if not solution.success and not allow_failed:
@@ -163,6 +162,11 @@ def check_states(states: States) -> None:
     """Raise an OptionError if there is no such choice of states."""
     if states not in ("unknowns", "all"):
         raise OptionError(f"states={states!r} is unknown", remedy="use 'unknowns' or 'all'")
+
+
+def checked_rtol(rtol: float | None) -> float | None:
+    """By how much a model may differ from the solution, or an OptionError."""
+    return None if rtol is None else checked_number("rtol", rtol, _SMALLEST, _LARGEST, float)
 
 
 def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:

@@ -39,7 +39,7 @@ __all__ = ["export_page", "page_target"]
 def page_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
     """The path of a file that a page can be written to, or an ExportError."""
     given = as_path(path, ExportError)
-    if given.suffix not in (".html", ".htm"):
+    if given.suffix != ".html":
         raise ExportError(
             f"`{given}`: a page has the suffix .html, not {given.suffix!r}",
             term=given,
@@ -65,7 +65,7 @@ def export_page(
     path : path-like
         Ends in ``.html``.
     title : str, optional
-        The name of the file by default.
+        The name of the file by default, and for a blank one.
     rtol : float, optional
         By how much the curves may differ from the solution, to make the file smaller; see
         :func:`rankone.export.export_model`.
@@ -96,7 +96,7 @@ def export_page(
     text = page(
         model,
         content(every, model, notation),
-        title=title or _title(target),
+        title=(title or "").strip() or _title(target),
         equations=notation.equations(),
         quality=quality(solution, model),
         covers=covers(solution),

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.distributions import from_text
 from rankone.export.explorer.mathml import Notation
 from rankone.export.explorer.page import scientific
 from rankone.export.packing import PackedModel
 from rankone.metadata import Role
+from rankone.statistics.measures import Measure
 from rankone.wording import listing
 
 if TYPE_CHECKING:
@@ -66,10 +69,12 @@ def content(
 
     lowest, low, high, highest = solution.quantile((0.0, *BAND, 1.0), times, count=_POINTS)
     given = dict(metadata.distributions)
+    derivatives = notation.derivatives
     return {
         "unknowns": [
             {
                 **named(name),
+                "derivative": name in derivatives,
                 "error": None if np.isnan(model.errors[i]) else model.errors[i],
                 "extent": [float(lowest[i].min()), float(highest[i].max())],
                 "low": _rounded(low[i]) if metadata.parameters else None,
@@ -78,13 +83,28 @@ def content(
             for i, name in enumerate(model.unknowns)
         ],
         "parameters": [
-            {**named(name), "range": list(ends), "distribution": given.get(name, "")}
+            {
+                **named(name),
+                "range": list(ends),
+                "distribution": given.get(name, ""),
+                "median": _median(name, ends, given.get(name)),
+            }
             for name, ends in solution.parameters.items()
         ],
         "time": {**named(metadata.time), "range": list(model.intervals[0])},
         "times": times.tolist(),
         "sobol": _sensitivities(solution) if _has_sensitivities(solution) else None,
     }
+
+
+def _median(name: str, ends: tuple[float, float], distribution: str | None) -> float:
+    """The median of a parameter, with as many digits as a slider has."""
+    lower, upper = ends
+    if distribution is None:
+        return lower + 0.5 * (upper - lower)
+    measure = Measure(name, lower, upper, from_text(distribution), usual=True)
+    value = round(float(measure.sample(np.array(0.5))), 3 - math.floor(math.log10(upper - lower)))
+    return min(upper, max(lower, value))
 
 
 def curve_times(solution: DistributionOverBox) -> Array:

@@ -1,8 +1,7 @@
 /** A slider and a number field for each parameter. */
 
 import { STEPS, stepAt, valueAt } from "./values.js";
-
-const short = (value) => String(Number(value.toPrecision(6))).replaceAll("-", "−");
+import { digitsOf } from "./looks.js";
 
 /**
  * The controls of one parameter.
@@ -15,6 +14,8 @@ const short = (value) => String(Number(value.toPrecision(6))).replaceAll("-", "�
 export function parameterControl(place, parameter, number, onValue) {
   const { name, symbol, unit, range, distribution } = parameter;
   const [lower, upper] = range;
+  const digits = 1 + digitsOf(range);
+  const short = (value) => String(Number(value.toPrecision(digits))).replaceAll("-", "−");
   const box = document.createElement("div");
   box.className = "parameter";
   box.innerHTML =

@@ -25,13 +25,22 @@ export function setTheme(theme) {
   known.clear();
 }
 
-/** A number for people: five digits. */
-export function shown(value) {
+/** A number for people: five digits, or more if that does not tell the numbers apart. */
+export function shown(value, digits = 5) {
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e5 || size < 1e-3) return value.toExponential(3).replace("-", "−").replace("e-", "e−");
-  const text = value.toFixed(Math.max(0, 4 - Math.max(0, Math.floor(Math.log10(size)))));
-  return text.replace("-", "−");
+  if (size >= 10 ** digits || size < 1e-3) {
+    return value.toExponential(digits - 2).replace("-", "−").replace("e-", "e−");
+  }
+  const decimals = digits - 1 - Math.max(0, Math.floor(Math.log10(size)));
+  return value.toFixed(Math.max(0, decimals)).replace("-", "−");
+}
+
+/** Digits of the numbers of a range that is narrow beside their size, to tell them apart. */
+export function digitsOf([lower, upper]) {
+  const largest = Math.max(Math.abs(lower), Math.abs(upper));
+  const further = Math.floor(Math.log10(largest / (upper - lower)));
+  return Math.min(15, 5 + (Number.isFinite(further) ? Math.max(0, further) : 0));
 }
 
 /** Labels of an axis, with as many digits as tell them apart. */

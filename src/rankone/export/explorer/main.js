@@ -1,7 +1,7 @@
 /** What is shown, and what happens. */
 
 import { STEPS, fromFragment, stepAt, toFragment, toTable } from "./values.js";
-import { ownColour, setTheme, shown } from "./looks.js";
+import { digitsOf, ownColour, setTheme, shown } from "./looks.js";
 import { curvesPlot } from "./curves.js";
 import { phasePlot } from "./phase.js";
 import { sharesBars } from "./shares.js";
@@ -12,6 +12,7 @@ const $ = (id) => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
 const { unknowns, parameters, times } = data;
 const ranges = new Map([...parameters, data.time].map(({ name, range }) => [name, range]));
+const timeDigits = digitsOf(data.time.range);
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
 
 /** Everything that changes. */
@@ -20,7 +21,7 @@ const state = {
   time: 0,
   curves: [],
   values: new Float64Array(unknowns.length),
-  visible: unknowns.map((_, i) => i < 8 && !unknowns[i].text.endsWith("′")),
+  visible: unknowns.map((_, i) => i < 8),
   together: true,
   phase: [0, Math.min(1, unknowns.length - 1)],
   sharesOf: 0,
@@ -70,7 +71,7 @@ function draw(kind) {
 
 function showTime() {
   const unit = data.time.unit && ` ${data.time.unit}`;
-  const text = `${shown(state.time)}${unit}`;
+  const text = `${shown(state.time, timeDigits)}${unit}`;
   $("time").value = String(stepAt(data.time.range, state.time));
   $("time").setAttribute("aria-valuetext", text);
   $("time-shown").textContent = text;
@@ -120,10 +121,14 @@ function setParameter(j, value) {
   schedule("all");
 }
 
-/** The values at which the page opens: the middle of every range, the beginning of time. */
-function reset() {
-  parameters.forEach(({ range: [lower, upper] }, j) => (state.p[j] = lower + 0.5 * (upper - lower)));
+/** The values at which the page opens: the median of every parameter, the beginning of time. */
+function start() {
+  parameters.forEach(({ median }, j) => (state.p[j] = median));
   state.time = data.time.range[0];
+}
+
+function reset() {
+  start();
   $("notice").hidden = true;
   showAll();
 }
@@ -257,6 +262,9 @@ function choice(id, chosen, onChoice) {
 }
 
 setTheme(systemDark.matches ? "dark" : "light");
+if (unknowns.some(({ derivative }) => !derivative)) {
+  unknowns.forEach(({ derivative }, i) => (state.visible[i] &&= !derivative));
+}
 const seen = unknowns.filter((_, i) => state.visible[i]);
 const most = innerWidth <= 900 ? 8 : 3; // a narrow page keeps one plot in sight
 state.together = seen.length <= most && new Set(seen.map(({ unit }) => unit)).size < 2;
@@ -267,8 +275,7 @@ const controls = parameters.map((parameter, j) =>
   parameterControl($("parameters"), parameter, j, (value) => setParameter(j, value)),
 );
 if (!parameters.length) $("controls-title").textContent = "This solution";
-parameters.forEach(({ range: [lower, upper] }, j) => (state.p[j] = lower + 0.5 * (upper - lower)));
-state.time = data.time.range[0];
+start();
 model.curve(state.p, times, flat);
 state.curves = unknowns.map((_, i) => flat.subarray(i * times.length, (i + 1) * times.length));
 model.evaluate(state.time, state.p, state.values);

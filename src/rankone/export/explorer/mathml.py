@@ -11,6 +11,7 @@ import ast
 import html
 import keyword
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from rankone.metadata import Role, SolutionMetadata
@@ -48,7 +49,7 @@ class Notation:
     """Names and equations of a problem, for people.
 
     ``theta0`` is θ with a subscript, ``C_D`` is C with one, a derivative that is a state
-    (``theta_t``) is θ′.
+    (``theta_t``) is θ′. Names that would look the same (``theta0``, ``theta_0``) stay as they are.
 
     Parameters
     ----------
@@ -58,11 +59,24 @@ class Notation:
     def __init__(self, metadata: SolutionMetadata) -> None:
         self._primes = _derivatives(metadata)
         self._equations = metadata.equations
+        names = {*metadata.states, metadata.time, *metadata.parameters}
+        names -= self._primes.keys()
+        shapes = Counter(_parts(name) for name in names)
+        self._alike = {name for name in names if shapes[_parts(name)] > 1}
+
+    @property
+    def derivatives(self) -> frozenset[str]:
+        """Names of derivatives that are states."""
+        return frozenset(self._primes)
+
+    def _parts(self, name: str) -> tuple[str, str]:
+        """Letters and subscript of a name; the name as it is if another one would look the same."""
+        return (name, "") if name in self._alike else _parts(name)
 
     def text(self, name: str) -> str:
         """A name in plain text: ``θ₀``, ``C_D``, ``θ′``."""
         base, order = self._primes.get(name, (name, 0))
-        letter, index = _parts(base)
+        letter, index = self._parts(base)
         if index.isdigit():
             index = index.translate(_SUBSCRIPTS)
         elif index:
@@ -72,7 +86,9 @@ class Notation:
     def name(self, name: str, further: int = 0) -> str:
         """A name in MathML, without the element around; ``further`` times derived."""
         base, order = self._primes.get(name, (name, 0))
-        letter, index = (f"<mi>{html.escape(part)}</mi>" if part else "" for part in _parts(base))
+        letter, index = (
+            f"<mi>{html.escape(part)}</mi>" if part else "" for part in self._parts(base)
+        )
         if index:
             index = re.sub(r"<mi>(\d+)</mi>", r"<mn>\1</mn>", index)
             letter = f"<msub>{letter}{index}</msub>"
