@@ -222,14 +222,15 @@ def state_expressions(
 def check_names(
     states: Iterable[tuple[str, sp.Expr]], parameters: Iterable[sp.Symbol], time: sp.Symbol
 ) -> None:
-    """Raise unless all names differ: results are labelled by name."""
-    taken: dict[str, str] = {time.name: "the time"}
-    named = [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
+    """Raise unless all names differ and can be printed: results are labelled by name."""
+    taken: dict[str, str] = {}
+    named = [(time.name, "the time")]
+    named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]
     for name, what in named:
-        if not is_text(name):
+        if not is_text(name) or not name.isprintable() or not name.strip():
             raise ProblemError(
-                f"the name {name!r} of {what!r} is no text that can be written",
+                f"the name {name!r} is no text that can be printed in one line",
                 term=name,
                 remedy="rename it",
             )
