@@ -21,7 +21,7 @@ from examples import (
 )
 from rankone import Problem
 
-__all__ = ["EXAMPLES", "GENERAL", "REFERENCE", "SAMPLED"]
+__all__ = ["EXAMPLES", "GENERAL", "MEASURED", "REFERENCE", "SAMPLED"]
 
 EXAMPLES: dict[str, ModuleType] = {
     "decay": decay,
@@ -53,3 +53,9 @@ def _builder(example: ModuleType) -> Callable[[], Problem]:
 REFERENCE: dict[str, Callable[[], Problem]] = {
     name: _builder(example) for name, example in EXAMPLES.items()
 }
+
+MEASURED: dict[str, Callable[[], Problem]] = {
+    **REFERENCE,
+    "kirchhoff_long": lambda: kirchhoff.motion(3),
+}
+"""What the benchmarks measure."""

@@ -23,6 +23,7 @@ import argparse
 import datetime
 import json
 import platform
+import re
 import resource
 import statistics
 import subprocess
@@ -58,6 +59,8 @@ TITLES = {
 }
 STACKED = 500
 """Trajectories in a stack."""
+COST = re.compile(r"costs as much as (\d+) to (\d+) traj")
+"""What the README says of the break-even."""
 RUN_ENOUGH = 2.0
 """Seconds after which a measurement is not repeated any more (three repetitions at least)."""
 
@@ -67,7 +70,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="four problems, fewer repetitions")
     parser.add_argument("--json", metavar="PATH", type=Path, help="write the numbers to PATH")
     parser.add_argument(
-        "--update", action="store_true", help="write the tables to docs/measured.md"
+        "--update", action="store_true", help="write docs/measured.md and the README's sentence"
     )
     parser.add_argument("--method", default="auto", help="the engine (default: %(default)s)")
     parser.add_argument("--one", nargs=4, help=argparse.SUPPRESS)
@@ -88,6 +91,7 @@ def main() -> None:
     print(text)
     if arguments.update:
         update(ROOT / "docs" / "measured.md", text)
+        _update_readme([row["break_even"] for row in rows])
     if arguments.json:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n")
 
@@ -100,10 +104,9 @@ def _measure(name: str, rtol: float, repetitions: int, method: str) -> dict[str,
     import scipy.integrate  # noqa: F401 - part of the baseline
 
     import rankone as ro
-    from examples import kirchhoff
-    from tests.problems import EXAMPLES
+    from tests.problems import MEASURED
 
-    problem = kirchhoff.motion(3) if name == "kirchhoff_long" else EXAMPLES[name].problem
+    problem = MEASURED[name]()
     baseline = _peak_memory()
     began = time.perf_counter()
     compiled = ro.compile(problem)
@@ -266,6 +269,15 @@ def update(path: Path, text: str) -> None:
     _, mark, after = rest.partition("<!-- /measured -->\n")
     assert mark, f"no marks in {path}"
     path.write_text(f"{before}<!-- measured -->\n{text}\n{mark}{after}")
+
+
+def _update_readme(break_even: list[float]) -> None:
+    """Write the least and the largest break-even into the README."""
+    path = ROOT / "README.md"
+    least, most = min(break_even), max(break_even)
+    text, count = COST.subn(f"costs as much as {least:.0f} to {most:.0f} traj", path.read_text())
+    assert count == 1, f"no sentence in {path}"
+    path.write_text(text)
 
 
 def machine() -> dict[str, str]:

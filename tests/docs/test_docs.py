@@ -25,6 +25,7 @@ from pathlib import Path
 import pytest
 
 import rankone
+from tests.benchmarks.report import COST
 
 ROOT = Path(__file__).parents[2]
 FILES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -198,3 +199,14 @@ def test_the_site_has_the_docstrings_of_everything_public():
 )
 def test_comparison(wanted, got, agrees):
     assert _agree(wanted, got) is agrees
+
+
+def test_the_readme_quotes_what_was_measured():
+    """The least and the largest break-even are those of the table."""
+    table = (ROOT / "docs" / "measured.md").read_text().partition("The same in absolute")[0]
+    rows = [line.split("|") for line in table.splitlines() if line.startswith("| ")]
+    column = [title.strip() for title in rows[0]].index("break-even")
+    found = [int(row[column]) for row in rows[2:]]
+    quoted = COST.search((ROOT / "README.md").read_text())
+    assert len(found) >= 20
+    assert [*map(int, quoted.groups())] == [min(found), max(found)]
