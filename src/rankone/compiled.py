@@ -290,7 +290,30 @@ class CompiledProblem:
         method: str = "auto",
         overwrite: bool = False,
     ) -> Path:
-        """Write a standalone solver; see :func:`rankone.export.export_solver`."""
+        """Write a standalone solver: one Python file that needs only NumPy and SciPy.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.py``.
+        method : {"auto", "train", "cross", "greedy"}
+            The engine; ``"auto"`` takes the one that :meth:`solve` tries first.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ExportError
+            If the path has another suffix, exists or cannot be written, the method does not apply
+            to the problem, or the problem has functions of the user.
+        OptionError
+            If there is no such method.
+        """
         refuse_positional(arguments, "method")
         from rankone.export import export_solver
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import html
 import importlib
-import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
@@ -18,22 +16,18 @@ from rankone.errors import EvaluationError, RankoneError
 from rankone.estimation.methods import EstimationFromData
 from rankone.outputs.solved import with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
+from rankone.solution_summary import summary_html, summary_text
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
 from rankone.statistics.distribution_over_box import DistributionOverBox
 from rankone.storage import read, write
 from rankone.tensors.canonical import CanonicalForms, canonical_form
-from rankone.units import with_unit
-from rankone.wording import listing
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
 __all__ = ["Solution", "load"]
-
-_WIDTH = 96
-_MOST_NAMES = 8
 
 
 class Solution(DistributionOverBox, EstimationFromData):
@@ -172,9 +166,48 @@ class Solution(DistributionOverBox, EstimationFromData):
         allow_failed: bool = False,
         fmi: Literal["2.0", "3.0"] | None = None,
     ) -> Path:
-        """Write a model in Python, C99 or JavaScript, an FMU, or a page.
+        """Write a model for evaluation only: in Python, C99 or JavaScript, an FMU, or a page.
 
-        See :func:`rankone.export.export_model`.
+        Parameters
+        ----------
+        path : path-like
+            ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if
+            there are many coefficients; ``.c`` writes C99 source and its header ``.h``; ``.js`` or
+            ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations;
+            ``.html`` writes a page, as :meth:`explore` does; ``.fmu`` writes an FMU for
+            co-simulation, with a binary if there is a C compiler.
+        states : {"unknowns", "all"}
+            Whether the model evaluates the unknowns alone or derivatives that are states as well,
+            as a page always does.
+        rtol : float, optional
+            By how much the model may differ from the solution, relative to the size of each
+            unknown, to be smaller and faster; 1e-12 to 0.1. The difference is measured at random
+            points and said in the model. Without it the model is the solution.
+        overwrite : bool
+            Whether to replace existing files.
+        allow_failed : bool
+            Whether a solution may be exported that is not a success.
+        fmi : {"2.0", "3.0"}, optional
+            Version of FMI for an FMU, by default 2.0.
+
+        Returns
+        -------
+        Path
+            The file, or the first of several.
+
+        Raises
+        ------
+        ExportError
+            If the solution is not a success, or the path has another suffix, exists or cannot be
+            written; for a page also if nothing depends on time.
+        OptionError
+            If there is no such choice of states or no such version of FMI, or ``rtol`` is out of
+            its range.
+
+        Warns
+        -----
+        RankoneWarning
+            If an FMU has no binary, because nothing could be compiled.
         """
         from rankone.export import export_model
 
@@ -350,7 +383,34 @@ class Solution(DistributionOverBox, EstimationFromData):
     ) -> Path:
         """Write a page with a slider for each parameter, and the curves that follow.
 
-        One HTML file that works offline; see :func:`rankone.export.explorer.export_page`.
+        It is one HTML file that works offline, in any browser of the last years.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.html``.
+        title : str, optional
+            The heading; by default, and for a blank one, the name of the file.
+        rtol : float, optional
+            By how much the curves may differ from the solution, relative to the size of each
+            unknown, to make the file smaller; 1e-12 to 0.1.
+        overwrite : bool
+            Whether to replace an existing file.
+        allow_failed : bool
+            Whether to write a page of a solution that is not a success; the page says so.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ExportError
+            If the solution is not a success or does not depend on time, or the path has another
+            suffix, exists or cannot be written.
+        OptionError
+            If the title is no text, or ``rtol`` is out of its range.
         """
         from rankone.export.explorer import export_page
 
@@ -359,73 +419,11 @@ class Solution(DistributionOverBox, EstimationFromData):
 
     # --- display -------------------------------------------------------------------------------
 
-    def _summary(self) -> list[tuple[str, str]]:
-        """Headings and texts of the summary."""
-        measured = self.outcome.measured
-        asked = f"tolerance {self.rtol:.3g}"
-        if measured is None:
-            error = f"not measured, {asked}"
-        else:
-            error = f"{self.error:.2g} measured on {measured.points} trajectories, {asked}"
-            if measured.drift is not None:
-                error += f", lifted states drift by {measured.drift:.2g}"
-            if measured.counted is not None:
-                error = f"of {listing(self.states[i] for i in measured.counted)} {error}"
-            if measured.quantile is not None:
-                error += f", 95 % below {measured.quantile:.2g}"
-            if len(self.errors) > 1:
-                error += "; " + _some(
-                    [f"{name} {value:.2g}" for name, value in self.errors.items()]
-                )
-        start, end = self.time
-        lower, upper = self.metadata.horizon
-        whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
-        units = dict(self.metadata.units)
-        named = [f"{name} [{units[name]}]" if name in units else name for name in self.unknowns]
-        clock = f"{self.metadata.time} in [{start:g}, {end:g}]{whole}"
-        clock = with_unit(clock, units, self.metadata.time)
-        given = dict(self.metadata.distributions)
-        box = [
-            with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name)
-            + (f" ~ {given[name]}" if name in given else "")
-            for name, (lo, hi) in self.parameters.items()
-        ]
-        count = len(self.outcome.slabs)
-        train = [f"{count} slab" + ("" if count == 1 else "s"), f"rank {self.rank}"]
-        if self.nodes:
-            largest = (max(column) for column in zip(*self.ranks, strict=True))
-            train.append(f"ranks up to ({_some(map(str, largest))})")
-            train.append(f"nodes up to ({_some(map(str, self.nodes))})")
-        train.append(f"{self.nbytes / 1e6:.2g} MB")
-        timings = [f"{stage} {seconds:.3g} s" for stage, seconds in self.timings.items()]
-        return [
-            ("unknowns", _some(named)),
-            ("over", _some(box if self.metadata.timeless else [clock, *box]) or "nothing"),
-            ("success", f"{'yes' if self.success else 'no'}: {self.message}"),
-            ("error", error),
-            (self.metadata.method, ", ".join(train)),
-            ("timings", ", ".join(timings) or "none"),
-        ]
-
     def __repr__(self) -> str:
-        lines = [f"Solution (rankone {self.metadata.version})".replace(" (rankone )", "")]
-        for heading, text in self._summary():
-            lines += textwrap.wrap(
-                text,
-                _WIDTH,
-                initial_indent=f"  {heading:<10}",
-                subsequent_indent=" " * 12,
-                break_long_words=False,
-            )
-        return "\n".join(lines)
+        return summary_text(self)
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{html.escape(heading)}</th>"
-            f"<td style='text-align:left'>{html.escape(text)}</td></tr>"
-            for heading, text in self._summary()
-        )
-        return f"<table><caption>Solution</caption><tbody>{rows}</tbody></table>"
+        return summary_html(self)
 
 
 def load(path: str | PathLike[str]) -> Solution:
@@ -455,12 +453,3 @@ def _expressions() -> Any:
             "outputs are given as SymPy expressions, and SymPy is not installed",
             remedy="pip install sympy",
         ) from None
-
-
-def _some(texts: Iterable[str]) -> str:
-    """Join texts, leaving out the middle of many."""
-    shown = list(texts)
-    if len(shown) > _MOST_NAMES:
-        hidden = len(shown) - _MOST_NAMES + 1
-        shown[_MOST_NAMES - 2 : -1] = [f"... ({hidden} more)"]
-    return ", ".join(shown)

@@ -69,27 +69,10 @@ def export_solver(
     method: str = "auto",
     overwrite: bool = False,
 ) -> Path:
-    """Write a standalone solver: one Python file that needs only NumPy and SciPy.
+    """What :meth:`rankone.CompiledProblem.export` does.
 
-    Parameters
-    ----------
-    compiled : CompiledProblem
-        Or anything with its ``problem``, ``separated`` form, ``methods``, ``form_for`` a method,
-        ``user_functions`` and ``metadata``.
-    path : path-like
-        Ends in ``.py``.
-    method : {"auto", "train", "cross", "greedy"}
-        The engine; ``"auto"`` takes the one that ``solve`` tries first.
-    overwrite : bool
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    ExportError
-        If the path has another suffix, exists or cannot be written, the method does not apply
-        to the problem, or the problem has functions of the user.
-    OptionError
-        If there is no such method.
+    ``compiled`` is a CompiledProblem, or anything with its ``problem``, ``separated`` form,
+    ``methods``, ``form_for`` a method, ``user_functions`` and ``metadata``.
     """
     target = solver_target(path, overwrite)
     form = compiled.separated
@@ -141,44 +124,7 @@ def export_model(
     allow_failed: bool = False,
     fmi: FMI | None = None,
 ) -> Path:
-    """Write a solved model, for evaluation only.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if there
-        are many coefficients; ``.c`` writes C99 source and its header ``.h``; ``.js`` or
-        ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations;
-        ``.html`` writes a page, see :func:`rankone.export.explorer.export_page`;
-        ``.fmu`` writes an FMU for co-simulation, with a binary if there is a C compiler.
-    states : {"unknowns", "all"}
-        Whether the model evaluates the unknowns alone or derivatives that are states as well,
-        as a page always does.
-    rtol : float, optional
-        By how much the model may differ from the solution, relative to the size of each unknown,
-        to be smaller and faster; 1e-12 to 0.1. The difference is measured at 4200 random points
-        and said in the model. Without it the model is the solution.
-    overwrite : bool
-        Whether to replace existing files.
-    allow_failed : bool
-        Whether a solution may be exported that is not a success.
-    fmi : {"2.0", "3.0"}, optional
-        Version of FMI for an FMU, by default 2.0.
-
-    Raises
-    ------
-    ExportError
-        If the solution is not a success, or the path has another suffix, exists or cannot be
-        written; for a page also if nothing depends on time.
-    OptionError
-        If there is no such choice of states or no such version of FMI, or ``rtol`` is out of its
-        range.
-
-    Warns
-    -----
-    RankoneWarning
-        If an FMU has no binary, because nothing could be compiled.
-    """
+    """What :meth:`rankone.Solution.export` does."""
     from rankone.export.explorer import export_page
     from rankone.export.model_c import c_model
     from rankone.export.model_fmu import checked_fmi, fmu_model
