@@ -6,7 +6,9 @@ work without SymPy.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from keyword import iskeyword
 from typing import Any
 
@@ -16,7 +18,7 @@ from rankone.arrays import Array
 from rankone.errors import EvaluationError
 from rankone.wording import did_you_mean, listing, shown
 
-__all__ = ["Coordinates", "name_of", "round_off"]
+__all__ = ["Coordinates", "Curves", "name_of", "round_off"]
 
 _MISSING = object()
 
@@ -62,6 +64,33 @@ def name_of(key: object, time: str | None = None) -> str:
         term=key,
         remedy="use the symbols of the problem, or their names as text",
     )
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Points of the parameters, each with its times, from arrays that broadcast together.
+
+    Attributes
+    ----------
+    times : ndarray (T, N) or (T, 1)
+        Times of each point, or those of all points.
+    points : ndarray (d, N)
+        Values of the parameters.
+    sizes : tuple of int
+        Axes of the broadcast shape: first those that make T, then those that make N.
+    order : tuple of int
+        The places of these axes in the broadcast shape.
+    """
+
+    times: Array
+    points: Array
+    sizes: tuple[int, ...]
+    order: tuple[int, ...]
+
+    def shaped(self, values: Array) -> Array:
+        """Values (rows, T, N) in the broadcast shape: (rows, *shape)."""
+        back = (0, *(1 + axis for axis in np.argsort(self.order).tolist()))
+        return np.ascontiguousarray(values.reshape(len(values), *self.sizes).transpose(back))
 
 
 class Coordinates:
@@ -226,8 +255,46 @@ class Coordinates:
         EvaluationError
             If the shapes do not broadcast.
         """
+        shape = self._common_shape(arrays)
+        points = np.empty((len(arrays), *shape))
+        for row, array in enumerate(arrays):
+            points[row] = array
+        return points.reshape(len(arrays), -1), shape
+
+    def curves(self, arrays: Sequence[Array]) -> Curves:
+        """Broadcast together, but the parameters apart from times that vary alone.
+
+        Raises
+        ------
+        EvaluationError
+            If the shapes do not broadcast.
+        """
+        shape = self._common_shape(arrays)
+        time, *parameters = (
+            array.reshape((1,) * (len(shape) - array.ndim) + array.shape) for array in arrays
+        )
+        sizes = np.broadcast_shapes((1,) * len(shape), *(array.shape for array in parameters))
+        # axes along which no parameter varies first
+        order = sorted(range(len(shape)), key=lambda axis: sizes[axis] != 1)
+        several = sum(size == 1 for size in sizes)
+        own = [shape[axis] for axis in order[:several]]
+        shared = tuple(sizes[axis] for axis in order[several:])
+        points = np.empty((len(parameters), *shared))
+        for row, array in enumerate(parameters):
+            points[row] = array.transpose(order)[(0,) * several]
+        times = time.transpose(order)
+        if any(size != 1 for size in times.shape[several:]):
+            times = np.broadcast_to(times, (*own, *shared))
+        return Curves(
+            times.reshape(math.prod(own), math.prod(times.shape[several:])),
+            points.reshape(len(points), math.prod(shared)),
+            (*own, *shared),
+            tuple(order),
+        )
+
+    def _common_shape(self, arrays: Sequence[Array]) -> tuple[int, ...]:
         try:
-            shape = np.broadcast_shapes(*(array.shape for array in arrays))
+            return np.broadcast_shapes(*(array.shape for array in arrays))
         except ValueError:
             shapes = ", ".join(
                 f"`{name}` {array.shape}" for name, array in zip(self.names, arrays, strict=True)
@@ -236,10 +303,6 @@ class Coordinates:
                 f"the shapes do not broadcast together: {shapes}",
                 remedy="use equal shapes, or `grid` for every combination of values",
             ) from None
-        points = np.empty((len(arrays), *shape))
-        for row, array in enumerate(arrays):
-            points[row] = array
-        return points.reshape(len(arrays), -1), shape
 
     def axes(self, given: Sequence[Any]) -> list[Array]:
         """Return each value as a one-dimensional axis of a tensor grid; numbers have length one.

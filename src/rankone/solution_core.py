@@ -34,7 +34,8 @@ class SolutionCore:
 
     - ``solution(t=1.0, x0=9.0, y0=5.0)`` has the shape (unknowns,);
     - ``solution(times, {x0: 9, y0: [4.5, 5.5]})`` broadcasts as NumPy does and has the shape
-      (unknowns, *broadcast shape); keys are symbols or names;
+      (unknowns, *broadcast shape); keys are symbols or names. Many times of one point, or times
+      along an axis of their own, ``times[:, None]``, cost less than as many separate points;
     - ``solution[x](t=times, x0=9, y0=5)`` has the broadcast shape alone;
     - ``solution.grid(t=times, x0=..., y0=...)`` evaluates every combination.
 
@@ -124,11 +125,11 @@ class SolutionCore:
         if numbers is not None:
             return evaluator.one(numbers, rows)
         with _memory():
-            points, shape = self._coordinates.broadcast(self._coordinates.arrays(given))
-            if shape == ():
-                return evaluator.one(points[:, 0].tolist(), rows)
-            values = evaluator.many(points, rows)
-        return values.reshape(len(values), *shape)
+            arrays = self._coordinates.arrays(given)
+            if all(array.ndim == 0 for array in arrays):
+                return evaluator.one([float(array) for array in arrays], rows)
+            curves = self._coordinates.curves(arrays)
+            return curves.shaped(evaluator.curves(curves.times, curves.points, rows))
 
     def _evaluate_grid(self, given: list[Any], rows: Rows) -> Array:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""

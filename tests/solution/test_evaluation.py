@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from rankone.coordinates import Coordinates
 from rankone.errors import EvaluationError
+from rankone.solution import Solution
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 t, s, x0, y0, k = sp.symbols("t s x0 y0 k")
@@ -70,6 +72,67 @@ def test_arrays_broadcast(shapes: tuple[tuple[int, ...], ...], shape: tuple[int,
     assert values.shape == (2, *shape)
     np.testing.assert_allclose(values, KNOWN[1](times, p, q), atol=1e-10)
     assert np.shape(SOLUTION["y"](times, x0=p, y0=q)) == shape
+
+
+def sharing(solution: Solution) -> Solution:
+    """The same, but all slabs share the cores of their parameters, as after ``cross``."""
+    first, *others = solution.outcome.slabs
+    cores, bases = first.cores[1:], first.bases
+    slabs = [replace(slab, cores=(slab.cores[0], *cores), bases=bases) for slab in others]
+    return Solution(replace(solution.outcome, slabs=(first, *slabs)), solution.metadata)
+
+
+@pytest.mark.parametrize("solution", [SOLUTION, KNOWN[3].solution, sharing(KNOWN[3].solution)])
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        ((30,), (), ()),  # a curve
+        ((), (30,), ()),  # points at one time
+        ((), (4, 1), (5,)),
+        ((6, 1), (5,), ()),  # curves at the same times
+        ((6,), (5, 1), (5, 1)),
+        ((3, 1, 1, 2), (4, 1, 1), (5, 1)),
+        ((1, 6, 1), (2, 1, 3), (3,)),
+        ((5, 6), (5, 1), ()),  # each at times of its own
+        ((6, 5), (5,), (5,)),
+        ((2, 3, 4), (2, 1, 1), (3, 1)),
+        ((2, 3, 4), (2, 1, 4), ()),
+        ((2, 1), (2, 3), ()),  # several points at the same time
+        ((7,), (7,), (7,)),
+        ((1,), (1, 1), ()),
+        ((0, 1), (3,), ()),
+        ((0, 3), (3,), ()),
+        ((3, 0), (3, 1), ()),
+        ((4, 1), (0,), ()),
+        ((0,), (0,), ()),
+        ((2, 1, 3), (0, 3), ()),
+    ],
+)
+def test_times_apart_from_parameters(
+    solution: Solution, shapes: tuple[tuple[int, ...], ...]
+) -> None:
+    rng = np.random.default_rng(4)
+    breaks = [slab.start for slab in solution.outcome.slabs]
+    edges = ([*breaks, 3.0], *(basis.edges for basis in solution.outcome.slabs[0].bases))
+    given = [
+        rng.choice([*ends, *rng.uniform(ends[0], ends[-1], len(ends))], shape)
+        for ends, shape in zip(edges, shapes)
+    ]
+    at = dict(zip(("t", "x0", "y0"), given))
+    flat = dict(zip(at, (array.ravel() for array in np.broadcast_arrays(*given))))
+    shape = np.broadcast_shapes(*shapes)
+    for call in (solution, solution.gradient, solution["y"]):
+        values, wanted = call(at), call(flat)
+        assert values.shape == (*wanted.shape[:-1], *shape)
+        assert values.flags.c_contiguous
+        scale = np.abs(wanted).max(initial=0.0)
+        np.testing.assert_allclose(values.reshape(wanted.shape), wanted, rtol=0, atol=1e-13 * scale)
+    singles = [
+        solution({name: float(v) for name, v in zip(flat, point)}) for point in zip(*flat.values())
+    ]
+    np.testing.assert_allclose(
+        solution(at).reshape(2, -1).T, np.reshape(singles, (-1, 2)), rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
+from rankone.tensors import evaluator as module
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
 
@@ -19,8 +20,8 @@ BASES = {
 }
 
 
-def random_slab(bases: tuple[Basis1D, ...]) -> SlabTrain:
-    rng = np.random.default_rng(1)
+def random_slab(bases: tuple[Basis1D, ...], rng: np.random.Generator | None = None) -> SlabTrain:
+    rng = rng or np.random.default_rng(1)
     ranks, sizes = (2, 3, 4, 1), (7, *(basis.size for basis in bases))
     cores = tuple(rng.standard_normal((ranks[j], sizes[j], ranks[j + 1])) for j in range(3))
     return SlabTrain(0.0, 1.5, cores, bases)
@@ -61,3 +62,72 @@ def test_without_points_in_some_elements() -> None:
     slab = random_slab(BASES["unequal"])
     assert_all_agree(slab, np.array([[0.2, 0.3], [-1.95, -1.92], [0.65, 0.66]]))
     assert TrainEvaluator([slab]).many(np.empty((3, 0)), slice(None)).shape == (2, 0)
+
+
+STARTS = (0.0, 0.5, 0.75, 2.0, 2.25)
+
+
+def jumping_slabs(shared: str) -> list[SlabTrain]:
+    """Slabs with jumps between them; ``shared`` has a letter for the parameters' cores of each."""
+    rng = np.random.default_rng(2)
+    bases, made = BASES["mixed"], {}
+    slabs = []
+    for start, end, letter in zip(STARTS, (*STARTS[1:], 3.0), shared):
+        made.setdefault(letter, random_slab(bases, rng).cores[1:])
+        modes = 7 if letter == letter.lower() else 4
+        first = rng.standard_normal((2, modes, 3))
+        slabs.append(SlabTrain(start, end, (first, *made[letter]), bases))
+    return slabs
+
+
+def pointwise(slabs: list[SlabTrain], times: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Values (states, T, N) by the slabs themselves; between two the later one counts."""
+    times = np.broadcast_to(times, (len(times), points.shape[1]))
+    values = np.empty((2, *times.shape))
+    owner = np.searchsorted(STARTS[1:], times, side="right")
+    for k, slab in enumerate(slabs):
+        at, columns = np.nonzero(owner == k)
+        if at.size:
+            values[:, at, columns] = slab(times[at, columns], points[:, columns])
+    return values
+
+
+@pytest.mark.parametrize("shared", ["abcde", "aaaaa", "aabbb", "abbba", "aaAAa"])
+@pytest.mark.parametrize("chunk", [1024, 5])
+def test_curves_of_slabs_that_share_cores_or_not(
+    shared: str, chunk: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slabs = jumping_slabs(shared)
+    if shared == "aaAAa":  # the time cores of two slabs are shorter than the others'
+        slabs = [
+            SlabTrain(s.start, s.end, (s.cores[0], *slabs[0].cores[1:]), s.bases) for s in slabs
+        ]
+    evaluator, rows = TrainEvaluator(slabs), slice(None)
+    assert len(evaluator.trains) == len({"abbba": "abc", "aaAAa": "aAa"}.get(shared, {*shared}))
+    if chunk == 5:
+        monkeypatch.setattr(module, "_BUFFER", 5)
+        monkeypatch.setattr(module, "_TIMES", 2)
+        for train in evaluator.trains:
+            train.chunk = 5
+    rng = np.random.default_rng(3)
+    edges = [basis.edges for basis in slabs[0].bases]
+    p, q = (rng.permuted([*ends, *rng.uniform(ends[0], ends[-1], 9)])[:11] for ends in edges)
+    points = np.array([p, q])
+    some = np.array([*STARTS, 3.0, *rng.uniform(0, 3, 9)])
+    own = rng.permuted(np.tile(some[:, None], 11), axis=0)
+    for times in (some[:, None], some[:1, None], own, own[:1]):
+        for columns in (slice(None), slice(0, 1), slice(0, 0)):
+            mine = times if times.shape[1] == 1 else times[:, columns]
+            wanted = pointwise(slabs, mine, points[:, columns])
+            scale = 1e-13 * np.abs(wanted).max(initial=0.0)
+            values = evaluator.curves(mine, points[:, columns], rows)
+            np.testing.assert_allclose(values, wanted, atol=scale, rtol=0)
+            last = evaluator.curves(mine, points[:, columns], np.array([1]))
+            np.testing.assert_allclose(last, wanted[1:], atol=scale, rtol=0)
+    np.testing.assert_allclose(
+        evaluator.grid([some, p, q], rows)[:, :, np.arange(11), np.arange(11)],
+        evaluator.curves(some[:, None], points, rows),
+        rtol=1e-11,
+    )
+    for times in (np.empty((0, 1)), np.empty((0, 11))):
+        assert evaluator.curves(times, points, rows).shape == (2, 0, 11)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rankone.discretization import ChebyshevBasis
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, sharing
 
 
 def test_on_a_grid_as_at_pairs():
@@ -19,4 +19,7 @@ def test_on_a_grid_as_at_pairs():
         np.testing.assert_allclose(found[..., i], slab(np.full(7, time), points), rtol=1e-12)
     later = SlabTrain(1.5, 2.0, (generator.standard_normal((2, 3, 4)), *cores[1:]), bases)
     assert later.shares_parameters(slab)
-    assert not SlabTrain(1.5, 2.0, tuple(map(np.copy, cores)), bases).shares_parameters(slab)
+    loaded = SlabTrain(2.0, 3.0, tuple(map(np.copy, cores)), bases)
+    assert not loaded.shares_parameters(slab)
+    other = SlabTrain(3.0, 4.0, tuple(2.0 * core for core in cores), bases)
+    assert [len(run) for run in sharing([slab, later, loaded, other])] == [3, 1]

@@ -148,9 +148,9 @@ def pack(
         slabs=tuple(
             tuple(
                 PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges)
-                for d in slab.dimensions
+                for d in TrainEvaluator([slab]).trains[0].dimensions
             )
-            for slab in TrainEvaluator(slabs).slabs
+            for slab in slabs
         ),
         summary=summary,
         errors=tuple(map(float, errors)),

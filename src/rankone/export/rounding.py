@@ -8,7 +8,7 @@ asked.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.solvers.cross.sweep import rounded
 from rankone.tensors.evaluator import TrainEvaluator
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, sharing
 from rankone.tensors.train import thinned
 
 __all__ = ["Rounding", "rounded_slabs"]
@@ -81,7 +81,7 @@ def rounded_slabs(
     best = Rounding(tuple(slabs), (0.0,) * len(sizes))
     low, high, tolerance = 0.0, 0.0, rtol
     for _ in range(_ATTEMPTS):
-        found = tuple(slab for run in _sharing(slabs) for slab in _smaller(run, sizes, tolerance))
+        found = tuple(slab for run in sharing(slabs) for slab in _smaller(run, sizes, tolerance))
         changes = _changes(slabs, found, points, values, sizes, intervals)
         largest = float(changes.max())
         if largest <= _MARGIN * rtol:
@@ -147,17 +147,6 @@ def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]
     edges = np.clip([edge for slab in slabs for edge in (slab.start, slab.end)], *ends[0])
     points[0, ::2] = rng.choice(edges, _POINTS // 2)
     return points
-
-
-def _sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
-    """Slabs after each other that share the cores of their parameters."""
-    run = [slabs[0]]
-    for slab in slabs[1:]:
-        if not slab.shares_parameters(run[0]):
-            yield run
-            run = []
-        run.append(slab)
-    yield run
 
 
 def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[SlabTrain]:

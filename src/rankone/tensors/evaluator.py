@@ -1,24 +1,29 @@
-"""Evaluation of tensor trains at many points, at one point and on grids.
+"""Evaluation of tensor trains at many points, at one point, along curves and on grids.
 
 The cores are rearranged once: on every element of a dimension the polynomials become Chebyshev
 polynomials, whose values at all points come from few vectorised products, and every core becomes
 one matrix per element. Evaluation then goes from the last dimension to the first; each step
 multiplies the values of the polynomials with the vector carried so far (a column-wise Kronecker
 product) and the core with the result, one matrix product for all points of a chunk.
+
+Time is the first dimension and comes last, so that what the cores of the parameters give at a
+point serves all times that are asked for there. Slabs that share these cores are one train.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
 from rankone.discretization import Basis1D, LegendreBasis
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, sharing
 
 __all__ = ["Rows", "TrainEvaluator"]
 
@@ -26,6 +31,10 @@ Rows = slice | NDArray[np.intp]
 
 _BUFFER = 1 << 19
 """Numbers in the largest product of a chunk (4 MiB): cached, and enough for the matrix product."""
+_POINTS = 1024
+"""Points taken at once at most."""
+_TIMES = 256
+"""Times taken at once at least, where one product serves many."""
 
 
 def chebyshev_polynomials(xi: Array, count: int) -> Array:
@@ -95,28 +104,48 @@ class _Dimension:
         """Multiply the core, at points (N,), with the carry (right, N): shape (left, N)."""
         xi, element = self.locate(points)
         values = chebyshev_polynomials(xi, self.degree)
-        matrices = self.matrices if rows is None else [m[rows] for m in self.matrices]
-        if element is None:
+        occupied = _occupied(element)
+        matrices = [self.matrices[e] for e in occupied]
+        if rows is not None:
+            matrices = [matrix[rows] for matrix in matrices]
+        if len(occupied) == 1:
             return np.asarray(matrices[0] @ _columnwise_kronecker(values, carry))
         result = np.empty((len(matrices[0]), xi.size))
-        for e, matrix in enumerate(matrices):
+        for e, matrix in zip(occupied, matrices, strict=True):
             here = np.flatnonzero(element == e)
-            if here.size:
-                part = None if carry is None else carry[:, here]
-                result[:, here] = matrix @ _columnwise_kronecker(values[:, here], part)
+            part = None if carry is None else carry.take(here, 1)
+            result[:, here] = matrix @ _columnwise_kronecker(values.take(here, 1), part)
         return result
 
-    def sections(self, points: Array, rows: Rows | None = None) -> Array:
-        """The core at points (N,): shape (left, N, right)."""
+    def spread(self, points: Array, carry: Array, of: NDArray[np.intp], rows: Rows) -> Array:
+        """Multiply the core, at points (N,), with the columns ``of`` the carry (right, M).
+
+        The columns (N,) repeat, so that these products come first. The shape is (left, N).
+        """
+        xi, element = self.locate(points)
+        values = chebyshev_polynomials(xi, self.degree)
+        result = np.empty((len(self.matrices[0][rows]), xi.size))
+        for e in _occupied(element):
+            here = slice(None) if element is None else np.flatnonzero(element == e)
+            products = (self.tensor[e, rows] @ carry).take(of[here], 2)
+            result[:, here] = np.einsum("lnN,nN->lN", products, values[:, here])
+        return result
+
+    def outer(self, points: Array, carry: Array, rows: Rows | None = None) -> Array:
+        """Multiply the core, at points (N,), with all columns of the carry (right, M).
+
+        The shape is (left, N, M).
+        """
         xi, element = self.locate(points)
         values = chebyshev_polynomials(xi, self.degree).T
         tensor = self.tensor if rows is None else self.tensor[:, rows]
-        if element is None:
-            return np.asarray(np.matmul(values, tensor[0]))
-        result = np.empty((tensor.shape[1], xi.size, self.right))
-        for e, block in enumerate(tensor):
+        occupied = _occupied(element)
+        if len(occupied) == 1:
+            return _multiplied(values, tensor[occupied[0]], carry)
+        result = np.empty((tensor.shape[1], xi.size, carry.shape[1]))
+        for e in occupied:
             here = np.flatnonzero(element == e)
-            result[:, here] = np.matmul(values[here], block)
+            result[:, here] = _multiplied(values[here], tensor[e], carry)
         return result
 
 
@@ -139,6 +168,21 @@ class _UnequalDimension(_Dimension):
         return 2.0 * position - 1.0, element
 
 
+def _occupied(element: NDArray[np.intp] | None) -> list[int]:
+    """The elements that have points, at least one."""
+    return [0] if element is None else np.flatnonzero(np.bincount(element)).tolist() or [0]
+
+
+def _multiplied(values: Array, core: Array, carry: Array) -> Array:
+    """Values (N, n) by a core (left, n, right) by a carry (right, M): shape (left, N, M)."""
+    (count, degree), (right, columns) = values.shape, carry.shape
+    from_left = right * count * (degree + columns)
+    from_right = degree * columns * (right + count)
+    if from_left < from_right:
+        return np.asarray((values @ core) @ carry)
+    return np.asarray(values @ (core @ carry))
+
+
 def _columnwise_kronecker(values: Array, carry: Array | None) -> Array:
     """Kronecker products of the columns of (n, N) and (r, N): shape (n * r, N)."""
     if carry is None:
@@ -146,25 +190,41 @@ def _columnwise_kronecker(values: Array, carry: Array | None) -> Array:
     return np.multiply(values[:, None], carry).reshape(-1, values.shape[1])
 
 
-class _SlabEvaluator:
-    """The cores of one slab, ready for evaluation."""
+class _Train:
+    """The cores of slabs that share those of their parameters, ready for evaluation.
 
-    def __init__(self, slab: SlabTrain) -> None:
-        time = LegendreBasis(slab.start, slab.end, slab.cores[0].shape[1])
+    The slabs are elements of the first core.
+    """
+
+    def __init__(self, slabs: Sequence[SlabTrain]) -> None:
+        starts = tuple(slab.start for slab in slabs)
+        first = np.concatenate([slab.cores[0] for slab in slabs], axis=1)
+        first /= np.sqrt(len(slabs))  # orthonormal on all elements, not on each
+        degree = slabs[0].cores[0].shape[1]
+        time = LegendreBasis(starts[0], slabs[-1].end, degree, breaks=starts[1:])
+        cores, bases = (first, *slabs[0].cores[1:]), (time, *slabs[0].bases)
         self.dimensions = tuple(
             (_UnequalDimension if basis.breaks else _Dimension)(core, basis)
-            for core, basis in zip(slab.cores, (time, *slab.bases), strict=True)
+            for core, basis in zip(cores, bases, strict=True)
         )
+        self.time = self.dimensions[0]
         largest = max(dimension.degree * dimension.right for dimension in self.dimensions)
-        self.chunk = min(max(_BUFFER // largest, 64), 1024)
+        self.chunk = min(max(_BUFFER // largest, 64), _POINTS)
         self.degree = max(dimension.degree for dimension in self.dimensions)
 
-    def many(self, points: Array, rows: Rows) -> Array:
-        """Values at points (1 + d, N) of the slab: shape (rows, N)."""
+    def over_parameters(self, points: Array) -> Array:
+        """Product of the cores of the parameters at points (d, N): shape (right of time, N)."""
         carry = None
-        for dimension, values in zip(self.dimensions[:0:-1], points[:0:-1], strict=True):
+        for dimension, values in zip(self.dimensions[:0:-1], points[::-1], strict=True):
             carry = dimension.contract(values, carry)
-        return self.dimensions[0].contract(points[0], carry, rows)
+        return np.ones((1, points.shape[1])) if carry is None else carry
+
+    def over_grid(self, axes: Sequence[Array]) -> Array:
+        """The same on the tensor grid of d axes, flattened."""
+        carry = np.ones((1, 1))
+        for dimension, axis in zip(self.dimensions[:0:-1], axes[::-1], strict=True):
+            carry = dimension.outer(axis, carry).reshape(dimension.left, -1)
+        return carry
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """Values at one point, given as 1 + d numbers: shape (rows,)."""
@@ -184,13 +244,18 @@ class _SlabEvaluator:
         assert carry is not None
         return carry
 
-    def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
-        """Values on the tensor grid of 1 + d axes: shape (rows, *sizes of the axes)."""
-        carry = np.ones((1, 1))
-        for dimension, axis in zip(self.dimensions[:0:-1], axes[:0:-1], strict=True):
-            carry = (dimension.sections(axis) @ carry).reshape(dimension.left, -1)
-        values = self.dimensions[0].sections(axes[0], rows) @ carry
-        return np.asarray(values.reshape(len(values), *(axis.size for axis in axes)))
+
+def _runs(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
+    """Slabs after each other that differ in the first core alone, not in its shape."""
+    for run in sharing(slabs):
+        for _, group in groupby(run, key=lambda slab: slab.cores[0].shape):
+            yield [*group]
+
+
+def _chunks(positions: NDArray[np.intp], size: int) -> Iterator[NDArray[np.intp]]:
+    """Positions (N,) in parts of bounded size."""
+    for begin in range(0, positions.size, size):
+        yield positions[begin : begin + size]
 
 
 class TrainEvaluator:
@@ -205,45 +270,57 @@ class TrainEvaluator:
     """
 
     def __init__(self, slabs: Sequence[SlabTrain]) -> None:
-        self.slabs = tuple(_SlabEvaluator(slab) for slab in slabs)
-        self._breaks = np.array([slab.start for slab in slabs[1:]])
+        self.trains = tuple(_Train(run) for run in _runs(slabs))
+        self._slab_breaks = np.array([slab.start for slab in slabs[1:]])
+        self._breaks = np.array([train.dimensions[0].lower for train in self.trains[1:]])
+
+    def one(self, point: Sequence[float], rows: Rows) -> Array:
+        """Evaluate at one point, 1 + d numbers: shape (rows,); much less overhead than `many`."""
+        if len(self.trains) == 1:
+            return self.trains[0].one(point, rows)
+        owner = int(self._breaks.searchsorted(point[0], side="right"))
+        return self.trains[owner].one(point, rows)
 
     def many(self, points: Array, rows: Rows) -> Array:
         """Evaluate at paired points, in chunks of bounded memory.
 
         ``points`` (1 + d, N) are times, then the values of each parameter; the shape is (rows, N).
         """
-        count = points.shape[1]
-        result = np.empty((len(self.slabs[0].dimensions[0].matrices[0][rows]), count))
-        if len(self.slabs) == 1:
-            self._fill(result, points, self.slabs[0], rows)
-            return result
-        # the stable sort of 16-bit integers is a radix sort
-        small = np.min_scalar_type(len(self.slabs))
-        owner = np.searchsorted(self._breaks, points[0], side="right").astype(small)
-        order = np.argsort(owner, kind="stable")
-        ends = np.cumsum(np.bincount(owner, minlength=len(self.slabs)))
-        begin = 0
-        for slab, end in zip(self.slabs, ends, strict=True):
-            here = order[begin:end]
-            if here.size:
-                part = np.empty((len(result), here.size))
-                self._fill(part, points[:, here], slab, rows)
-                result[:, here] = part
-            begin = end
+        result = np.empty((self._count(rows), points.shape[1]))
+        # points in the order of the slabs: those of a chunk have few slabs
+        for train, owned in self._owned(points[0], self._slab_breaks):
+            for here in _chunks(owned, train.chunk):
+                part = points.take(here, 1)
+                carry = train.over_parameters(part[1:])
+                result[:, here] = train.time.contract(part[0], carry, rows)
         return result
 
-    @staticmethod
-    def _fill(result: Array, points: Array, slab: _SlabEvaluator, rows: Rows) -> None:
-        for begin in range(0, points.shape[1], slab.chunk):
-            piece = slice(begin, begin + slab.chunk)
-            result[:, piece] = slab.many(points[:, piece], rows)
+    def curves(self, times: Array, points: Array, rows: Rows) -> Array:
+        """Evaluate at several times for each point of the parameters.
 
-    def one(self, point: Sequence[float], rows: Rows) -> Array:
-        """Evaluate at one point, 1 + d numbers: shape (rows,); much less overhead than `many`."""
-        if len(self.slabs) == 1:
-            return self.slabs[0].one(point, rows)
-        return self.slabs[int(self._breaks.searchsorted(point[0], side="right"))].one(point, rows)
+        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
+        The shape is (rows, T, N). The cores of the parameters are multiplied once for each
+        point.
+        """
+        several, count = len(times), points.shape[1]
+        if times.shape[1] == 1:
+
+            def carries(train: _Train) -> Iterator[tuple[slice, Array]]:
+                for begin in range(0, count, train.chunk):
+                    here = slice(begin, begin + train.chunk)
+                    yield here, train.over_parameters(points[:, here])
+
+            return self._at_all(times[:, 0], count, carries, rows)
+        if several == 1:
+            return self.many(np.concatenate([times, points]), rows)[:, None]
+        paired = times.T.ravel()
+        result = np.empty((self._count(rows), paired.size))
+        for train, owned in self._owned(paired, self._breaks):
+            for here in _chunks(owned, train.chunk):
+                columns, back = np.unique(here // several, return_inverse=True)
+                carry = train.over_parameters(points.take(columns, 1))
+                result[:, here] = train.time.spread(paired[here], carry, back, rows)
+        return result.reshape(len(result), count, several).swapaxes(1, 2)
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid.
@@ -251,10 +328,50 @@ class TrainEvaluator:
         The 1 + d axes, times and then each parameter, may have any order of values; the shape is
         (rows, *sizes of the axes).
         """
-        owner = np.searchsorted(self._breaks, axes[0], side="right")
-        count = len(self.slabs[0].dimensions[0].matrices[0][rows])
-        result = np.empty((count, *(axis.size for axis in axes)))
-        for index in np.unique(owner):
-            here = np.flatnonzero(owner == index)
-            result[:, here] = self.slabs[index].grid([axes[0][here], *axes[1:]], rows)
+        sizes = [axis.size for axis in axes]
+
+        def carries(train: _Train) -> Iterator[tuple[slice, Array]]:
+            yield slice(None), train.over_grid(axes[1:])
+
+        values = self._at_all(axes[0], math.prod(sizes[1:]), carries, rows)
+        return values.reshape(len(values), *sizes)
+
+    def _at_all(
+        self,
+        times: Array,
+        count: int,
+        carries: Callable[[_Train], Iterable[tuple[slice, Array]]],
+        rows: Rows,
+    ) -> Array:
+        """Values (rows, T, N) at all times (T,) for all of what the parameters' cores give.
+
+        ``carries`` gives for a train some of the N columns and what belongs there.
+        """
+        result = np.empty((self._count(rows), times.size, count))
+        for train, owned in self._owned(times, self._breaks):
+            for columns, carry in carries(train):
+                size = max(_BUFFER // max(carry.shape), _TIMES)
+                for here in _chunks(owned, size):
+                    result[:, here, columns] = train.time.outer(times[here], carry, rows)
         return result
+
+    def _owned(self, times: Array, breaks: Array) -> Iterator[tuple[_Train, NDArray[np.intp]]]:
+        """The trains that have some of the times (N,), and which, ordered by the breaks."""
+        if not breaks.size:
+            yield self.trains[0], np.arange(times.size)
+            return
+        # the stable sort of 16-bit integers is a radix sort
+        small = np.min_scalar_type(len(breaks) + 1)
+        owner = np.searchsorted(breaks, times, side="right").astype(small)
+        order = np.argsort(owner, kind="stable")
+        counts = np.cumsum(np.bincount(owner, minlength=len(breaks) + 1))
+        last = [*np.searchsorted(breaks, self._breaks).tolist(), len(breaks)]
+        begin = 0
+        for train, end in zip(self.trains, counts[last].tolist(), strict=True):
+            if end > begin:
+                yield train, order[begin:end]
+            begin = end
+
+    def _count(self, rows: Rows) -> int:
+        """Number of states asked for."""
+        return len(self.trains[0].time.matrices[0][rows])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.discretization import Basis1D, legendre_derivative, legendre_values
 
-__all__ = ["SlabTrain"]
+__all__ = ["SlabTrain", "sharing"]
 
 
 @dataclass(frozen=True)
@@ -84,3 +85,16 @@ class SlabTrain:
     def _time_values(self, times: Array) -> Array:
         xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
         return legendre_values(xi, self.cores[0].shape[1])
+
+
+def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
+    """Slabs after each other that share the cores of their parameters, or hold equal ones."""
+    run = [slabs[0]]
+    for slab in slabs[1:]:
+        pairs = zip(slab.cores[1:], run[0].cores[1:], strict=True)
+        same = all(a is b or np.array_equal(a, b) for a, b in pairs)
+        if slab.bases != run[0].bases or not same:
+            yield run
+            run = []
+        run.append(slab)
+    yield run
