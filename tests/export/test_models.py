@@ -19,6 +19,7 @@ import rankone as ro
 from rankone.errors import ExportError, OptionError
 from rankone.export.model_c import c_identifier
 from rankone.export.model_python import keywords
+from rankone.export.packing import pack
 from rankone.solvers.outcome import Status
 from tests.export.solutions import (
     border_points,
@@ -424,6 +425,23 @@ def test_c_without_coefficients_or_with_odd_names(unknown, tmp_path):
     where = {"t": np.linspace(0, 1, 5)}
     values, _, _ = run_driver(compiled_driver(tmp_path, "-O2"), solution, where)
     np.testing.assert_array_equal(values, np.zeros((1, 5)))
+
+
+def test_equal_cores_are_there_once(tmp_path):
+    """Slabs of sampled trajectories share the cores of the parameters."""
+    solution = solved("lotka_volterra")
+    slabs = solution.outcome.slabs
+    shared = sum(core.size for core in slabs[0].cores[1:])
+    once = shared + sum(slab.cores[0].size for slab in slabs)
+    assert len(slabs) > 5
+    assert pack(solution).size <= once
+    solution.export(tmp_path / "model.py")
+    with np.load(tmp_path / "model.npz") as file:
+        assert file["coefficients"].size <= once
+    text = solution.export(tmp_path / "model.c").read_text()
+    numbers = text.partition("coefficients[] ALIGNED = {")[2].partition("};")[0]
+    every = sum(core.size for slab in slabs for core in slab.cores)
+    assert numbers.count(",") < 0.5 * every  # rows are padded with zeros
 
 
 def test_paths_that_cannot_be(tmp_path):

@@ -2,7 +2,8 @@
 
 A core is contracted block by block: eight rows of the left rank together, padded with zeros. The
 coefficients are laid out in the order in which they are used, and the zeros of a core are left out:
-for each polynomial a block goes on along the right rank only as far as it has other entries.
+for each polynomial a block goes on along the right rank only as far as it has other entries. Cores
+that several slabs share are there once.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
     pieces: list[str] = []
     runs: list[int] = []
     coefficients: list[float] = []
-    cores = [core for slab in model.slabs for core in slab]
+    cores, positions = model.distinct
     unequal = any(core.edges for core in cores)
     for core in cores:
         elements, left, degree, right = core.tensor.shape
@@ -144,7 +145,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
     return {
         "slabs": str(len(model.slabs)),
         "starts": _wrapped(map(_number, model.starts)),
-        "cores": "\n".join(f"    {{{row}}}," for row in rows),
+        "cores": "\n".join(f"    {{{rows[k]}}}," for slab in positions for k in slab),
         "equal": "" if unequal else "yes",
         "unequal": "yes" if unequal else "",
         "places": _wrapped(f"{{{place}}}" for place in places),

@@ -129,24 +129,20 @@ def _error(value: float) -> str:
 
 def _tables(model: PackedModel) -> dict[str, str]:
     """The layout of the cores and their coefficients."""
-    positions: dict[Any, int] = {}
     rows: list[str] = []
-    slabs: list[str] = []
     runs: list[Any] = []
     data: list[Any] = []
-    for start, slab in zip(model.starts, model.slabs, strict=True):
-        places = []
-        for core in slab:
-            key = (core.lower, core.scale, core.edges, core.tensor.shape, core.tensor.tobytes())
-            if key not in positions:
-                positions[key] = len(rows)
-                parts = [_packed(tensor) for tensor in core.tensor]
-                sparse = any((run < core.tensor.shape[2]).any() for run, _ in parts)
-                runs += [run for run, _ in parts] if sparse else []
-                data += [values for _, values in parts]
-                rows.append(_row(core, sparse))
-            places.append(positions[key])
-        slabs.append(f"  [{', '.join([_number(start), *map(str, places)])}],")
+    cores, positions = model.distinct
+    for core in cores:
+        parts = [_packed(tensor) for tensor in core.tensor]
+        sparse = any((run < core.tensor.shape[2]).any() for run, _ in parts)
+        runs += [run for run, _ in parts] if sparse else []
+        data += [values for _, values in parts]
+        rows.append(_row(core, sparse))
+    slabs = [
+        f"  [{', '.join([_number(start), *map(str, places)])}],"
+        for start, places in zip(model.starts, positions, strict=True)
+    ]
     return {
         "cores": "\n".join(rows),
         "slabs": "\n".join(slabs),

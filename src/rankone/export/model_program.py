@@ -42,22 +42,21 @@ class Model:
         keywords: tuple[str, ...],
         intervals: tuple[tuple[float, float], ...],
         starts: tuple[float, ...],
-        slabs: Sequence[Sequence[tuple[Place, Place, tuple[int, int, int, int]]]],
+        cores: Sequence[tuple[Place, Place, tuple[int, int, int, int]]],
+        slabs: Sequence[Sequence[int]],
         coefficients: Array,
     ) -> None:
         self.unknowns, self.coordinates, self.intervals = unknowns, coordinates, intervals
         self._names = dict(zip(keywords, coordinates, strict=True))
         self._breaks = np.array(starts[1:])
-        self._slabs: list[list[tuple[Array, Array, Array]]] = []
+        tensors: list[tuple[Array, Array, Array]] = []
         offset = 0
-        for slab in slabs:
-            cores = []
-            for lower, scale, shape in slab:
-                size = int(np.prod(shape))
-                tensor = coefficients[offset : offset + size].reshape(shape)
-                cores.append((np.array(lower), np.array(scale), tensor))
-                offset += size
-            self._slabs.append(cores)
+        for lower, scale, shape in cores:
+            end = offset + int(np.prod(shape))
+            tensor = coefficients[offset:end].reshape(shape)
+            tensors.append((np.array(lower), np.array(scale), tensor))
+            offset = end
+        self._slabs = [[tensors[position] for position in slab] for slab in slabs]
 
     def value(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
         """Values of the unknowns: shape (unknowns, *broadcast shape of the coordinates)."""

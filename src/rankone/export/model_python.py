@@ -31,7 +31,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     path : Path
         Where the module will be.
     """
-    coefficients = np.concatenate([c.tensor.ravel() for slab in model.slabs for c in slab])
+    coefficients = np.concatenate([core.tensor.ravel() for core in model.distinct[0]])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
     imports = {Import("numpy", None, "np")}
@@ -55,8 +55,8 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 
 
 _OWN_NAMES = (
-    *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "STARTS", "SLABS", "DATA", "MODEL"),
-    *("COEFFICIENTS", "value", "gradient"),
+    *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "CORES", "STARTS", "SLABS"),
+    *("DATA", "MODEL", "COEFFICIENTS", "value", "gradient"),
 )
 _LOAD_TEXT = ['COEFFICIENTS = np.frombuffer(base64.b64decode(DATA), dtype="<f8")']
 _LOAD_FILE = [
@@ -64,7 +64,7 @@ _LOAD_FILE = [
     '    COEFFICIENTS = file["coefficients"]',
 ]
 _END = [
-    "MODEL = Model(UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, SLABS, COEFFICIENTS)",
+    "MODEL = Model(UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, CORES, SLABS, COEFFICIENTS)",
     "value = MODEL.value",
     "gradient = MODEL.gradient",
 ]
@@ -107,22 +107,23 @@ def _head(model: PackedModel, path: Path) -> list[str]:
 
 def _tables(model: PackedModel) -> list[str]:
     """Names, intervals and the layout of the coefficients."""
-    layout = tuple(
-        tuple((*_places(core), core.tensor.shape) for core in slab) for slab in model.slabs
-    )
-    unequal = any(core.edges for slab in model.slabs for core in slab)
+    cores, slabs = model.distinct
+    layout = tuple((*_places(core), core.tensor.shape) for core in cores)
+    unequal = any(core.edges for core in cores)
     more = ["# (where elements are unequal, both are given for each of them)"] if unequal else []
     return [
         *table("UNKNOWNS", [quoted(name) for name in model.unknowns]),
         *table("COORDINATES", [quoted(name) for name in model.coordinates]),
         *table("KEYWORDS", [quoted(name) for name in keywords(model.coordinates)]),
         *table("INTERVALS", nested(model.intervals)),
+        "# of each core where its elements begin, elements per unit, and the shape (elements,",
+        "# left rank, polynomials, right rank) of its coefficients",
+        *more,
+        *table("CORES", nested(layout)),
         "# where each time slab begins",
         *table("STARTS", nested(model.starts)),
-        "# for each slab and coordinate: where its elements begin, elements per unit, and the",
-        "# shape (elements, left rank, polynomials, right rank) of its coefficients",
-        *more,
-        *table("SLABS", nested(layout)),
+        "# for each slab which cores it has, for time and for each parameter",
+        *table("SLABS", nested(slabs)),
     ]
 
 

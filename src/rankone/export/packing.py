@@ -6,8 +6,10 @@ the solve was, so that a model needs one recurrence and one contraction.
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 from rankone.arrays import Array
@@ -57,7 +59,7 @@ class PackedCore:
     @property
     def scales(self) -> tuple[float, ...]:
         """Elements per unit of the coordinate in each of the unequal elements."""
-        return tuple(1.0 / (b - a) for a, b in itertools.pairwise(self.edges))
+        return tuple(1.0 / (b - a) for a, b in pairwise(self.edges))
 
 
 @dataclass(frozen=True)
@@ -94,10 +96,23 @@ class PackedModel:
     errors: tuple[float, ...]
     units: tuple[tuple[str, str], ...]
 
+    @cached_property
+    def distinct(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
+        """The cores, those that are equal to the bit once, and for each slab which it has."""
+        cores: dict[Hashable, PackedCore] = {}
+        keys: list[list[Hashable]] = []
+        for slab in self.slabs:
+            own = [(c.lower, c.scale, c.edges, c.tensor.shape, c.tensor.tobytes()) for c in slab]
+            for key, core in zip(own, slab, strict=True):
+                cores.setdefault(key, core)
+            keys.append([*own])
+        position = {key: k for k, key in enumerate(cores)}
+        return (*cores.values(),), tuple(tuple(position[key] for key in slab) for slab in keys)
+
     @property
     def size(self) -> int:
-        """Number of coefficients."""
-        return sum(core.tensor.size for slab in self.slabs for core in slab)
+        """Number of coefficients, those of equal cores once."""
+        return sum(core.tensor.size for core in self.distinct[0])
 
 
 def pack(
