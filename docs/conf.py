@@ -41,6 +41,8 @@ python_maximum_signature_line_length = 80
 html_theme = "furo"
 html_title = f"rankone {version}"
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 
 _LINK = re.compile(r"\]\(([^)#\s]+\.(?:md|rst))(?:#[^)]*)?\)")
 _STAR = re.compile(r"([(,] ?)\*(?=\w)")

@@ -22,6 +22,7 @@ from tests.export.solutions import (
     synthetic,
     synthetic_with_breaks,
 )
+from tests.solution.functions import oscillator
 
 TSC = shutil.which("tsc")
 needs_typescript = pytest.mark.skipif(TSC is None, reason="no TypeScript compiler (tsc)")
@@ -88,6 +89,16 @@ def test_it_can_be_part_of_a_page(tmp_path):
         names, parameters, value = script(tmp_path, show)
         assert (names, parameters) == (["*/ u<!--"], ["a</script>"])
         assert value == pytest.approx(np.exp(-1.0), rel=1e-5)
+
+
+@needs_node
+def test_units_are_those_of_what_it_has(tmp_path):
+    solution = oscillator().solution
+    units = (("s", "s"), ("x", "m"), ("x_t", "m/s"))
+    solution = ro.Solution(solution.outcome, replace(solution.metadata, units=units))
+    for states, wanted in (("unknowns", dict(units[:2])), ("all", dict(units))):
+        solution.export(tmp_path / "model.mjs", states=states, overwrite=True)
+        assert script(tmp_path, "console.log(JSON.stringify(m.units));") == wanted
 
 
 def test_shared_cores_are_there_once(tmp_path):

@@ -51,7 +51,8 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     if not path.stem.isprintable():
         raise ExportError(f"`{path}` cannot be imported: its name has unprintable characters")
     time, *parameters = model.coordinates
-    units = [(name, _string(unit)) for name, unit in model.units]
+    known = {*model.coordinates, *model.unknowns}
+    units = [(name, _string(unit)) for name, unit in model.units if name in known]
     values = {
         "file": _safe(path.name),
         "version": __version__,
