@@ -56,7 +56,7 @@ def dataset(solution: SolutionCore, given: Mapping[Any, Any]) -> xarray.Dataset:
             for name, axis in axes.items()
         },
         {
-            "title": "; ".join(solution.metadata.equations),
+            "title": "; ".join(solution.metadata.statements),
             "source": f"rankone {solution.metadata.version}, method {solution.method}",
             "rtol": solution.rtol,
             "success": int(solution.success),

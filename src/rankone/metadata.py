@@ -59,6 +59,8 @@ class SolutionMetadata:
         are uniform.
     correlations : tuple of (str, str, float)
         Pairs of parameters and the correlation of their Gaussian copula; others are independent.
+    fixed : tuple of (str, float)
+        Coordinates that are none any more, and their values.
     """
 
     states: tuple[str, ...]
@@ -76,11 +78,17 @@ class SolutionMetadata:
     units: tuple[tuple[str, str], ...] = ()
     distributions: tuple[tuple[str, str], ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()
+    fixed: tuple[tuple[str, float], ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of all that a value depends on: time, unless it is timeless, and the parameters."""
         return self.parameters if self.timeless else (self.time, *self.parameters)
+
+    @property
+    def statements(self) -> tuple[str, ...]:
+        """What holds, as texts: the equations, and the values of what was fixed."""
+        return *self.equations, *(f"{name} = {value!r}" for name, value in self.fixed)
 
     @property
     def unknowns(self) -> tuple[str, ...]:

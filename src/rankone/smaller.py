@@ -47,7 +47,8 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _P
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
     """The same at one time, which is no coordinate any more."""
     slab = at_one_time(outcome.slabs, time, metadata.horizon)
-    metadata = replace(metadata, source=None, timeless=True)
+    fixed = (*metadata.fixed, (metadata.time, float(time)))
+    metadata = replace(metadata, source=None, timeless=True, fixed=fixed)
     return _part(replace(outcome, slabs=(slab,)), metadata.rtol), metadata
 
 
@@ -65,6 +66,7 @@ def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any,
             box=_without(metadata.box, j),
             distributions=tuple(pair for pair in metadata.distributions if pair[0] != name),
             correlations=tuple(c for c in metadata.correlations if name not in c[:2]),
+            fixed=(*metadata.fixed, (name, number)),
         )
     return _part(outcome, metadata.rtol), replace(metadata, source=None)
 

@@ -71,6 +71,9 @@ def _summary(solution: Any) -> list[tuple[str, str]]:
         + (f" ~ {given[name]}" if name in given else "")
         for name, (lo, hi) in solution.parameters.items()
     ]
+    over = _some(box if solution.metadata.timeless else [clock, *box]) or "nothing"
+    if solution.metadata.fixed:
+        over += "; at " + _some(f"{name} = {value:g}" for name, value in solution.metadata.fixed)
     count = len(solution.outcome.slabs)
     train = [f"{count} slab" + ("" if count == 1 else "s"), f"rank {solution.rank}"]
     if solution.nodes:
@@ -81,7 +84,7 @@ def _summary(solution: Any) -> list[tuple[str, str]]:
     timings = [f"{stage} {seconds:.3g} s" for stage, seconds in solution.timings.items()]
     return [
         ("unknowns", _some(named)),
-        ("over", _some(box if solution.metadata.timeless else [clock, *box]) or "nothing"),
+        ("over", over),
         ("success", f"{'yes' if solution.success else 'no'}: {solution.message}"),
         ("error", error),
         (solution.metadata.method, ", ".join(train)),

@@ -252,3 +252,18 @@ def test_without_time_files_labels_and_models(tmp_path):
 def test_time_that_is_not_there(call, match):
     with pytest.raises(RankoneError, match=match):
         call(solved("lotka_volterra", 1e-6))
+
+
+def test_what_was_fixed_is_said(tmp_path):
+    """Files, exports and the summary have the values of coordinates that are none any more."""
+    whole = solved("lotka_volterra", 1e-4)
+    part = whole.fix(x0=9.5).at(2.0)
+    assert part.metadata.fixed == (("x0", 9.5), ("t", 2.0))
+    assert "; at x0 = 9.5, t = 2" in str(part)
+    part.save(tmp_path / "part.npz")
+    assert ro.load(tmp_path / "part.npz").metadata == part.metadata
+    for suffix in ("py", "c", "js"):
+        text = part.export(tmp_path / f"model.{suffix}").read_text()
+        assert "x0 = 9.5" in text
+        assert "t = 2.0" in text
+    assert whole.metadata.fixed == ()

@@ -204,7 +204,7 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
     coordinates = {metadata.time: solution.time, **solution.parameters}
     units = dict(metadata.units)
     return (
-        *(f"    {equation}" for equation in metadata.equations),
+        *(f"    {equation}" for equation in metadata.statements),
         "",
         *(
             with_unit(f"{name} in [{lower!r}, {upper!r}]", units, name)

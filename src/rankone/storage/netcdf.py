@@ -192,7 +192,7 @@ def _attributes(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
         "title": _text(f"Solution of {', '.join(metadata.unknowns)}"),
         "summary": _SUMMARY,
         "source": _text(f"rankone {metadata.version}, method {metadata.method}"),
-        "equations": _text("\n".join(metadata.equations)),
+        "equations": _text("\n".join(metadata.statements)),
         "rtol": float(metadata.rtol),
         **({} if measured is None else {"error": float(measured.error)}),
         "success": int(outcome.status is Status.CONVERGED),
