@@ -262,8 +262,9 @@ def test_what_was_fixed_is_said(tmp_path):
     assert "; at x0 = 9.5, t = 2" in str(part)
     part.save(tmp_path / "part.npz")
     assert ro.load(tmp_path / "part.npz").metadata == part.metadata
-    for suffix in ("py", "c", "js"):
-        text = part.export(tmp_path / f"model.{suffix}").read_text()
+    for written, said in (("py", "py"), ("c", "h"), ("js", "d.ts")):
+        part.export(tmp_path / f"model.{written}")
+        text = (tmp_path / f"model.{said}").read_text()
         assert "x0 = 9.5" in text
         assert "t = 2.0" in text
     assert whole.metadata.fixed == ()
