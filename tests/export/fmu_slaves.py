@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from ctypes import byref, c_bool, c_double
 from pathlib import Path
 
 import fmpy
@@ -20,13 +21,18 @@ class Slave:
     references : dict
         Value references by the names of the variables.
     messages : list of str
+    statuses : list of int
+        Of the calls that the messages belong to.
     """
 
-    def __init__(self, folder: Path, name: str = "one", token: str | None = None) -> None:
+    def __init__(
+        self, folder: Path, name: str = "one", token: str | None = None, logging: bool = True
+    ) -> None:
         about = fmpy.read_model_description(str(folder))
         self.two = about.fmiVersion == "2.0"
         self.references = {v.name: v.valueReference for v in about.modelVariables}
         self.messages: list[str] = []
+        self.statuses: list[int] = []
         kind = fmi2.FMU2Slave if self.two else fmi3.FMU3Slave
         self.fmu = kind(
             guid=token or about.guid or about.instantiationToken,
@@ -39,13 +45,14 @@ class Slave:
             callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._log)
             callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
             callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
-            self.fmu.instantiate(callbacks=callbacks)
+            self.fmu.instantiate(callbacks=callbacks, loggingOn=logging)
         else:
-            self.fmu.instantiate(logMessage=self._log3)
+            self.fmu.instantiate(logMessage=self._log3, loggingOn=logging)
 
     def _log(self, environment, name, status, category, message) -> None:
-        assert (status, category) == (3, b"logStatusError")
+        assert category == {2: b"logStatusDiscard", 3: b"logStatusError"}[status]
         self.messages.append(message.decode())
+        self.statuses.append(status)
 
     def _log3(self, environment, status, category, message) -> None:
         self._log(environment, None, status, category, message)
@@ -73,7 +80,20 @@ class Slave:
         return (self.fmu.getReal if self.two else self.fmu.getFloat64)(references)
 
     def step(self, at: float, size: float) -> None:
-        self.fmu.doStep(at, size)
+        if self.two:
+            self.fmu.doStep(at, size)
+            return
+        self.outputs = (c_bool(), c_bool(), c_bool(), c_double())
+        self.fmu.fmi3DoStep(self.fmu.component, at, size, True, *map(byref, self.outputs))
+
+    def ends(self) -> tuple[bool, float]:
+        """Whether the FMU asks for the end after the last step, and the time that it reached."""
+        if self.two:
+            ends = self.fmu.getBooleanStatus(fmi2.fmi2Terminated)
+            return bool(ends), self.fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime)
+        event, ends, early, reached = (value.value for value in self.outputs)
+        assert (event, early) == (False, False)
+        return ends, reached
 
     def free(self) -> None:
         """Of this instance alone: FMPy would unload the library for all."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
+import re
 import shutil
+import struct
 import subprocess
 import sys
 import zipfile
@@ -71,6 +74,14 @@ def alone():
 
 
 @cache
+def before_zero():
+    problem = ro.Problem.from_strings(
+        rhs={"u": "-k*u"}, initial={"u": "1"}, parameters={"k": (0.5, 5)}, time=(-2, 0)
+    )
+    return ro.solve(problem, rtol=1e-6)
+
+
+@cache
 def with_units():
     solution = solved("decay")
     units = (("t", "h"), ("k", "1/h"), ("u", "µg/m³"))
@@ -82,6 +93,7 @@ SOLUTIONS = {
     "lotka_volterra": lotka_volterra,
     "pendulum": pendulum,
     "doses": doses,
+    "before zero": before_zero,
     "no parameters": alone,
     "no time": lambda: solved("decay").at(1.0),
     "awkward names": synthetic,
@@ -156,26 +168,30 @@ def compile_strictly(sources, *flags):
 
 
 LOG = """\
-x 3: modelDescription.xml belongs to another binary: its token is not {token}
-x 3: the model is not for model exchange
- 3: the instance has no name
+x 3 logStatusError: modelDescription.xml belongs to another binary: its token is not {token}
+x 3 logStatusError: the model is not for model exchange
+ 3 logStatusError: the instance has no name
 t=1.0000 k=2.7500 u=0.0639
 t=0.0000 k=1.0000 u=1.0000
-first 3: parameter `k`: 99 is outside of its range [0.5, 5]
-first 3: there are no variables of type Integer
-first 3: the step ends at 5, after the stop time 2
-second 3: fmi2DoStep cannot be called before the initialization
+first 2 logStatusDiscard: parameter `k`: 99 is outside of its range [0.5, 5]
+first 3 logStatusError: {no_whole_numbers}
+first 2 logStatusDiscard: the step ends at 5, after the stop time 2
+0 1 0 0.0000
+second 3 logStatusError: fmi{version}DoStep cannot be called before the initialization
 0.0000
+t=0.5000 k=1.0000 u=0.6065
 t=0.0000 k=2.7500 u=1.0000
 """
 
 
 @needs_compiler
-def test_sanitized(archive, tmp_path):
+@both
+def test_sanitized(fmi, archive, tmp_path):
     """No leak and no undefined behaviour; the log says all that is refused."""
-    _, folder = archive("decay", "2.0")
+    _, folder = archive("decay", fmi)
     sources, program = folder / "sources", tmp_path / "driver"
     flags = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{sources}"]
+    flags.append(f"-DFMI={fmi[0]}")
     files = [*map(str, sources.glob("*.c")), str(DRIVER)]
     strict = [flag for flag in STRICT if flag not in ("-shared", "-fPIC")]
     command = [COMPILER, *strict, *flags, *files, "-o", str(program)]
@@ -183,10 +199,17 @@ def test_sanitized(archive, tmp_path):
     if run.returncode and "cannot find" in run.stderr:
         pytest.skip("the compiler has no sanitizers")
     assert run.returncode == 0, run.stderr
-    token = described(folder).get("guid")
+    token = described(folder).get("instantiationToken" if fmi == "3.0" else "guid")
     run = subprocess.run([str(program), token], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
-    assert run.stdout.replace("-0.0000", "0.0000") == LOG.format(token=token)
+    whole = {
+        "2.0": "there are no variables of type Integer",
+        "3.0": "fmi3GetInt32: the model has nothing of this kind",
+    }
+    wanted = LOG.format(token=token, version=fmi[0], no_whole_numbers=whole[fmi])
+    if fmi == "3.0":  # whose log does not name instances
+        wanted = re.sub(r"(?m)^\w* (?=\d \w+:)", "any ", wanted)
+    assert run.stdout.replace("-0.0000", "0.0000") == wanted
 
 
 @needs_compiler
@@ -211,6 +234,14 @@ def test_description(fmi, archive):
 
 @needs_compiler
 @both
+def test_can_be_passed_on(fmi, archive):
+    _, folder = archive("decay", fmi)
+    for source in folder.glob("sources/*.[ch]"):
+        assert "used, changed and passed on without restriction" in source.read_text()
+
+
+@needs_compiler
+@both
 def test_names(fmi, tmp_path):
     """Other characters than XML has, and line breaks, become underscores; names stay distinct."""
     solution = synthetic()
@@ -223,7 +254,7 @@ def test_names(fmi, tmp_path):
     variables = [variable.get("name") for variable in root.find("ModelVariables")]
     assert variables == ["a_b_", "a_b__", "a_b", "<&\"' %#_", "x", "int"]
     assert root.get("modelName") == "naïve model-1"
-    assert root.find("CoSimulation").get("modelIdentifier").endswith("ve_model_1")
+    assert root.find("CoSimulation").get("modelIdentifier") == "naive_model_1"
     if fmpy is not None:
         assert validate_fmu(str(path)) == []
         with slave(tmp_path) as one:
@@ -349,6 +380,9 @@ def test_changes_of_parameters(name, fmi, archive):
             time = one.get("t")[0]
         assert one.get(*values) == list(values.values())
         assert one.messages == []
+        with pytest.raises(FMICallException):
+            one.step(time, math.inf)
+        assert "the time inf is outside" in one.messages[0]
 
 
 @runs
@@ -373,20 +407,24 @@ def test_refused_values(fmi, archive):
         one.step(0.0, 1.0)
         before = one.get("t", "x0", "y0", "x", "y")
         bad = [
-            (lambda: one.set(x0=12.5), "parameter `x0`: 12.5 is outside of its range [8, 12]"),
-            (lambda: one.set(y0=5.5, x0=7.0), "parameter `x0`: 7 is outside of its range [8, 12]"),
-            (lambda: one.set(y0=float("nan")), "parameter `y0`: "),
-            (lambda: one.set(x=1.0), "the variable with the reference 3 is no parameter"),
-            (lambda: one.set(t=1.0), "the variable with the reference 0 is no parameter"),
-            (lambda: one.step(1.0, 5.5), "the time 6.5 is outside of [0, 6], which was solved"),
-            (lambda: one.step(1.0, -0.5), "the step -0.5 is not positive"),
-            (lambda: one.step(1.0, float("nan")), "the step "),
-            (lambda: one.step(2.0, 0.5), "the step begins at 2, but the time is 1"),
-            (lambda: one.enter(0.0), "cannot be called between steps"),
+            (2, lambda: one.set(x0=12.5), "parameter `x0`: 12.5 is outside of its range [8, 12]"),
+            (2, lambda: one.set(x0=12 + 1e-9), "parameter `x0`: 12.000000001 is outside of "),
+            (2, lambda: one.set(y0=5.5, x0=7.0), "parameter `x0`: 7 is outside of its range"),
+            (2, lambda: one.set(y0=float("nan")), "parameter `y0`: "),
+            (3, lambda: one.set(x=1.0), "the variable with the reference 3 is no parameter"),
+            (3, lambda: one.set(t=1.0), "the variable with the reference 0 is no parameter"),
+            (2, lambda: one.step(1.0, 5.5), "the time 6.5 is outside of [0, 6], which was solved"),
+            (2, lambda: one.step(1.0, float("inf")), "the time inf is outside of [0, 6]"),
+            (3, lambda: one.step(1.0, 0.0), "the step 0 is not positive"),
+            (3, lambda: one.step(1.0, -0.5), "the step -0.5 is not positive"),
+            (3, lambda: one.step(1.0, float("nan")), "the step "),
+            (3, lambda: one.step(2.0, 0.5), "the step begins at 2, but the time is 1"),
+            (3, lambda: one.enter(0.0), "cannot be called between steps"),
         ]
-        for count, (call, message) in enumerate(bad, 1):
-            with pytest.raises(FMICallException):
+        for count, (status, call, message) in enumerate(bad, 1):
+            with pytest.raises(FMICallException) as caught:
                 call()
+            assert (caught.value.status, one.statuses[-1]) == (status, status)
             assert len(one.messages) == count
             assert message in one.messages[-1]
             assert one.get("t", "x0", "y0", "x", "y") == before
@@ -394,6 +432,143 @@ def test_refused_values(fmi, archive):
         with pytest.raises(FMICallException):
             one.get("none")
         assert one.messages[-1] == "there is no variable with the reference 99"
+
+
+@runs
+@both
+def test_ends_of_ranges(fmi, archive):
+    """A value outside by round-off counts as the end of the range."""
+    with slave(archive("lotka_volterra", fmi)[1], 0.0) as one:
+        one.set(x0=12 + 1e-12)
+        assert one.get("x0") == [12.0]
+        wanted = one.get("x", "y")
+        one.set(x0=12.0)
+        assert one.get("x", "y") == wanted
+
+
+@runs
+@both
+@pytest.mark.parametrize(
+    ("name", "count", "above"),
+    [("decay", 200_000, True), ("decay", 30, False), ("before zero", 300_000, True)],
+)
+def test_steps_that_add_up(name, count, above, fmi, archive):
+    """The last of many steps ends at the end of the horizon but for round-off, on either side."""
+    solution, (_, folder) = SOLUTIONS[name](), archive(name, fmi)
+    (start, stop), size = solution.time, 2.0 / count
+    times = list(itertools.accumulate(itertools.repeat(size, count), initial=start))
+    end = times[-1]
+    assert (end > stop + 2e-12) if above else (stop - 1e-12 < end < stop)
+    with slave(folder, start, k=2.0) as one:
+        one.step(start, times[-20] - start)
+        for at in times[-20:-1]:
+            one.step(at, size)
+        assert one.get("t") == [end]
+        assert one.get("u")[0] == pytest.approx(solution(t=stop, k=2.0)[0], rel=1e-10)
+        one.set(k=3.0)  # computed anew, at this time
+        assert one.get("u")[0] == pytest.approx(solution(t=stop, k=3.0)[0], rel=1e-10)
+        state = one.fmu.getFMUState()
+        one.fmu.setFMUState(state)
+        one.fmu.freeFMUState(state)
+        slope = one.fmu.getDirectionalDerivative([one.references["u"]], [0], [1.0])
+        assert slope[0] == pytest.approx(-3.0 * one.get("u")[0], rel=1e-3)
+        with pytest.raises(FMICallException) as caught:
+            one.step(end, size)
+        assert caught.value.status == 2
+    with slave(folder, start, stop) as one:
+        one.step(start, times[-2] - start)
+        one.step(times[-2], size)
+        assert one.messages == []
+
+
+@runs
+@both
+def test_steps_after_discarded_ones(fmi, archive):
+    """A discarded step asks for the end, changes nothing, and a shorter one can be taken."""
+    with slave(archive("decay", fmi)[1], 0.0, k=2.0) as one:
+        one.step(0.0, 1.5)
+        assert one.ends() == (False, 1.5)
+        before = one.get("t", "k", "u")
+        with pytest.raises(FMICallException) as caught:
+            one.step(1.5, 1.0)
+        assert caught.value.status == 2
+        assert one.ends() == (True, 1.5)
+        assert one.get("t", "k", "u") == before
+        one.step(1.5, 0.5)
+        assert one.ends() == (False, 2.0)
+        assert one.get("u")[0] == pytest.approx(solved("decay")(t=2.0, k=2.0)[0])
+
+
+@runs
+@both
+def test_simulations_beyond_the_horizon(fmi, archive):
+    """FMPy fails with a message, or, told nothing of a stop time, does not get beyond."""
+    path, _ = archive("decay", fmi)
+    with pytest.raises(FMICallException) as caught:
+        fmpy.simulate_fmu(str(path), stop_time=3.0, output_interval=0.5)
+    assert caught.value.status == 3
+    with pytest.raises(FMICallException) as caught:
+        fmpy.simulate_fmu(str(path), start_values={"k": 9.0})
+    assert caught.value.status == 2
+    beyond = {"stop_time": 3.0, "output_interval": 0.8, "set_stop_time": False, "timeout": 10}
+    if fmi == "3.0":
+        with pytest.raises(FMICallException) as caught:
+            fmpy.simulate_fmu(str(path), **beyond)
+        assert caught.value.status == 2
+        return
+    said = []
+    found = fmpy.simulate_fmu(str(path), logger=lambda *text: said.append(text[-1]), **beyond)
+    assert set(found["time"]) == {0.0, 0.8, 1.6}
+    wanted = solved("decay")(found["time"], k=2.75)[0]
+    np.testing.assert_allclose(found["u"], wanted, rtol=1e-10)
+    (message,) = said
+    assert b"the time 2.4 is outside of [0, 2]" in message
+
+
+@runs
+@both
+def test_logging(fmi, archive):
+    """Discards are said unless that is switched off, errors always; categories have to be known."""
+    one = Slave(archive("decay", fmi)[1], logging=False)
+
+    def messages():
+        one.messages.clear()
+        for name, value in (("k", 9.0), ("u", 1.0)):
+            with pytest.raises(FMICallException):
+                one.set(**{name: value})
+        return [message.split()[0] for message in one.messages]
+
+    assert messages() == (["parameter", "the"] if fmi == "2.0" else ["the"])
+    for on, categories, count in (
+        (True, [], 2),
+        (False, ["logStatusDiscard"], 1),
+        (True, ["logStatusError"], 1),
+        (True, ["logStatusError", "logStatusDiscard"], 2),
+        (False, [], 1),
+    ):
+        one.fmu.setDebugLogging(on, categories)
+        assert len(messages()) == count
+    with pytest.raises(FMICallException) as caught:
+        one.fmu.setDebugLogging(True, ["logStatusDiscard", "nope"])
+    assert caught.value.status == 3
+    assert one.messages[-1] == "there is no log category `nope`"
+    assert len(messages()) == 1
+    one.free()
+
+
+@runs
+def test_initialization_without_a_start(archive):
+    """In FMI 2.0 the start time has to be known first, also after a reset."""
+    one = Slave(archive("decay", "2.0")[1])
+    for _ in range(2):
+        with pytest.raises(FMICallException) as caught:
+            one.fmu.enterInitializationMode()
+        assert caught.value.status == 3
+        assert "before fmi2SetupExperiment" in one.messages[-1]
+        one.begin(0.0)
+        one.step(0.0, 1.0)
+        one.fmu.reset()
+    one.free()
 
 
 @runs
@@ -407,13 +582,15 @@ def test_refused_times(fmi, archive):
         ((3.0, 2.0), "the stop time 2 is before the start time 3"),
     ):
         one = Slave(folder)
-        with pytest.raises(FMICallException):
+        with pytest.raises(FMICallException) as caught:
             one.begin(*at)
+        assert caught.value.status == 3
         assert message in one.messages[0]
         one.free()
     with slave(folder, 0.0, 2.0) as one:
-        with pytest.raises(FMICallException):
+        with pytest.raises(FMICallException) as caught:
             one.step(0.0, 3.0)
+        assert caught.value.status == 2
         assert one.messages == ["the step ends at 3, after the stop time 2"]
     with slave(folder, 2.0) as one:  # a later start is a point of the same trajectory
         wanted = lotka_volterra()(t=2.0, x0=10, y0=5)
@@ -482,6 +659,46 @@ def test_states(fmi, archive):
         for owner, held in ((one, state), (other, copy), (other, wrong)):
             owner.fmu.freeFMUState(held)
             assert held.value is None
+
+
+@runs
+@both
+def test_corrupt_states(fmi, archive):
+    """Each part of a state is looked at: time, stop, mode, whether there is a start, parameters."""
+    with slave(archive("decay", fmi)[1], 0.0, k=2.0) as one:
+        one.step(0.0, 1.0)
+        state = one.fmu.getFMUState()
+        layout = struct.Struct("ddiid")
+        parts = list(layout.unpack(one.fmu.serializeFMUState(state)))
+        one.fmu.freeFMUState(state)
+        assert parts == [1.0, math.inf, 4, 1, 2.0]
+
+        def set_state(**changes):
+            names = ("time", "stop", "mode", "set_up", "k")
+            values = (changes.get(name, part) for name, part in zip(names, parts, strict=True))
+            copy = one.fmu.deserializeFMUState(layout.pack(*values))
+            try:
+                one.fmu.setFMUState(copy)
+            finally:
+                one.fmu.freeFMUState(copy)
+
+        for changes in (
+            *({"mode": mode} for mode in (0, 3, 5, 15, 16, -1)),
+            *({"stop": stop} for stop in (math.nan, -math.inf, 2.5, -1.0)),
+            *({"time": time} for time in (math.nan, math.inf, 2.5)),
+            *({"k": k} for k in (math.nan, 9.0)),
+            *({"set_up": 0, "mode": mode} for mode in (2, 4, 8)),
+            {"set_up": 7, "mode": 1},
+        ):
+            with pytest.raises(FMICallException):
+                set_state(**changes)
+            assert one.messages[-1] == "the state is none of this model", changes
+            assert one.get("t", "k") == [1.0, 2.0]
+        one.messages.clear()
+        for changes in ({}, {"stop": 2.0}, {"mode": 8}, {"mode": 1, "set_up": 0}, {"k": 3.0}):
+            set_state(**changes)
+        assert one.get("k") == [3.0]
+        assert one.messages == []
 
 
 @runs

@@ -198,6 +198,15 @@ def test_names_that_need_no_change_keep_their_own(tmp_path):
     assert "#define MODEL_P_a_b_ 0\n#define MODEL_P_a_b 1\n" in header
 
 
+def test_c_positions_of_names_that_lose_their_accents(tmp_path):
+    t, *ks = sp.symbols("t é e ê")
+    u = sp.Function("u")(t)
+    problem = ro.Problem([u.diff(t) + sum(ks) * u], (t, 0, 1), dict.fromkeys(ks, (0, 1)), {u: 1})
+    ro.solve(problem, rtol=1e-3).export(tmp_path / "model.c")
+    found = re.findall(r"#define MODEL_P_(\w+) (\d)", (tmp_path / "model.h").read_text())
+    assert found == [("e_", "0"), ("e", "1"), ("e__", "2")]
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [
@@ -474,7 +483,19 @@ def test_c_prefix_and_bytes(tmp_path):
         ("x_{0}", "x_0"),
         ("lambda", "lambda"),
         ("α", "alpha"),
-        ("λ_1", "lamda_1"),
+        ("λ_1", "lambda_1"),
+        ("ΔΩ", "DeltaOmega"),
+        ("ϑ̇", "theta"),
+        ("ά", "alpha"),
+        ("ς", "sigma"),
+        ("µm²", "mum2"),
+        ("é", "e"),
+        ("Höhe", "Hohe"),
+        ("naïve model-1", "naive_model_1"),
+        ("Straße", "Stra_e"),
+        ("Ωж_1", "Omega_1"),
+        ("日本x", "_x"),
+        ("日本", "model"),
         ("2a", "_2a"),
         ("k'", "k_prime"),
         ("???", "model"),
@@ -482,6 +503,20 @@ def test_c_prefix_and_bytes(tmp_path):
 )
 def test_c_identifiers(name, identifier):
     assert c_identifier(name) == identifier
+
+
+# --- what the files say ------------------------------------------------------------------------
+
+TERMS = "may be used, changed and passed on without restriction."
+
+
+@pytest.mark.parametrize("suffix", ["py", "c", "h", "js", "d.ts", "html"])
+def test_models_can_be_passed_on(suffix, tmp_path):
+    path = tmp_path / f"model.{suffix}"
+    solved("decay").export(
+        path.with_name({"h": "model.c", "d.ts": "model.js"}.get(suffix, path.name))
+    )
+    assert path.read_text().count(TERMS) == 1
 
 
 # --- bad input ---------------------------------------------------------------------------------

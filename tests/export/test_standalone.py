@@ -469,6 +469,7 @@ def test_header():
     head = source[: source.index("import argparse")]
     for text in ("x' = 1.5*x - x*y", "x0 in [8, 12]", "Operations: rhs 5", "coefficient  monomial"):
         assert text in head
+    assert "may be used, changed and passed on without restriction.\n" in head
     assert "rankone." not in "".join(line for line in source.splitlines() if "import" in line)
 
 

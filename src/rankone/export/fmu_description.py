@@ -18,7 +18,10 @@ FMI = Literal["2.0", "3.0"]
 """Versions of the Functional Mock-up Interface."""
 
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-_CATEGORY = "logStatusError"
+_CATEGORIES = {
+    "logStatusDiscard": "Values and steps beyond what was solved",
+    "logStatusError": "Calls that are refused, and why",
+}
 _ABLE: dict[FMI, tuple[str, ...]] = {
     "2.0": (
         "canHandleVariableCommunicationStepSize",
@@ -101,7 +104,8 @@ def model_description(about: Description, token: str) -> bytes:
     _add_interface(root, about)
     _add_units(root, about)
     categories = SubElement(root, "LogCategories")
-    SubElement(categories, "Category", name=_CATEGORY, description="What was refused, and why")
+    for name, description in _CATEGORIES.items():
+        SubElement(categories, "Category", name=name, description=description)
     if not about.timeless:
         start, stop = about.model.intervals[0]
         SubElement(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop))

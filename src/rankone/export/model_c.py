@@ -17,16 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.codegen.text import paragraph
 from rankone.errors import ExportError
 from rankone.export.packing import PackedModel
-from rankone.export.templates import filled, outside_of_comments, wrapped
+from rankone.export.templates import LINE, TERMS, comment, filled, outside_of_comments, wrapped
 from rankone.files import Content
 from rankone.version import __version__
 
 __all__ = ["c_identifier", "c_model"]
 
-_WIDTH = 96
+_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:\w+ )*(\w+)")
 _BLOCK, _LANES, _PAIR = 8, 4, 2
 """Rows contracted together, and multiples to which products and runs are padded; the same in the
 template."""
@@ -54,7 +53,8 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "header": path.with_suffix(".h").name,
         "source": path.name,
         "version": __version__,
-        "summary": _comment(model),
+        "terms": TERMS,
+        "summary": comment(model.summary),
         "unknowns": str(len(model.unknowns)),
         "parameters": str(len(model.coordinates) - 1),
         "room": str(max(len(model.coordinates) - 1, 1)),
@@ -77,20 +77,21 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 def c_identifier(name: str) -> str:
     """A C identifier that resembles a name: ``x_{0}`` becomes ``x_0``, ``2a`` becomes ``_2a``.
 
-    Greek letters are spelled out; other characters become underscores.
+    Letters lose their accents, Greek ones are spelled out; other characters become underscores.
     """
-    letters = []
-    for letter in unicodedata.normalize("NFKC", name).replace("'", "_prime"):
-        if not letter.isascii() and letter.isalpha():
-            letter = unicodedata.name(letter, "x").split(" LETTER ")[-1].split()[-1].lower()
-        letters.append(letter)
+    plain = unicodedata.normalize("NFKD", name).replace("'", "_prime")
+    letters = (_latin(letter) for letter in plain if not unicodedata.combining(letter))
     text = re.sub(r"_*[^A-Za-z0-9_]+_*", "_", "".join(letters)).rstrip("_") or "model"
     return f"_{text}" if text[0].isdigit() else text
 
 
-def _comment(model: PackedModel) -> str:
-    lines = (part for line in model.summary for part in paragraph(line, _WIDTH))
-    return "\n".join(f" * {outside_of_comments(line)}".rstrip() for line in lines)
+def _latin(letter: str) -> str:
+    """The name of a Greek letter, any other character as it is."""
+    found = _GREEK.fullmatch(unicodedata.name(letter, ""))
+    if found is None:
+        return letter
+    word = found[2].lower().replace("lamda", "lambda")
+    return word.capitalize() if found[1] == "CAPITAL" else word
 
 
 def _indices(model: PackedModel, prefix: str) -> str:
@@ -178,4 +179,4 @@ def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
 
 
 def _wrapped(items: Iterable[str]) -> str:
-    return "\n".join(wrapped(items, _WIDTH))
+    return "\n".join(wrapped(items, LINE))

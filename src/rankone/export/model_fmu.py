@@ -25,7 +25,7 @@ from rankone.export.fmu_description import (
 )
 from rankone.export.model_c import c_identifier, c_model
 from rankone.export.packing import PackedModel
-from rankone.export.templates import filled
+from rankone.export.templates import TERMS, filled
 from rankone.files import Content
 from rankone.version import __version__
 from rankone.wording import shown
@@ -113,6 +113,7 @@ def _wrapper(about: Description, token: str) -> dict[str, str]:
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "version": __version__,
+        "terms": TERMS,
         "token": token,
         "room": str(max(len(parameters), 1)),
         "timeless": str(int(about.timeless)),

@@ -19,17 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
-from rankone.codegen.text import paragraph
 from rankone.coordinates import round_off
 from rankone.errors import ExportError
 from rankone.export.packing import PackedCore, PackedModel
-from rankone.export.templates import filled, outside_of_comments
+from rankone.export.templates import LINE, TERMS, comment, filled, outside_of_comments
 from rankone.files import Content
 from rankone.version import __version__
 
 __all__ = ["javascript_model"]
 
-_WIDTH = 96
 _BLOCK = 8
 """Rows of a core contracted together; the same in the template."""
 
@@ -56,7 +54,8 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     values = {
         "file": _safe(path.name),
         "version": __version__,
-        "summary": _comment(model),
+        "terms": TERMS.replace("file", "module"),
+        "summary": comment(model.summary, _safe),
         "unknown_list": _safe(", ".join(model.unknowns)),
         "unknowns": ", ".join(map(_string, model.unknowns)),
         "parameters": ", ".join(map(_string, parameters)),
@@ -80,11 +79,6 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 def _safe(text: str) -> str:
     """Text for a comment of a module that may be part of a page."""
     return outside_of_comments(text).replace("</", "< /").replace("<!", "< !")
-
-
-def _comment(model: PackedModel) -> str:
-    lines = (part for line in model.summary for part in paragraph(line, _WIDTH))
-    return "\n".join(f" * {_safe(line)}".rstrip() for line in lines)
 
 
 def _examples(model: PackedModel) -> dict[str, str]:
@@ -180,6 +174,4 @@ def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
 def _base64(arrays: list[Any], kind: str) -> str:
     """Numbers as text of several lines."""
     joined = np.concatenate(arrays) if arrays else np.empty(0)
-    return "\n".join(
-        textwrap.wrap(base64.b64encode(joined.astype(kind).tobytes()).decode(), _WIDTH)
-    )
+    return "\n".join(textwrap.wrap(base64.b64encode(joined.astype(kind).tobytes()).decode(), LINE))

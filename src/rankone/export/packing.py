@@ -194,7 +194,8 @@ def _said(rounding: Rounding, rtol: float) -> str:
     largest = max(rounding.differences)
     return (
         f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
-        f"measured {largest:.1e} at {rounding.points} random points."
+        f"measured {largest:.1e} at {rounding.points} random points and by climbing from the worst "
+        "of them."
     )
 
 

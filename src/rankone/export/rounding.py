@@ -43,8 +43,8 @@ class Rounding:
     slabs : tuple of SlabTrain
         Slabs that shared the cores of their parameters go on sharing them.
     differences : tuple of float
-        For each state the largest difference at the points, relative to its size: its largest
-        value there.
+        For each state the largest difference at the points and by climbing from the worst of
+        them, relative to its size: its largest value at the points.
     points : int
         Number of points.
     """
@@ -57,7 +57,9 @@ class Rounding:
 def rounded_slabs(
     slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]], rtol: float
 ) -> Rounding:
-    """Trains with fewer coefficients, within ``rtol`` of each state's size at random points.
+    """Trains with fewer coefficients, within ``rtol`` of each state's size.
+
+    The difference is measured at random points and by climbing from the worst of them.
 
     Parameters
     ----------

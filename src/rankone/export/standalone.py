@@ -18,6 +18,7 @@ from rankone.codegen.names import is_identifier
 from rankone.codegen.text import INDENT, WIDTH, docstring, literal, quoted, tuple_lines
 from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names, imported
+from rankone.export.templates import TERMS
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
@@ -151,6 +152,7 @@ def _head(
             "or newer, NumPy and SciPy.",
             WIDTH,
         ),
+        TERMS,
         *module.docstring[3:],
         "",
         *(line if len(line) <= WIDTH else line[: WIDTH - 4] + " ..." for line in table),

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
-__all__ = ["filled", "outside_of_comments", "wrapped"]
+from rankone.codegen.text import paragraph
 
+__all__ = ["LINE", "TERMS", "comment", "filled", "outside_of_comments", "wrapped"]
+
+LINE = 96
+"""Characters in a line of a file that is not in Python."""
+TERMS = "On rankone's part this file may be used, changed and passed on without restriction."
+"""What exported files say of the source of the library that is in them."""
 _PLACE = Path(__file__).parent
 _CONDITION = re.compile(r"^@if (\w+)@\n(.*?)(?:^@else@\n(.*?))?^@end@\n", re.DOTALL | re.MULTILINE)
 
@@ -26,6 +32,12 @@ def filled(template: str, values: Mapping[str, str]) -> str:
 def outside_of_comments(text: str) -> str:
     """Text that neither ends a comment nor begins one."""
     return text.replace("*/", "* /").replace("/*", "/ *")
+
+
+def comment(paragraphs: Iterable[str], escaped: Callable[[str], str] = outside_of_comments) -> str:
+    """The lines inside a block comment, each of them escaped."""
+    lines = (part for text in paragraphs for part in paragraph(text, LINE))
+    return "\n".join(f" * {escaped(line)}".rstrip() for line in lines)
 
 
 def wrapped(items: Iterable[str], width: int, indent: int = 4) -> Iterator[str]:
