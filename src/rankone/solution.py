@@ -182,7 +182,8 @@ class Solution(DistributionOverBox, EstimationFromData):
         rtol : float, optional
             By how much the model may differ from the solution, relative to the size of each
             unknown, to be smaller and faster; 1e-12 to 0.1. The difference is measured at 4200
-            random points and by climbing from the worst of them, and said in the model. Without it the model is the solution.
+            random points and by climbing from the worst of them, and said in the model. Without
+            it the model is the solution.
         overwrite : bool
             Whether to replace existing files.
         allow_failed : bool
