@@ -1,7 +1,8 @@
 """What a frame of the falling card's page costs: ``python tests/benchmarks/falling_card.py``.
 
 A frame evaluates 51 cards and one path of 200 times. Wall-clock medians in Node, for the model as
-it is and for smaller ones, beside one SciPy trajectory in Python.
+it is and for smaller ones, beside one SciPy trajectory in Python; and the milliseconds from frame
+to frame of the page in headless Chromium, while a slider moves.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
 from examples import falling_card  # noqa: E402
+from tests.export.browser import NoBrowserError, browser  # noqa: E402
 from tests.reference.systems import INDEPENDENT  # noqa: E402
 
 CARDS, PATH, FRAMES = 51, 200, 300
@@ -47,6 +49,31 @@ for (let frame = 0; frame < {frames}; frame++) {{
 const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 console.log(JSON.stringify([0, 1].map((k) => median(took.map((pair) => pair[k])))));
 """
+
+MOVED = """
+(count) => new Promise((done) => {
+  const slider = document.querySelector("#sliders input");
+  const [lower, upper] = [slider.min, slider.max].map(Number);
+  const times = [];
+  const step = (now) => {
+    times.push(now);
+    slider.value = lower + ((upper - lower) * times.length) / count;
+    slider.dispatchEvent(new Event("input"));
+    if (times.length > count) done(times.slice(1).map((time, i) => time - times[i]));
+    else requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+})
+"""
+
+
+def frames(solution: ro.Solution) -> list[float]:
+    """Milliseconds from frame to frame of the page, while a slider moves with every one."""
+    with tempfile.TemporaryDirectory() as folder, browser() as chromium:
+        path = Path(folder) / "card.html"
+        path.write_text(falling_card.page(solution), encoding="utf-8")
+        with chromium.open(path) as page:
+            return sorted(page.evaluate(MOVED, FRAMES))
 
 
 def frame(solution: ro.Solution, rtol: float | None) -> tuple[int, float, float]:
@@ -89,6 +116,15 @@ def main() -> None:
             f"{kind:>10}: {size / 1000:.0f} kB, {CARDS} cards {cards:.2f} ms "
             f"({1000 * cards / CARDS:.0f} us each), path of {PATH} times {path:.2f} ms"
         )
+    try:
+        took = frames(solution)
+    except NoBrowserError as reason:
+        print(f"frames were not measured: {reason}")
+        return
+    median, late = took[FRAMES // 2], sum(time > 25 for time in took)
+    print(
+        f"page in Chromium: a frame every {median:.1f} ms, {late} of {FRAMES} after more than 25 ms"
+    )
 
 
 if __name__ == "__main__":

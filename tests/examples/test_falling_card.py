@@ -48,8 +48,9 @@ def drawn(page, folder, search):
 
 
 def test_trajectories(solution):
+    """Within the tolerance and a fifth of it: the trajectories are not those it was checked on."""
     errors = measured_errors(solution, INDEPENDENT["falling_card"])
-    assert np.all(errors <= 5.0 * falling_card.RTOL), errors
+    assert np.all(errors <= 1.2 * falling_card.RTOL), errors
 
 
 def test_cards_turn_both_ways(solution):

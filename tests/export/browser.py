@@ -43,11 +43,19 @@ class Browser:
 
     @contextmanager
     def open(
-        self, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light"
+        self,
+        path: Path,
+        fragment: str = "",
+        width: int = 1280,
+        scheme: str = "light",
+        scripts: bool = True,
     ) -> Iterator[Any]:
         """A page; an AssertionError at the end if it complained or asked for anything else."""
         context = self._chromium.new_context(
-            viewport={"width": width, "height": 844}, color_scheme=scheme, offline=True
+            viewport={"width": width, "height": 844},
+            color_scheme=scheme,
+            offline=True,
+            java_script_enabled=scripts,
         )
         page = context.new_page()
         wrong: list[str] = []
@@ -56,7 +64,8 @@ class Browser:
         page.on("request", lambda asked: wrong.append(asked.url))
         address = path.resolve().as_uri() + fragment
         page.goto(address)
-        settle(page)
+        if scripts:
+            settle(page)
         try:
             yield page
             own = ("file://", "blob:", "data:")

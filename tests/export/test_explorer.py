@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import colorsys
 import csv
 import io
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -22,6 +25,7 @@ from rankone.plotting.style import PALETTE
 from rankone.solvers.outcome import Status
 from tests.export.browser import NoBrowserError, browser, settle
 from tests.export.solutions import solved, synthetic, synthetic_with_breaks
+from tests.problems import GENERAL
 from tests.solution.functions import oscillator, two_unknowns
 
 TOLERANCE = 1e-10
@@ -53,6 +57,28 @@ def failed(solution):
     return ro.Solution(outcome, solution.metadata)
 
 
+def luminance(colour):
+    """Of a colour as rgb(...) or #rrggbb, as WCAG defines it."""
+    parts = re.findall(r"\d+", colour) if "(" in colour else re.findall(r"\w\w", colour)
+    base = 10 if "(" in colour else 16
+    shares = [int(part, base) / 255 for part in parts[:3]]
+    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+def contrast(one, other):
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def hue(colour):
+    return colorsys.rgb_to_hls(*(int(part, 16) / 255 for part in re.findall(r"\w\w", colour)))[0]
+
+
+def plain_name(name):
+    return Notation(SOLVED.metadata).text(name)
+
+
 def values(page):
     return page.evaluate("rankone.values()")
 
@@ -71,12 +97,24 @@ def assert_agrees(found, solution):
 # --- in a browser ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "solution",
-    [solved("lotka_volterra"), oscillator().solution, synthetic(), synthetic_with_breaks()],
-    ids=["slabs", "derivative", "names", "breaks"],
-)
-def test_curves_are_those_of_the_solution(chromium, tmp_path, solution):
+@cache
+def pendulum():
+    return ro.solve(GENERAL["pendulum"].problem, rtol=GENERAL["pendulum"].RTOL)
+
+
+KINDS = {
+    "slabs": lambda: solved("lotka_volterra"),
+    "six unknowns": lambda: solved("kirchhoff"),
+    "pendulum": pendulum,
+    "derivative": lambda: oscillator().solution,
+    "names": synthetic,
+    "breaks": synthetic_with_breaks,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_curves_are_those_of_the_solution(chromium, tmp_path, kind):
+    solution = KINDS[kind]()
     path = solution.explore(tmp_path / "page.html")
     with chromium.open(path) as page:
         assert_agrees(values(page), solution)
@@ -230,7 +268,7 @@ def test_play_and_point_at_a_time(chromium, written):
         assert share == pytest.approx(0.25, abs=0.01)
 
 
-def test_tables(chromium, written):
+def test_tables(chromium, written, tmp_path, capsys):
     with chromium.open(written) as page:
         with page.expect_download() as download:
             page.locator("#csv").click()
@@ -243,6 +281,11 @@ def test_tables(chromium, written):
         }
         wanted = SOLVED(t=np.clip(t, *SOLVED.time), **point)
         np.testing.assert_allclose(columns[: len(wanted)], wanted, rtol=0, atol=1e-9)
+        SOLVED.save(tmp_path / "model.npz")
+        main(["fit", f"{tmp_path}/model.npz", f"{download.value.path()}", "--json"])
+        found = json.loads(capsys.readouterr().out)
+        assert found["observed"] == [*SOLVED.unknowns]
+        assert found["x"] == pytest.approx(point, abs=1e-9)
         page.locator("#legend button").first.click()
         assert SOLVED.unknowns[0] not in page.evaluate("rankone.table()").partition("\n")[0].split(
             ","
@@ -263,6 +306,155 @@ def test_nothing_is_cut_off(chromium, written, width, scheme):
             "!(e.labels?.length || e.ariaLabel || e.textContent.trim())).length"
         )
         assert unnamed == 0
+
+
+SHOWN = "#legend button, #legend .value, .buttons button, .parameter .row, .ends span"
+CUT = """(shown) => [...document.querySelectorAll(shown)].filter((element) => {
+  element.scrollIntoView({ block: "end", behavior: "instant" });
+  const within = (inner, outer) =>
+    inner.left >= outer.left - 0.5 && inner.right <= outer.right + 0.5;
+  const places = [{ left: 0, right: innerWidth }];
+  for (let place = element.parentElement; place; place = place.parentElement) {
+    place.scrollLeft = 0; // what is beside is cut off, too
+    if (getComputedStyle(place).overflowX !== "visible" || place.matches(".card, button")) {
+      places.push(place.getBoundingClientRect());
+    }
+  }
+  const box = element.getBoundingClientRect();
+  const above = box.top < 0 || box.bottom > innerHeight + 0.5;
+  return above || !places.every((place) => within(box, place));
+}).map((element) => element.outerHTML)"""
+
+
+@pytest.mark.parametrize("name", ["robertson", "kirchhoff", "chain"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_cut_off_where_there_is_much(chromium, tmp_path, width, name):
+    """All names, values, ranges and buttons lie inside of what holds them."""
+    path = solved(name).explore(tmp_path / "page.html")
+    with chromium.open(path, width=width) as page:
+        for arrangement in page.locator("#arrangement button").all():
+            arrangement.click()
+            settle(page)
+            assert page.evaluate("document.documentElement.scrollWidth") == width
+            assert page.evaluate(CUT, SHOWN) == []
+            assert page.locator("#curves .hint").is_visible()
+
+
+def test_buttons_stay_in_sight(chromium, tmp_path):
+    """Beside a list of ten parameters, which is longer than the window; and no slider is behind."""
+    path = solved("chain").explore(tmp_path / "page.html")
+    with chromium.open(path) as page:
+        for place in (0, 300, 1200):
+            page.evaluate("(top) => scrollTo({ top, behavior: 'instant' })", place)
+            boxes = [button.bounding_box() for button in page.locator(".buttons button").all()]
+            assert all(box["y"] > 0 and box["y"] + box["height"] <= 844 for box in boxes)
+        page.evaluate("scrollTo({ top: 0, behavior: 'instant' })")
+        for slider in page.locator("#parameters input[type=range]").all():
+            slider.focus()
+            page.wait_for_function(
+                "() => { const box = document.activeElement.getBoundingClientRect();"
+                " const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];"
+                " return document.elementFromPoint(x, y) === document.activeElement; }"
+            )
+
+
+@pytest.mark.parametrize(
+    ("extents", "alike"),
+    [
+        ([[0, 1], [3, 4]], True),
+        ([[0, 1], [0, 0.011]], True),
+        ([[0, 1], [0, 0.009]], False),
+        ([[-1, 99.1], [5, 6]], False),
+        ([[0, 1], [7, 7]], True),
+        ([[7, 7]], True),
+        ([], True),
+    ],
+)
+def test_unknowns_of_other_sizes_are_apart(chromium, written, extents, alike):
+    source = (Path(ro.__file__).parent / "export" / "explorer" / "values.js").read_text()
+    found = re.search(r"^export (function areAlike\(.*?^})", source, re.M | re.S)[1]
+    with chromium.open(written) as page:
+        assert page.evaluate(f"(extents) => {{ {found}; return areAlike(extents); }}", extents) == (
+            alike
+        )
+
+
+@pytest.mark.parametrize(("name", "together"), [("robertson", False), ("lotka_volterra", True)])
+def test_how_curves_are_arranged_at_first(chromium, tmp_path, name, together):
+    path = solved(name).explore(tmp_path / "page.html")
+    with chromium.open(path) as page:
+        pressed = page.locator("#arrangement button[aria-pressed=true]").inner_text()
+        assert pressed == ("Together" if together else "Apart")
+        assert page.locator("#plots .plot").count() == (
+            1 if together else len(solved(name).unknowns)
+        )
+
+
+DASHES = """async () => {
+  const drawn = [];
+  const set = CanvasRenderingContext2D.prototype.setLineDash;
+  CanvasRenderingContext2D.prototype.setLineDash = function (dash) {
+    drawn.push(dash.join());
+    return set.call(this, dash);
+  };
+  const values = rankone.values();
+  rankone.set({ [Object.keys(values.parameters)[0]]: Object.values(values.parameters)[0] });
+  await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+  CanvasRenderingContext2D.prototype.setLineDash = set;
+  return drawn.filter(Boolean);
+}"""
+
+
+def test_curves_in_one_plot_differ_by_more_than_colour(chromium, tmp_path):
+    path = solved("kirchhoff").explore(tmp_path / "page.html")
+    with chromium.open(path) as page:
+        page.locator("[data-together=true]").click()
+        settle(page)
+        drawn = page.evaluate(DASHES)
+        assert len({*drawn}) == len(solved("kirchhoff").unknowns) - 1
+        legend = page.locator("#legend path").evaluate_all(
+            "(paths) => paths.map((path) => getComputedStyle(path).strokeDasharray)"
+        )
+        assert len({*legend}) == len(legend)
+        page.locator("[data-together=false]").click()
+        settle(page)
+        assert page.evaluate(DASHES) == []
+
+
+def test_plots_are_named(chromium, written):
+    with chromium.open(written) as page:
+        plot = page.get_by_role("img", name=" against ")
+        first, second = (plain_name(name) for name in SOLVED.unknowns[:2])
+        assert plot.get_attribute("aria-label") == f"{second} against {first}"
+        page.locator("#phase-x").select_option("1")
+        settle(page)
+        assert plot.get_attribute("aria-label") == f"{second} against {second}"
+
+
+def test_without_scripts_it_says_so(chromium, written):
+    with chromium.open(written, scripts=False) as page:
+        assert "need JavaScript" in page.locator("noscript .notice").inner_text()
+        assert page.locator("noscript .notice").is_visible()
+        assert page.locator(".card:visible").count() == 0
+        assert page.locator(".equations").is_visible() == bool(SOLVED.metadata.equations)
+    with chromium.open(written) as page:
+        assert page.locator(".card:visible").count() > 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_contrast(chromium, written, scheme):
+    """Of lines at least 3, of texts 4.5 (WCAG 2.2, 1.4.3 and 1.4.11)."""
+    with chromium.open(written, scheme=scheme) as page:
+        page.locator("#legend button").first.click()
+        off = page.locator("#legend button[aria-pressed=false]").first
+        style = "(e) => [getComputedStyle(e).color, getComputedStyle(e).opacity]"
+        text, opacity = off.evaluate(style)
+        card = page.locator("#curves").evaluate("(e) => getComputedStyle(e).backgroundColor")
+        assert opacity == "1"
+        assert contrast(text, card) >= 4.5
+        for i in range(8):
+            page.evaluate(f"document.querySelector('#csv').style.color = 'var(--c{i})'")
+            assert contrast(page.locator("#csv").evaluate(style)[0], card) >= 3.0
 
 
 def test_a_failed_solution_says_so(chromium, tmp_path, written):
@@ -299,6 +491,9 @@ def test_it_is_written_as_other_exports_are(tmp_path):
         SOLVED.explore(tmp_path / "page.pdf")
     with pytest.raises(ExportError, match="not a success"):
         failed(SOLVED).explore(tmp_path / "failed.html")
+    with pytest.raises(ExportError, match=r"name it .*page\.html$") as caught:
+        SOLVED.explore(tmp_path / ".html")
+    assert ".html.html" not in str(caught.value)
     with pytest.raises(OptionError, match="title"):
         SOLVED.explore(tmp_path / "new.html", title=3)
     with pytest.raises(OptionError, match="states"):
@@ -348,9 +543,15 @@ def test_command(tmp_path, monkeypatch, capsys):
 
 
 def test_colours_are_those_of_plots():
+    """The same, or darker ones of the same hue where those are too light for a page."""
     style = Path(ro.__file__).parent / "export" / "explorer" / "page.css"
     root = style.read_text().partition("}")[0]
-    assert re.findall(r"--c\d: (#\w{6})", root) == [colour.lower() for colour in PALETTE]
+    found = re.findall(r"--c\d: (#\w{6})", root)
+    for own, colour in zip(found, map(str.lower, PALETTE), strict=True):
+        if contrast(colour, "#ffffff") >= 3.0:
+            assert own == colour
+        else:
+            assert hue(own) == pytest.approx(hue(colour), abs=0.01)
 
 
 # --- equations ---------------------------------------------------------------------------------
@@ -360,9 +561,21 @@ def notation(*equations, states=("x", "x_t"), roles=(Role.UNKNOWN, Role.DERIVATI
     return Notation(replace(SOLVED.metadata, states=states, roles=roles, equations=equations))
 
 
-def plain(element):
-    """The characters of an element."""
-    return re.sub(r"<[^>]+>|&#x206[12];", "", element)
+def plain(text):
+    """What is seen: the characters, a space for a factor without a dot, powers, {fractions}."""
+
+    def seen(element):
+        parts = [element.text or "", *map(seen, element)]
+        match element.tag:
+            case "mfrac":
+                return f"{{{'/'.join(parts[1:])}}}"
+            case "msup":
+                return "^".join(parts[1:])
+            case "msqrt":
+                return f"√({''.join(parts)})"
+        return {"\u2061": "", "\u2062": " "}.get("".join(parts), "".join(parts))
+
+    return seen(ElementTree.fromstring(f"<math>{text}</math>"))
 
 
 def test_equations_are_typeset():
@@ -370,24 +583,66 @@ def test_equations_are_typeset():
         "x' = x_t", "x_t' = -c*x_t - 2.5*sin(theta0)**2/(k + 1)", "x(0) = C_D", "x_t(0) = 1e-05"
     ).equations()
     (motion,), (place, speed) = groups
-    assert plain(motion) == "x′′=−cx′−2.5sin2(θ0)k+1"
-    assert motion.count("<mfrac>") == 1
+    assert plain(motion) == "x′′=−c x′−{2.5 sin^2(θ0)/k+1}"
     assert "<msub><mi>C</mi><mi>D</mi></msub>" in place
-    assert plain(speed) == "x′(0)=1·10−5"
+    assert plain(speed) == "x′(0)=1·10^−5"
     assert notation().equations() == []
 
 
 def test_parentheses_are_where_they_are_needed():
     cases = {
         "a - (b - c)": "a−(b−c)",
-        "(a + b)*c": "(a+b)c",
-        "a*(-b)": "a(−b)",
-        "(-a)**2": "(−a)2",
-        "(a/b)**2": "(ab)2",
-        "2*3*x": "2·3x",
-        "x_t**2": "(x′)2",
-        "lambda + exp(-k*t)": "λ+e−kt",
-        "Piecewise((1, t > 2), (0, True))": "{1t&gt;20otherwise",
+        "a - (-b)": "a−(−b)",
+        "a + -b*c": "a+(−b c)",
+        "(a + b)*c": "(a+b) c",
+        "a*(-b)": "a (−b)",
+        "(-a)**2": "(−a)^2",
+        "(a/b)**2": "({a/b})^2",
+        "exp(a)**k": "(e^a)^k",
+        "x_t**2": "(x′)^2",
+        "lambda + exp(-k*t)": "λ+e^−k t",
+        "Piecewise((1, t > 2), (0, True))": "{1t>20otherwise",
+        "a*Piecewise((1, t > 2), (0, True))": "a ({1t>20otherwise)",
+    }
+    for text, wanted in cases.items():
+        assert plain(notation().formula(text)) == wanted
+
+
+def test_digits_do_not_run_together():
+    cases = {
+        "-3*2**k*u - 7*2**(-k)": "−3·2^k u−7·2^−k",
+        "2*10**x": "2·10^x",
+        "2*(1/3)*x": "2·{1/3} x",
+        "2*3*x": "2·3 x",
+        "a*(2*b/c)": "a·{2 b/c}",
+        "2*(x/3)": "2 {x/3}",
+        "2*k**3": "2 k^3",
+    }
+    for text, wanted in cases.items():
+        written = notation().formula(text)
+        assert plain(written) == wanted
+        assert written.count("<mo>·</mo>") == wanted.count("·")
+
+
+def test_signs_stand_before_fractions():
+    cases = {
+        "-1/6 + 2*u/3": "−{1/6}+{2 u/3}",
+        "-5*u*w/9": "−{5 u w/9}",
+        "a*(-5/9)": "a (−{5/9})",
+        "a - b/6": "a−{b/6}",
+        "(a - b)/6": "{a−b/6}",
+    }
+    for text, wanted in cases.items():
+        assert plain(notation().formula(text)) == wanted
+
+
+def test_powers_of_functions():
+    """Before the argument only where they cannot be taken for an inverse function."""
+    cases = {
+        "sin(x)**2": "sin^2(x)",
+        "sin(x)**(-2)": "sin(x)^−2",
+        "sin(x)**k": "sin(x)^k",
+        "sin(x)**0.5": "sin(x)^0.5",
     }
     for text, wanted in cases.items():
         assert plain(notation().formula(text)) == wanted

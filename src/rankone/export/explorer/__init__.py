@@ -3,7 +3,8 @@
 ==============  =======================================================================
 file            subject
 ==============  =======================================================================
-``content``     times, bands, sensitivities and how good the solution is, as plain data
+``content``     times, ranges, bands and sensitivities, as plain data
+``sentences``   what the solution holds for and how good it is, in words
 ``mathml``      names and equations, typeset
 ``page``        everything put together
 ``page.html.in``, ``page.css``
@@ -12,8 +13,12 @@ file            subject
 ``looks.js``    colours of the theme, texts of numbers
 ``curves.js``, ``phase.js``, ``shares.js``
                 curves over time, two unknowns against each other, Sobol indices
-``controls.js`` sliders, number fields, time
-``main.js``     what is shown, and what happens
+``controls.js``, ``legend.js``
+                sliders and number fields; names and values of the unknowns
+``state.js``    everything that changes
+``drawing.js``, ``actions.js``
+                what is drawn and when; what happens
+``main.js``     the page is set up
 ==============  =======================================================================
 
 The plots are by uPlot, in ``export/vendor`` with its licence.
@@ -26,9 +31,10 @@ from pathlib import Path
 from typing import Any
 
 from rankone.errors import ExportError, OptionError
-from rankone.export.explorer.content import content, covers, quality, with_derivatives
+from rankone.export.explorer.content import content, with_derivatives
 from rankone.export.explorer.mathml import Notation
 from rankone.export.explorer.page import page
+from rankone.export.explorer.sentences import place, quality
 from rankone.export.packing import pack
 from rankone.files import as_path, free_target, write_files
 from rankone.wording import is_text, shown
@@ -40,10 +46,12 @@ def page_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
     """The path of a file that a page can be written to, or an ExportError."""
     given = as_path(path, ExportError)
     if given.suffix != ".html":
+        bare = given.name in ("", ".html")
+        named = given.parent / "page.html" if bare else given.with_suffix(".html")
         raise ExportError(
             f"`{given}`: a page has the suffix .html, not {given.suffix!r}",
             term=given,
-            remedy=f"name it {given.with_suffix('.html') if given.name else 'page.html'}",
+            remedy=f"name it {named}",
         )
     return free_target(given, overwrite, ExportError)
 
@@ -99,7 +107,8 @@ def export_page(
         title=(title or "").strip() or _title(target),
         equations=notation.equations(),
         quality=quality(solution, model),
-        covers=covers(solution),
+        place=place(solution),
+        asked=None if solution.outcome.measured is None else solution.rtol,
         success=solution.success,
     )
     write_files({target: text}, overwrite, ExportError)

@@ -12,16 +12,14 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.distributions import from_text
 from rankone.export.explorer.mathml import Notation
-from rankone.export.explorer.page import scientific
 from rankone.export.packing import PackedModel
 from rankone.metadata import Role
 from rankone.statistics.measures import Measure
-from rankone.wording import listing
 
 if TYPE_CHECKING:
     from rankone.statistics.distribution_over_box import DistributionOverBox
 
-__all__ = ["BAND", "content", "covers", "quality", "with_derivatives"]
+__all__ = ["BAND", "content", "with_derivatives"]
 
 BAND = (0.025, 0.975)
 """Probabilities between which the bands lie."""
@@ -120,54 +118,6 @@ def curve_times(solution: DistributionOverBox) -> Array:
     inner = [slab.start for slab in itertools.islice(slabs, 1, None)]
     found = np.unique(np.concatenate([*times, inner, np.nextafter(inner, start)]))
     return found[(found >= start) & (found <= end)]
-
-
-def quality(solution: Any, model: PackedModel) -> list[str]:
-    """How good a solution is and what its success covers, in sentences.
-
-    The first says how the solve ended.
-    """
-    end = solution.time[1]
-    wanted = solution.metadata.horizon[1]
-    time = solution.metadata.time
-    lines = [f"{solution.message[:1].upper()}{solution.message[1:]}".rstrip(".") + "."]
-    if end < wanted:
-        lines.append(f"Only a part was solved: {time} up to {end:.6g} of {wanted:.6g}.")
-    if solution.metadata.correlations:
-        lines.append("Parameters are correlated: bands know it, Sobol indices are not defined.")
-    measured = solution.outcome.measured
-    if measured is None:
-        return [*lines, "The error of this solution is not known: it was not measured."]
-    lines.append(
-        f"The error was measured on {measured.points} trajectories ({measured.method}), relative "
-        f"to the largest value of each unknown; the tolerance asked for is {solution.rtol:.3g}."
-    )
-    if measured.counted is not None:
-        names = listing(solution.states[i] for i in measured.counted)
-        lines.append(f"Success is about {names} alone.")
-    if measured.cover == "box":
-        lines.append("The corners of the box are among them.")
-    elif measured.corners:
-        lines.append(
-            "It covers the interior of the box; its corners do not count: there the error is up to "
-            f"{measured.corner_error:.2g}."
-        )
-    if measured.quantile is not None:
-        lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
-    if measured.drift is not None:
-        lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
-    lines += [line for line in model.summary if line.startswith("Made smaller")]
-    return [line.replace("`", "") for line in lines]
-
-
-def covers(solution: Any) -> str:
-    """Where the error was measured, and the tolerance asked for, in HTML."""
-    measured = solution.outcome.measured
-    if measured is None:
-        return ""
-    where = "in the whole box" if measured.cover == "box" else "inside the box"
-    where = where if solution.metadata.parameters else ""
-    return f"{where} (asked for: {scientific(solution.rtol)})".strip()
 
 
 def _has_sensitivities(solution: DistributionOverBox) -> bool:

@@ -1,7 +1,7 @@
 /** Curves over time, with bands behind them and a mark at the present time. */
 
 import { around } from "./values.js";
-import { axis, colour, follow, ownColour } from "./looks.js";
+import { axis, colour, dashOf, follow, ownColour } from "./looks.js";
 
 /** How strong the bands are; weaker where there are many. */
 const band = (count) => (count > 3 ? 0.09 : 0.17);
@@ -12,7 +12,7 @@ const band = (count) => (count > 3 ? 0.09 : 0.17);
  * @param {HTMLElement} place where it goes
  * @param {object} data what the page shows
  * @param {number[]} rows the unknowns
- * @param {object} state the present values: `time`, `curves`
+ * @param {object} state the present values: `time`, `curves`; `together` if lines are dashed
  * @param {number} height
  * @param {(t: number) => void} onTime called when somebody points at a time
  */
@@ -32,7 +32,8 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
   }
   const first = series.length;
   for (const i of rows) {
-    series.push({ stroke: () => ownColour(i), width: 2.2, pxAlign: 0, points: { show: false } });
+    const dash = state.together ? dashOf(i).map((length) => length * devicePixelRatio) : [];
+    series.push({ stroke: () => ownColour(i), dash, width: 2.2, pxAlign: 0, points: { show: false } });
     columns.push(state.curves[i]);
   }
   const plot = new uPlot(
@@ -69,6 +70,7 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
     ctx.save();
     ctx.strokeStyle = colour("soft", 0.7);
     ctx.lineWidth = devicePixelRatio;
+    ctx.setLineDash([]);
     ctx.beginPath();
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);

@@ -19,6 +19,11 @@ export function colour(name, strength = 1) {
 /** The colour of the line of an unknown. */
 export const ownColour = (i, strength) => colour(`c${i % 8}`, strength);
 
+const DASHES = [[], [9, 4], [2.5, 3], [9, 3, 2.5, 3], [5, 3], [14, 4], [14, 3, 2.5, 3], [9, 3, 2.5, 3, 2.5, 3]];
+
+/** The dashes of the line of an unknown, beside its colour, where it is one of several. */
+export const dashOf = (i) => DASHES[i % 8];
+
 /** Set the theme, or read it from the system. */
 export function setTheme(theme) {
   document.documentElement.dataset.theme = theme;

@@ -31,7 +31,7 @@ _KEYWORD_SUFFIX = "_as_a_name_"
 _PRIME, _TIMES, _DOT = "′", "<mo>&#x2062;</mo><mspace width='0.15em'></mspace>", "<mo>·</mo>"
 _OPEN, _CLOSE = "<mo stretchy='false'>(</mo>", "<mo stretchy='false'>)</mo>"
 _SPACE = "<mspace width='0.35em'></mspace>"
-_SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(1, 6)
+_CASES, _SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(6)
 _COMPARED: dict[type[ast.cmpop], str] = {
     ast.Lt: "&lt;",
     ast.LtE: "≤",
@@ -171,24 +171,31 @@ class Notation:
                 name = name.removesuffix(_KEYWORD_SUFFIX)
                 return self.name(name), _POWER if name in self._primes else _ATOM
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return f"<mo form='prefix'>−</mo>{self._held(operand, _PRODUCT)}", _SIGN
+                return f"<mo form='prefix'>−</mo>{self._term(operand)}", _SIGN
             case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
                 sign = "+" if isinstance(op, ast.Add) else "−"
-                last = self._held(right, _PRODUCT)
-                return f"{self._written(left)[0]}<mo>{sign}</mo>{last}", _SUM
+                first, last = self._held(left, _SUM), self._term(right)
+                return f"{first}<mo>{sign}</mo>{last}", _SUM
             case ast.BinOp(left=left, op=ast.Mult(), right=right):
                 first, last = self._held(left, _PRODUCT), self._held(right, _POWER)
-                between = _DOT if last.startswith("<mrow><mn>") else _TIMES
+                between = _DOT if _begins_with_number(right) else _TIMES
                 return f"{first}{between}{last}", _PRODUCT
             case ast.BinOp(left=left, op=ast.Div(), right=right):
+                if (positive := _without_sign(node)) is not None:
+                    return self._written(ast.UnaryOp(op=ast.USub(), operand=positive))
                 above, below = self._written(left)[0], self._written(right)[0]
                 fraction = f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>"
                 return fraction, _POWER
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return self._power(left, right), _POWER
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                return self._call(name.removesuffix(_KEYWORD_SUFFIX), arguments), _ATOM
+                holds = {"Piecewise": _CASES, "exp": _POWER}.get(name, _ATOM)
+                return self._call(name.removesuffix(_KEYWORD_SUFFIX), arguments), holds
         raise _NoFormulaError
+
+    def _term(self, node: ast.expr) -> str:
+        """What follows a sign: in parentheses if it is a sum or has a sign of its own."""
+        return self._held(node, _PRODUCT if _without_sign(node) is None else _ATOM)
 
     def _held(self, node: ast.expr, least: int) -> str:
         """A part of a formula, in parentheses if it holds together less than its place needs."""
@@ -199,8 +206,11 @@ class Notation:
     def _power(self, base: ast.expr, exponent: ast.expr) -> str:
         above = f"<mrow>{self._written(exponent)[0]}</mrow>"
         plain = {"sqrt", "exp", "Abs", "abs", "Piecewise"}
-        match base:
-            case ast.Call(func=ast.Name(id=name), args=arguments) if name not in plain:
+        match base, exponent:
+            case (
+                ast.Call(func=ast.Name(id=name), args=arguments),
+                ast.Constant(value=int()),
+            ) if name not in plain:  # only these: sin to the power of -1 would be the arcsine
                 head = f"<msup><mi>{html.escape(name)}</mi>{above}</msup>"
                 return f"{head}{self._arguments(arguments)}"
         return f"<msup>{self._held(base, _ATOM)}{above}</msup>"
@@ -246,6 +256,27 @@ class Notation:
                     text += f"<mo>{_COMPARED[type(sign)]}</mo>{self._written(other)[0]}"
                 return text
         raise _NoFormulaError
+
+
+def _begins_with_number(node: ast.expr) -> bool:
+    """Whether digits come first, that would run into those before."""
+    match node:
+        case ast.Constant():
+            return True
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() | ast.Pow()):
+            return _begins_with_number(left)
+    return False
+
+
+def _without_sign(node: ast.expr) -> ast.expr | None:
+    """The negative of a term that begins with a minus sign; None for others."""
+    match node:
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return operand
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
+            positive = _without_sign(left)
+            return None if positive is None else ast.BinOp(left=positive, op=op, right=right)
+    return None
 
 
 def _derivatives(metadata: SolutionMetadata) -> Mapping[str, tuple[str, int]]:

@@ -13,19 +13,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from rankone.export.explorer.sentences import lead, spread
 from rankone.export.model_js import javascript_model
 from rankone.export.packing import PackedModel
 from rankone.export.templates import filled
 from rankone.version import __version__
 
-__all__ = ["page", "scientific"]
+__all__ = ["page"]
 
 _PLACE = Path(__file__).parent
 _VENDOR = _PLACE.parent / "vendor"
-_SCRIPTS = ("values", "looks", "curves", "phase", "shares", "controls", "main")
+_SCRIPTS = (
+    *("values", "looks", "curves", "phase", "shares", "controls", "legend"),
+    *("state", "drawing", "actions", "main"),
+)
 """In an order in which each one needs only those before it."""
-_MOST_NAMED = 3
-"""Parameters up to which each range is in the first sentence."""
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:const|let|function|class) )", re.M)
 _EXPORTED = re.compile(r"^export (?:const|function|class) (\w+)", re.M)
@@ -38,7 +40,8 @@ def page(
     title: str,
     equations: list[list[str]],
     quality: list[str],
-    covers: str,
+    place: str,
+    asked: float | None,
     success: bool,
 ) -> str:
     """Text of the page.
@@ -53,27 +56,28 @@ def page(
         Groups of elements of HTML.
     quality : list of str
         Sentences; the first is in the warning if there is no ``success``.
-    covers : str
-        Where the error was measured, and what was asked for, in HTML.
+    place : str
+        Where the error was measured.
+    asked : float, optional
+        The tolerance asked for; None if the error was not measured.
     success : bool
     """
-    names = [unknown["text"] for unknown in data["unknowns"]]
     known = [unknown["error"] for unknown in data["unknowns"] if unknown["error"] is not None]
     values = {
         "title": html.escape(title),
-        "lead": html.escape(f"{_named(names)} over {data['time']['text']}{_box(data)}."),
+        "lead": html.escape(lead(data)),
         "version": __version__,
         "success": "yes" if success else "",
-        "error": f"Measured error {scientific(max(known))}" if known else "Error not measured",
-        "covers": covers,
-        "bands": "under their distributions" if _is_given(data) else "over their ranges",
+        "error": f"Measured error {_scientific(max(known))}" if known else "Error not measured",
+        "covers": "" if asked is None else f"{place} (asked for: {_scientific(asked)})".strip(),
+        "bands": spread(data),
         "message": html.escape(quality[0]),
         "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in quality),
         "errors": "\n".join(map(_error_row, data["unknowns"])),
         "equations": "\n".join(map(_list, equations)),
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
-        "phase": "yes" if len(names) > 1 else "",
+        "phase": "yes" if len(data["unknowns"]) > 1 else "",
         "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_PLACE / "page.css"),
         "licence": _read(_VENDOR / "uPlot.LICENSE").replace("*/", "* /"),
         "plots": _read(_VENDOR / "uPlot.iife.min.js"),
@@ -100,7 +104,7 @@ def _as_part(name: str) -> str:
 
 def _error_row(unknown: Mapping[str, Any]) -> str:
     error = unknown["error"]
-    shown = "not measured" if error is None else scientific(error)
+    shown = "not measured" if error is None else _scientific(error)
     return f"<tr><th scope='row'>{unknown['symbol']}</th><td>{shown}</td></tr>"
 
 
@@ -108,29 +112,10 @@ def _list(items: list[str]) -> str:
     return "<ul>\n" + "\n".join(f"<li>{item}</li>" for item in items) + "\n</ul>"
 
 
-def _box(data: Mapping[str, Any]) -> str:
-    """The box in words."""
-    if len(data["parameters"]) > _MOST_NAMED:
-        return f", for every value of {len(data['parameters'])} parameters"
-    ranges = [
-        f"{entry['text']} from {entry['range'][0]:g} to {entry['range'][1]:g} {entry['unit']}"
-        for entry in data["parameters"]
-    ]
-    return f", for every {_named([text.strip() for text in ranges])}" if ranges else ""
-
-
-def _is_given(data: Mapping[str, Any]) -> bool:
-    return any(entry["distribution"] for entry in data["parameters"])
-
-
-def scientific(value: float) -> str:
+def _scientific(value: float) -> str:
     """A small number in HTML: ``6.9 · 10<sup>−4</sup>``."""
     digits, power = f"{value:.1e}".split("e")
     return f"{digits} · 10<sup>{int(power)}</sup>".replace("-", "−") if value else "0"
-
-
-def _named(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _read(path: Path) -> str:

@@ -9,9 +9,10 @@ export function phasePlot(place, data, state) {
   const { times, unknowns } = data;
   let ranges = [];
   let shownPair = "";
+  const text = (k) => unknowns[state.phase[k]].text;
   const label = (k) => {
-    const { text, unit } = unknowns[state.phase[k]];
-    return unit ? `${text} [${unit}]` : text;
+    const { unit } = unknowns[state.phase[k]];
+    return unit ? `${text(k)} [${unit}]` : text(k);
   };
   let plot;
   let observer;
@@ -21,6 +22,8 @@ export function phasePlot(place, data, state) {
     observer?.disconnect();
     plot?.destroy();
     shownPair = state.phase.join();
+    place.setAttribute("role", "img");
+    place.setAttribute("aria-label", `${text(1)} against ${text(0)}`);
     ranges = state.phase.map((i) => around([unknowns[i].extent]));
     const height = (width) => Math.round(Math.min(380, Math.max(250, 0.8 * width)));
     const width = place.clientWidth || 400;
@@ -47,7 +50,8 @@ export function phasePlot(place, data, state) {
 
   function draw(u) {
     const [xs, ys] = state.phase.map((i) => state.curves[i]);
-    const now = times.findLastIndex((time) => time <= state.time) + 1;
+    let now = 0;
+    while (now < times.length && times[now] <= state.time) now += 1;
     const { ctx, bbox } = u;
     ctx.save();
     ctx.beginPath();

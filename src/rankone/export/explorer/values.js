@@ -81,6 +81,12 @@ export function toTable(heads, columns) {
   return rows.map((row) => row.join(",")).join("\n") + "\n";
 }
 
+/** Whether one axis serves all of these intervals: no length is beyond a hundred times another. */
+export function areAlike(extents) {
+  const sizes = extents.map(([lower, upper]) => upper - lower).filter((size) => size > 0);
+  return Math.max(0, ...sizes) <= 100 * Math.min(Infinity, ...sizes);
+}
+
 /** The interval of all of them, with a little room on both sides. */
 export function around(extents) {
   let lower = Infinity;

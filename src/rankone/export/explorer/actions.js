@@ -1,0 +1,97 @@
+/** What happens: values set, links, tables, time that goes on. */
+
+import { fromFragment, toFragment, toTable } from "./values.js";
+import { drawWaiting, setTime, showAll } from "./drawing.js";
+import { $, data, start, state, visibleRows } from "./state.js";
+
+const SECONDS = 8; // to play from start to end
+const ranges = new Map([...data.parameters, data.time].map(({ name, range }) => [name, range]));
+
+export function reset() {
+  start();
+  $("notice").hidden = true;
+  showAll();
+}
+
+/** Set some parameters, or time, by name. What cannot be shown is an error, and changes nothing. */
+export function set(values) {
+  const p = state.p.slice();
+  let time = state.time;
+  for (const [name, value] of Object.entries(values)) {
+    if (typeof value !== "number") throw new TypeError(`${name} is ${String(value)}, not a number`);
+    const j = data.parameters.findIndex((parameter) => parameter.name === name);
+    if (j >= 0) p[j] = value;
+    else if (name === data.time.name) time = value;
+    else throw new RangeError(`there is no ${name}`);
+  }
+  model.evaluate(time, p);
+  state.p.set(p);
+  state.time = time;
+  showAll();
+}
+
+/** Parameters by name. */
+export const presentParameters = () =>
+  Object.fromEntries(data.parameters.map(({ name }, j) => [name, state.p[j]]));
+
+export function readLink() {
+  if (!location.hash.includes("=")) return;
+  const { values, problems } = fromFragment(location.hash, ranges);
+  set(values);
+  $("notice").hidden = true;
+  if (problems.length) say(`The link could not be followed altogether: ${problems.join("; ")}.`);
+}
+
+export async function copyLink() {
+  const present = { ...presentParameters(), [data.time.name]: state.time };
+  history.replaceState(null, "", `#${toFragment(present)}`);
+  try {
+    await navigator.clipboard.writeText(location.href);
+    say("The link with the present values is copied.");
+  } catch {
+    say("The address of this page is now the link with the present values: copy it from there.");
+  }
+}
+
+/** The curves that are shown, and the parameters, as text. */
+export function table() {
+  const { unknowns, parameters, times, time } = data;
+  drawWaiting();
+  const rows = visibleRows();
+  // names alone, as they are read again
+  const heads = [time.name, ...rows.map((i) => unknowns[i].name), ...parameters.map((p) => p.name)];
+  const fixed = parameters.map((_, j) => Array(times.length).fill(state.p[j]));
+  return toTable(heads, [times, ...rows.map((i) => state.curves[i]), ...fixed]);
+}
+
+export function saveTable() {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([table()], { type: "text/csv" }));
+  link.download = `${document.title.replace(/[^\p{L}\p{N}]+/gu, "_")}.csv`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+function say(text) {
+  $("notice").hidden = false;
+  $("notice").textContent = text;
+}
+
+export function play() {
+  cancelAnimationFrame(state.frame);
+  const [first, end] = data.time.range;
+  state.playing = !state.playing;
+  $("play").classList.toggle("playing", state.playing);
+  $("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
+  if (!state.playing) return;
+  if (state.time >= end) state.time = first;
+  let before = performance.now();
+  const step = (now) => {
+    if (!state.playing) return;
+    setTime(Math.min(end, state.time + (Math.max(0, now - before) / 1000 / SECONDS) * (end - first)));
+    before = now;
+    if (state.time >= end) play();
+    else state.frame = requestAnimationFrame(step);
+  };
+  state.frame = requestAnimationFrame(step);
+}
