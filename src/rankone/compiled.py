@@ -344,6 +344,7 @@ class CompiledProblem:
             correlations=tuple(
                 (*pair, rho) for pair, rho in (self.problem.correlation or {}).items()
             ),
+            name=self.problem.name or "",
         )
 
 

@@ -61,6 +61,8 @@ class SolutionMetadata:
         Pairs of parameters and the correlation of their Gaussian copula; others are independent.
     fixed : tuple of (str, float)
         Coordinates that are none any more, and their values.
+    name : str
+        Of the problem; empty if it has none.
     """
 
     states: tuple[str, ...]
@@ -79,6 +81,7 @@ class SolutionMetadata:
     distributions: tuple[tuple[str, str], ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
+    name: str = ""
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -391,7 +391,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         path : path-like
             Ends in ``.html``.
         title : str, optional
-            The heading; by default, and for a blank one, the name of the file.
+            The heading; by default the name of the problem, or else that of the file.
         rtol : float, optional
             By how much the curves may differ from the solution, relative to the size of each
             unknown, to make the file smaller; 1e-12 to 0.1.

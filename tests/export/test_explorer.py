@@ -207,6 +207,37 @@ def test_times_far_from_zero_are_told_apart(chromium, tmp_path):
         assert page.locator("#time-shown").inner_text() == "2000000.2500"
 
 
+def test_shares_are_those_of_the_time(chromium, tmp_path):
+    """A dose matters from when it is given, not before."""
+    problem = ro.Problem.from_strings(
+        rhs={"u": "-k*u"},
+        initial={"u": "1"},
+        parameters={"k": (0.2, 0.6), "dose": (0.5, 1)},
+        time=(0, 8),
+        jumps={4.0: {"u": "u + dose"}},
+        name="Two doses",
+    )
+    solution = ro.solve(problem, rtol=1e-5)
+    with chromium.open(solution.explore(tmp_path / "page.html")) as page:
+        assert page.title() == "Two doses"
+        for time in (0.013, 2.0, 3.97, np.nextafter(4.0, 0.0), 4.0, 4.02, 7.9):
+            page.evaluate("(t) => rankone.set({t})", float(time))
+            settle(page)
+            indices = solution.sobol(float(time))
+            wanted = np.stack([indices.first[0], indices.total[0]], axis=-1).reshape(2, 2)
+            shares = [values(page)["shares"][name] for name in ("k", "dose")]
+            np.testing.assert_allclose(np.array(shares, dtype=float), wanted, atol=0.01)
+
+
+def test_what_was_fixed_and_made_smaller_is_said(chromium, tmp_path):
+    solution = solved("lotka_volterra").fix(x0=9.5)
+    path = solution.explore(tmp_path / "page.html", rtol=1e-3)
+    with chromium.open(path) as page:
+        assert page.locator("math", has_text="x0=9.5").count() == 1
+        verdict = page.locator(".verdict").inner_text()
+        assert "made smaller to within 1.0 · 10−3" in verdict
+
+
 def test_links(chromium, written):
     point = {name: a + (b - a) / 3 for name, (a, b) in SOLVED.parameters.items()}
     with chromium.open(written) as page:

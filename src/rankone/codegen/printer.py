@@ -22,6 +22,8 @@ __all__ = ["common_subexpressions", "numpy_text", "plain_text", "readable_text",
 
 _LONGEST = 10**15
 """Integers up to which every one is a floating-point number."""
+_LONG = 10**6
+"""Denominators from which on fractions are shown as decimal numbers."""
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
 _INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
 _SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")
@@ -253,8 +255,9 @@ def numpy_text(expr: sp.Expr, names: dict[sp.Symbol, str]) -> str:
 
 
 def readable_text(expr: sp.Expr) -> str:
-    """Text of an expression for people."""
-    return str(sstr(expr, full_prec=False))
+    """Text of an expression for people; fractions of long numbers are decimal."""
+    long = {part: sp.Float(part, 17) for part in expr.atoms(sp.Rational) if part.q >= _LONG}
+    return str(sstr(expr.xreplace(long), full_prec=False))
 
 
 def plain_text(expr: sp.Expr) -> str:

@@ -37,7 +37,9 @@ def register(commands: Any) -> None:
         type=Path,
         help="the page (default: the name of FILE with .html, in the present directory)",
     )
-    parser.add_argument("--title", help="title of the page (default: from its name)")
+    parser.add_argument(
+        "--title", help="title of the page (default: the name of the problem, or that of the page)"
+    )
     parser.add_argument("--rtol", type=float, help="tolerance for a problem file (default: 1e-6)")
     parser.add_argument("--method", help="the engine for a problem file (default: auto)")
     parser.add_argument("--model-rtol", **MODEL_RTOL)

@@ -73,7 +73,7 @@ def export_page(
     path : path-like
         Ends in ``.html``.
     title : str, optional
-        The name of the file by default, and for a blank one.
+        The name of the problem by default, or else that of the file.
     rtol : float, optional
         By how much the curves may differ from the solution, to make the file smaller; see
         :func:`rankone.export.export_model`.
@@ -104,11 +104,12 @@ def export_page(
     text = page(
         model,
         content(every, model, notation),
-        title=(title or "").strip() or _title(target),
+        title=(title or "").strip() or solution.metadata.name or _title(target),
         equations=notation.equations(),
         quality=quality(solution, model),
         place=place(solution),
         asked=None if solution.outcome.measured is None else solution.rtol,
+        smaller=rtol,
         success=solution.success,
     )
     write_files({target: text}, overwrite, ExportError)

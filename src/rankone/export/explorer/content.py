@@ -25,7 +25,9 @@ BAND = (0.025, 0.975)
 """Probabilities between which the bands lie."""
 
 _TIMES, _IN_SLAB, _MOST_SLABS = 401, 4, 100
-_SENSITIVITIES = 121
+_SENSITIVITIES, _MOST_SENSITIVITIES, _HALVINGS = 121, 600, 8
+_SHARE, _NARROW = 0.003, 1e-6
+"""How far interpolated Sobol indices may be off, and part of the horizon that is not halved."""
 _POINTS = 2**12
 """Points over the box of which the quantiles are."""
 _DIGITS = 7
@@ -115,8 +117,14 @@ def curve_times(solution: DistributionOverBox) -> Array:
     slabs = solution.outcome.slabs
     if len(slabs) <= _MOST_SLABS:
         times += [np.linspace(slab.start, slab.end, _IN_SLAB, endpoint=False) for slab in slabs]
-    inner = [slab.start for slab in itertools.islice(slabs, 1, None)]
-    found = np.unique(np.concatenate([*times, inner, np.nextafter(inner, start)]))
+    return _with_both_sides(solution, np.concatenate(times))
+
+
+def _with_both_sides(solution: DistributionOverBox, times: Array) -> Array:
+    """Times, and those at which slabs begin with the last ones before them, ascending."""
+    start, end = solution.time
+    inner = [slab.start for slab in itertools.islice(solution.outcome.slabs, 1, None)]
+    found = np.unique(np.concatenate([times, inner, np.nextafter(inner, start)]))
     return found[(found >= start) & (found <= end)]
 
 
@@ -126,19 +134,38 @@ def _has_sensitivities(solution: DistributionOverBox) -> bool:
 
 
 def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
-    """Sobol indices over time: (unknowns, parameters, times) each; null where not defined."""
-    times = np.linspace(*solution.time, _SENSITIVITIES)
-    indices = solution.sobol(times)
-    shares = {"first": indices.first, "total": indices.total}
+    """Sobol indices over time: (unknowns, parameters, times) each; null where not defined.
+
+    There are so many times that the page, which interpolates, is close enough in the middle
+    between any two, unless there would be too many.
+    """
+    times = _with_both_sides(solution, np.linspace(*solution.time, _SENSITIVITIES))
+    shares = _shares(solution, times)
+    for _ in range(_HALVINGS):
+        middles = 0.5 * (times[1:] + times[:-1])
+        wide = np.diff(times) > _NARROW * (times[-1] - times[0])
+        found, between = _shares(solution, middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
+        close = (np.abs(found - between) <= _SHARE) | (np.isnan(found) & np.isnan(between))
+        new = np.flatnonzero(wide & ~close.all(axis=(0, 1, 2)))
+        if not 0 < new.size <= _MOST_SENSITIVITIES - times.size:
+            break
+        times = np.insert(times, new + 1, middles[new])
+        shares = np.insert(shares, new + 1, found[..., new], axis=-1)
     return {
         "times": times.tolist(),
         **{
             kind: [[_rounded(row, 5) for row in unknown] for unknown in share]
-            for kind, share in shares.items()
+            for kind, share in zip(("first", "total"), shares.tolist(), strict=True)
         },
     }
 
 
-def _rounded(values: Array, digits: int = _DIGITS) -> list[float | None]:
+def _shares(solution: DistributionOverBox, times: Array) -> Array:
+    """Sobol indices, first and total: (2, unknowns, parameters, times)."""
+    indices = solution.sobol(times)
+    return np.stack([indices.first, indices.total])
+
+
+def _rounded(values: Any, digits: int = _DIGITS) -> list[float | None]:
     """Numbers with as many digits as a picture needs; null for what is none."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]

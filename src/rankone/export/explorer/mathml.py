@@ -59,6 +59,7 @@ class Notation:
     def __init__(self, metadata: SolutionMetadata) -> None:
         self._primes = _derivatives(metadata)
         self._equations = metadata.equations
+        self._fixed = metadata.statements[len(metadata.equations) :]
         names = {*metadata.states, metadata.time, *metadata.parameters}
         names -= self._primes.keys()
         shapes = Counter(_parts(name) for name in names)
@@ -103,7 +104,7 @@ class Notation:
         return f"<math>{self.name(name)}</math>"
 
     def equations(self) -> list[list[str]]:
-        """Equations, then initial values, as elements of a page; empty if they are not known.
+        """Equations, initial values, what was fixed, as elements of a page; only what is known.
 
         Lines that say only what a derivative is called are left out.
         """
@@ -112,7 +113,8 @@ class Notation:
             if not self._says_a_name(text):
                 is_initial = re.match(r"[^=]+\([^()=]+\) = ", text) is not None
                 groups.setdefault(is_initial, []).append(self._line(text))
-        return list(groups.values())
+        fixed = [self._line(text) for text in self._fixed]
+        return [*groups.values(), *([fixed] if fixed else [])]
 
     def _says_a_name(self, text: str) -> bool:
         """Whether a line is ``theta' = theta_t``."""

@@ -42,6 +42,7 @@ def page(
     quality: list[str],
     place: str,
     asked: float | None,
+    smaller: float | None,
     success: bool,
 ) -> str:
     """Text of the page.
@@ -60,6 +61,8 @@ def page(
         Where the error was measured.
     asked : float, optional
         The tolerance asked for; None if the error was not measured.
+    smaller : float, optional
+        By how much the curves may differ from the solution.
     success : bool
     """
     known = [unknown["error"] for unknown in data["unknowns"] if unknown["error"] is not None]
@@ -69,7 +72,7 @@ def page(
         "version": __version__,
         "success": "yes" if success else "",
         "error": f"Measured error {_scientific(max(known))}" if known else "Error not measured",
-        "covers": "" if asked is None else f"{place} (asked for: {_scientific(asked)})".strip(),
+        "covers": _covers(place, asked, smaller),
         "bands": spread(data),
         "message": html.escape(quality[0]),
         "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in quality),
@@ -86,6 +89,16 @@ def page(
         "script": "\n".join(map(_as_part, _SCRIPTS)),
     }
     return filled("explorer/page.html.in", values)
+
+
+def _covers(place: str, asked: float | None, smaller: float | None) -> str:
+    """Where the error was measured, and what it may be, in HTML."""
+    if asked is None:
+        return ""
+    text = f"asked for: {_scientific(asked)}"
+    if smaller is not None:
+        text += f", and made smaller to within {_scientific(smaller)}"
+    return f"{place} ({text})".strip()
 
 
 def _as_object(model: PackedModel) -> str:

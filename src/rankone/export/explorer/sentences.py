@@ -89,5 +89,6 @@ def quality(solution: Any, model: PackedModel) -> list[str]:
         lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
     if measured.drift is not None:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
-    lines += [line for line in model.summary if line.startswith("Made smaller")]
+    made = [line for line in model.summary if line.startswith("Made smaller")]
+    lines += [f"{line} The errors of the table are those of both together." for line in made]
     return [line.replace("`", "") for line in lines]
