@@ -74,8 +74,8 @@ class Row:
     reached: bool
 
 
-class _TooLongError(Exception):
-    """A fit took more than its time."""
+class _TooLongError(BaseException):
+    """A fit took more than its time; not among the exceptions that tools catch."""
 
 
 def main() -> None:
@@ -145,7 +145,7 @@ def _peer(tool: Tool, name: str, wanted: float, most: float) -> Row:
     search = 0.0
     for size in tool.sizes(prepared.dimensions):
         prepared.count = 0
-        signal.setitimer(signal.ITIMER_PROF, 1.2 * most)
+        signal.setitimer(signal.ITIMER_PROF, 1.2 * most, 1.0)
         began = time.process_time()
         try:
             found = tool.fit(prepared, size)

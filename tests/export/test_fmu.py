@@ -20,6 +20,7 @@ import pytest
 
 import rankone as ro
 from rankone.errors import ExportError, OptionError, RankoneWarning
+from rankone.export.model_fmu import checked_fmi
 from rankone.solvers.outcome import Status
 from tests.export.solutions import points, solved, synthetic
 from tests.problems import EXAMPLES, GENERAL
@@ -316,7 +317,8 @@ def test_compilers_that_fail(command, why, tmp_path, monkeypatch):
 
 def test_refused(tmp_path):
     solution = solved("decay")
-    for fmi in ("1.0", 2.0, ["2.0"], ""):
+    assert [checked_fmi(fmi, ".fmu") for fmi in (2, 2.0, "3", 3)] == [*2 * ["2.0"], *2 * ["3.0"]]
+    for fmi in ("1.0", 2.5, ["2.0"], "", True, 20):
         with pytest.raises(OptionError, match=r"use fmi='2.0' or fmi='3.0'"):
             solution.export(tmp_path / "model.fmu", fmi=fmi)
     with pytest.raises(OptionError, match=r"fmi='2.0' does not apply to a `.py` file"):

@@ -40,7 +40,7 @@ _LONGEST_MESSAGE = 400
 
 
 def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
-    """The version of FMI, 2.0 unless it is given.
+    """The version of FMI, 2.0 unless it is given; 2 and 3 count as 2.0 and 3.0.
 
     Raises
     ------
@@ -54,9 +54,10 @@ def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
             f"fmi={shown(fmi)} does not apply to a `{suffix}` file",
             remedy="export to a file that ends in .fmu",
         )
-    if not isinstance(fmi, str) or fmi not in get_args(FMI):
-        raise OptionError(f"fmi={shown(fmi)} is unknown", remedy="use fmi='2.0' or fmi='3.0'")
-    return fmi
+    for version in get_args(FMI):
+        if shown(fmi).strip("'") in (version, version.removesuffix(".0")):
+            return version  # type: ignore[no-any-return]
+    raise OptionError(f"fmi={shown(fmi)} is unknown", remedy="use fmi='2.0' or fmi='3.0'")
 
 
 def fmu_model(
