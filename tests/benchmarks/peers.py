@@ -10,7 +10,7 @@ equations to the surrogate: for rankone compiling, solving and checking; for the
 trajectories and the fit at the size that is reported; *with search* adds the smaller sizes tried
 before. *Per curve* is a new parameter point at 21 times, in batches of 1,000. Times are processor
 times, SymPy's caches are emptied before rankone is run, and no fit may
-take more than ``--seconds``. ``--update`` writes the table to docs/which-tool.md.
+take more than ``--seconds`` and 8 GiB. ``--update`` writes the table to docs/which-tool.md.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import os
 os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 import argparse
+import resource
 import signal
 import sys
 import time
@@ -55,6 +56,9 @@ PROBLEMS = {
 CURVES, REPEATED = 1_000, 0.5
 """Parameter points in a batch, and processor seconds for which a measurement is repeated."""
 
+MEMORY = 8 << 30
+"""Bytes that a tool may take."""
+
 _TIMES = ("offline", "search", "curve")
 Curves = Callable[[Array, Array], Array]
 """Unknowns (n, m, times) at points (d, m) and times."""
@@ -86,6 +90,7 @@ def main() -> None:
     parser.add_argument("--update", action="store_true", help="write docs/which-tool.md")
     given = parser.parse_args()
     signal.signal(signal.SIGPROF, _stop)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     lines = ["| problem | tool | size | trajectories | offline | with search | per curve | error |"]
     lines.append("| --- | --- | --- | --: | --: | --: | --: | --: |")
     for name in given.problem or PROBLEMS:
@@ -150,7 +155,7 @@ def _peer(tool: Tool, name: str, wanted: float, most: float) -> Row:
         try:
             found = tool.fit(prepared, size)
             error = _error(found.curves, system)
-        except _TooLongError:
+        except (_TooLongError, MemoryError):
             break
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
@@ -161,7 +166,7 @@ def _peer(tool: Tool, name: str, wanted: float, most: float) -> Row:
         if error <= wanted or spent > 0.7 * most:
             break
     if best is None:
-        return Row(tool.name, "none", 0, np.nan, np.nan, np.nan, np.nan, False)
+        return Row(tool.name, "none within the limits", 0, np.nan, np.nan, np.nan, np.nan, False)
     error, size, found = best
     if offline < REPEATED:
         offline = _seconds(lambda: tool.fit(prepared, size))
@@ -209,7 +214,8 @@ def _shown(title: str, rows: list[Row]) -> list[str]:
     lines = []
     for row in rows:
         times = [text(getattr(row, key), best) for key, best in zip(_TIMES, least, strict=True)]
-        error = f"{row.error:.1e}".replace("e-0", "e-") + ("" if row.reached else " (not reached)")
+        error = "–" if np.isnan(row.error) else f"{row.error:.1e}".replace("e-0", "e-")
+        error += "" if row.reached else " (not reached)"
         cells = (title, row.tool, row.size, f"{row.trajectories:,}", *times, error)
         lines.append("| " + " | ".join(cells) + " |")
         title = ""
