@@ -1,6 +1,6 @@
 """How long a fit takes, and how often its 95 % intervals hold the true values.
 
-    PYTHONPATH=. python tests/benchmarks/fit.py [SEEDS]
+    python -m tests.benchmarks.fit [SEEDS]
 
 Prints, for free fall with 20 noisy values and six doses with 24, the times of a fit beside those of
 one trajectory of SciPy and of a fit that integrates, and the counts of intervals.
