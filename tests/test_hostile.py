@@ -29,6 +29,7 @@ def plain(equation=None, **more):
     [
         (lambda: plain(name=3), "the name is 3, not text"),
         (lambda: plain(name="\ud800"), "not text"),
+        (lambda: plain(name="a\0b"), "not text in one line"),
         (lambda: plain(parameters={sp.Symbol("\ud800"): (0, 1)}), "no text that can be printed"),
         (lambda: plain(parameters={sp.Symbol("c\nexit()#"): (0, 1)}), "printed in one line"),
         (lambda: plain(parameters={sp.Symbol(" "): (0, 1)}), "printed in one line"),

@@ -237,9 +237,18 @@ class Coordinates:
 
     @staticmethod
     def _real(name: str, value: Any) -> Array:
+        if np.ma.is_masked(value):
+            raise EvaluationError(
+                f"`{name}` has values that are masked",
+                term=name,
+                remedy="leave them out (compressed()) or fill them (filled(...))",
+            )
         try:
             array = np.asarray(value)
-            if array.dtype.kind in "biufO" and value is not None:
+            is_text = array.dtype.kind == "O" and any(
+                isinstance(v, str | bytes) for v in array.flat
+            )
+            if array.dtype.kind in "biufO" and value is not None and not is_text:
                 return np.asarray(array, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             pass

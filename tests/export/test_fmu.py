@@ -89,12 +89,21 @@ def with_units():
     return ro.Solution(solution.outcome, replace(solution.metadata, units=units))
 
 
+@cache
+def far_from_zero():
+    problem = ro.Problem.from_strings(
+        rhs={"u": "-k*u"}, initial={"u": 1}, parameters={"k": (1, 2)}, time=(1.7e9, 1.7e9 + 10)
+    )
+    return ro.solve(problem, rtol=1e-4)
+
+
 SOLUTIONS = {
     "decay": lambda: solved("decay"),
     "lotka_volterra": lotka_volterra,
     "pendulum": pendulum,
     "doses": doses,
     "before zero": before_zero,
+    "far from zero": far_from_zero,
     "no parameters": alone,
     "no time": lambda: solved("decay").at(1.0),
     "awkward names": synthetic,
@@ -446,6 +455,23 @@ def test_ends_of_ranges(fmi, archive):
         wanted = one.get("x", "y")
         one.set(x0=12.0)
         assert one.get("x", "y") == wanted
+
+
+@runs
+@both
+def test_far_from_zero(fmi, archive):
+    """Seconds since 1970: a millisecond is round-off, a second is none."""
+    start, stop = far_from_zero().time
+    with slave(archive("far from zero", fmi)[1], start) as one:
+        one.step(start, 1.0)
+        (before,) = one.get("u")
+        with pytest.raises(FMICallException, match="3"):
+            one.step(start, 1.0)
+        with pytest.raises(FMICallException, match="2"):
+            one.step(start + 1.0, stop - start + 0.5)
+        assert one.get("u") == [before]
+        one.step(start + 1.0, stop - start - 1.0 + 1e-3)
+        assert one.get("u")[0] == pytest.approx(far_from_zero()(t=stop, k=1.5)[0], rel=1e-9)
 
 
 @runs

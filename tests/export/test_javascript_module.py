@@ -288,6 +288,29 @@ def test_out_may_be_what_is_read(tmp_path):
 
 
 @needs_node
+def test_arrays_that_call_the_model(tmp_path):
+    """Reading an element may evaluate the model at another point."""
+    synthetic().export(tmp_path / "model.mjs")
+    text = """
+    const calling = (values, j) => {
+      const array = [...values];
+      const get = () => (m.evaluate(2, [1.4, 0.2, 1.1]), values[j]);
+      return Object.defineProperty(array, j, { get });
+    };
+    const [p, times] = [[1, 0.5, 1.5], [0, 0.3, 1.9]];
+    const calls = [
+      (wrap) => m.evaluate(1, wrap(p, 1)),
+      (wrap) => m.gradient(1, wrap(p, 2)),
+      (wrap) => m.curve(wrap(p, 1), wrap(times, 2)),
+      (wrap) => m.evaluateBatch(wrap(times, 1), [1, wrap([0.5, 0.2, 0.6], 1), 1.5]),
+    ];
+    console.log(JSON.stringify(calls.map((call) =>
+      [Array.from(call((values) => values)), Array.from(call(calling))])));"""
+    for wanted, got in script(tmp_path, text):
+        assert got == wanted
+
+
+@needs_node
 def test_round_off_counts_as_the_end(tmp_path):
     """The slack is that of the solution."""
     solution = synthetic()

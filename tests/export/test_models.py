@@ -425,7 +425,7 @@ def test_c_portable_has_the_same_bits(name, tmp_path):
 
 
 @needs_compiler
-@pytest.mark.parametrize("unknown", ["u", "u*/", "a/*b"])
+@pytest.mark.parametrize("unknown", ["u", "u*/", "a/*b", 'u???/"};int x;//', "what????"])
 def test_c_without_coefficients_or_with_odd_names(unknown, tmp_path):
     t = sp.Symbol("t")
     u = sp.Function(unknown)(t)

@@ -208,6 +208,11 @@ def test_grid() -> None:
         ({"t": "one", "x0": 0, "y0": 2}, "`t` is 'one', not a real number"),
         ({"t": 1, "x0": 0, "y0": 2j}, "`y0` is 2j, not a real number"),
         ({"t": 1, "x0": x0, "y0": 2}, "`x0` is x0, not a real number"),
+        ({"t": 1, "x0": np.array(["1"], dtype=object), "y0": 2}, "not a real number"),
+        (
+            {"t": 1, "x0": np.ma.array([0, 9], mask=[0, 1]), "y0": 2},
+            "`x0` has values that are mask",
+        ),
         ({"t": [1, 2], "x0": [0, 0, 0], "y0": 2}, r"do not broadcast .* `t` \(2,\), `x0` \(3,\)"),
     ],
 )

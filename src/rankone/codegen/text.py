@@ -44,7 +44,9 @@ def literal(value: object) -> str:
     if isinstance(value, Fraction):
         text = number(value)
         return text.replace("/", " / ") if "/" in text else literal(float(value))
-    return repr(value).replace("e+", "e")
+    if isinstance(value, tuple):
+        return f"({', '.join(map(literal, value))}{',' * (len(value) == 1)})"
+    return quoted(value) if isinstance(value, str) else repr(value).replace("e+", "e")
 
 
 def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str]:

@@ -111,7 +111,7 @@ def _indices(model: PackedModel, prefix: str) -> str:
 def _string(text: str) -> str:
     """A string literal; other than printable characters of ASCII are written as bytes of UTF-8."""
     if text.isascii() and text.isprintable():
-        return json.dumps(text).replace("??", '?" "?')
+        return json.dumps(text).replace("?", "\\?")  # no trigraphs
     return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 

@@ -228,7 +228,7 @@ def check_names(
     named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]
     for name, what in named:
-        if not is_text(name) or not name.isprintable() or not name.strip():
+        if not is_text(name) or not str.isprintable(name) or not str.strip(name):
             raise ProblemError(
                 f"the name {name!r} is no text that can be printed in one line",
                 term=name,

@@ -124,9 +124,11 @@ class Problem:
     mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.name is not None and not is_text(self.name):
+        if self.name is not None and not (is_text(self.name) and str.isprintable(self.name)):
             raise ProblemError(
-                f"the name is {shown(self.name)}, not text", term=self.name, remedy="give a title"
+                f"the name is {shown(self.name)}, not text in one line",
+                term=self.name,
+                remedy="give a title",
             )
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
