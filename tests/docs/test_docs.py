@@ -126,7 +126,9 @@ def test_commands(path, tmp_path):
     _skip_without_tools(path)
     text = path.read_text()
     (tmp_path / "guide.py").write_text("".join(block["code"] for block in BLOCK.finditer(text)))
-    shutil.copy(ROOT / "examples" / "lotka_volterra.py", tmp_path)
+    (tmp_path / "examples").mkdir()
+    for place in (tmp_path, tmp_path / "examples"):
+        shutil.copy(ROOT / "examples" / "lotka_volterra.py", place)
     for number, code in enumerate(re.findall(r"^```c\n(.*?)^```", text, re.M | re.S)):
         (tmp_path / ("main.c" if number == 0 else f"main{number}.c")).write_text(code)
     for code in re.findall(r"^```js\n(.*?)^```", text, re.M | re.S):

@@ -152,7 +152,7 @@ def test_sliders_and_numbers(chromium, written):
             k: pytest.approx(0.5 * (a + b)) for k, (a, b) in SOLVED.parameters.items()
         }
         slider = page.locator("#parameters input[type=range]").first
-        field = page.locator("#parameters input[type=number]").first
+        field = page.locator("#parameters input[type=text]").first
         slider.focus()
         page.keyboard.press("End")
         settle(page)
@@ -173,14 +173,234 @@ def test_sliders_and_numbers(chromium, written):
         settle(page)
         assert values(page)["parameters"][name] == exact
         assert field.get_attribute("aria-invalid") == "true"
-        assert str(exact) in page.locator("#parameters .wrong").first.inner_text()
-        field.blur()
-        assert float(field.input_value()) == exact
-        assert field.get_attribute("aria-invalid") == "false"
+        assert f"{exact:.6g}".replace("-", "−") in complaint(page)
 
         page.locator("#reset").click()
         settle(page)
         assert values(page)["parameters"] == middle
+        assert field.get_attribute("aria-invalid") == "false"
+
+
+def complaint(page):
+    """What is wrong with the first number."""
+    return page.locator("#parameters .wrong").first.inner_text()
+
+
+@cache
+def heater():
+    """Names with subscripts, a jump, an unknown that begins at zero, and ranges of two sizes."""
+    problem = ro.Problem.from_strings(
+        rhs={"T_i": "-k*T_i", "Delta_T": "c*k*T_i"},
+        initial={"T_i": "300", "Delta_T": "0"},
+        parameters={"k": (20, 40), "c": (0.1, 0.2)},
+        time=(0, 0.1),
+        jumps={0.05: {"T_i": "T_i + 100"}},
+    )
+    return ro.solve(problem, rtol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def heated(tmp_path_factory):
+    return heater().explore(tmp_path_factory.mktemp("heater") / "page.html")
+
+
+@pytest.mark.parametrize("end", ["Enter", "Tab"])
+def test_a_number_that_ends_as_refused_changes_nothing(chromium, heated, end):
+    """Also if it began with one that is not; the message stays until there is a valid one."""
+    with chromium.open(heated) as page:
+        page.evaluate("rankone.set({ k: 33.5 })")
+        field = page.get_by_role("spinbutton").first
+        field.focus()
+        field.select_text()
+        page.keyboard.type("300")
+        assert values(page)["parameters"]["k"] == 30
+        page.keyboard.press(end)
+        assert values(page)["parameters"]["k"] == 33.5
+        assert page.locator("#p0").input_value() == "675"
+        assert field.input_value() == "300"
+        assert field.get_attribute("aria-invalid") == "true"
+        assert complaint(page) == "A number from 20 to 40; the curves are those of 33.5."
+        field.fill("30")
+        assert values(page)["parameters"]["k"] == 30
+        assert field.get_attribute("aria-invalid") == "false"
+        assert complaint(page) == ""
+        field.press("Enter")
+        field.fill("")
+        field.press("Enter")
+        assert values(page)["parameters"]["k"] == 30
+        field.press("Escape")
+        assert field.input_value() == "30"
+        assert complaint(page) == ""
+
+
+@pytest.mark.parametrize(
+    ("typed", "value"),
+    [
+        ("25,5", 25.5),
+        ("2.55e1", 25.5),
+        (" 25.5 ", 25.5),
+        ("+25.", 25.0),
+        ("25.123456789", 25.123456789),
+    ],
+)
+def test_numbers_are_taken_as_typed(chromium, heated, typed, value):
+    with chromium.open(heated) as page:
+        field = page.get_by_role("spinbutton").first
+        field.fill(typed)
+        field.press("Enter")
+        assert values(page)["parameters"]["k"] == value
+        assert field.input_value() == typed
+
+
+@pytest.mark.parametrize("typed", ["1,025.5", "0x1f", "25 5", "25..5", "thirty", "Infinity", "-"])
+def test_what_is_no_number_is_refused(chromium, heated, typed):
+    with chromium.open(heated) as page:
+        page.get_by_role("spinbutton").first.fill(typed)
+        assert values(page)["parameters"]["k"] == 30
+        assert "from 20 to 40" in complaint(page)
+
+
+def test_keys_of_a_number_go_as_far_as_those_of_its_slider(chromium, heated):
+    keys = {
+        "k": [("ArrowUp", 30.02), ("Shift+ArrowDown", 29.82), ("PageUp", 30.02)],
+        "c": [("ArrowUp", 0.1501), ("Shift+ArrowDown", 0.1491), ("ArrowDown", 0.149)],
+    }
+    with chromium.open(heated) as page:
+        for number, (name, wanted) in enumerate(keys.items()):
+            field = page.get_by_role("spinbutton").nth(number)
+            for key, value in wanted:
+                field.press(key)
+                assert values(page)["parameters"][name] == value
+                assert float(field.input_value()) == value
+            lower, upper = heater().parameters[name]
+            field.fill(str(upper))
+            field.press("ArrowUp")
+            assert values(page)["parameters"][name] == upper
+            field.fill(str(lower))
+            field.press("Shift+ArrowDown")
+            assert values(page)["parameters"][name] == lower
+            assert field.get_attribute("aria-valuenow") == f"{lower:g}"
+
+
+def test_numbers_are_short_and_values_exact(chromium, heated):
+    exact = 0.1 + 0.5 * (0.2 - 0.1)
+    assert exact == 0.15000000000000002
+    with chromium.open(heated) as page:
+        field = page.get_by_role("spinbutton").nth(1)
+        assert field.input_value() == "0.15"
+        assert values(page)["parameters"]["c"] == exact
+        page.locator("#link").click()
+        page.wait_for_selector("#notice:not([hidden])")
+        assert f"c={exact}" in page.evaluate("location.hash")
+        field.focus()
+        field.blur()
+        assert values(page)["parameters"]["c"] == exact
+
+
+def test_values_below_the_error_are_zero_in_the_legend(chromium, heated):
+    with chromium.open(heated) as page:
+        number = values(page)["values"]["Delta_T"]
+        assert 0 < abs(number) < 1e-3
+        assert page.locator("#legend .value").all_inner_texts() == ["300.00", "0"]
+        row = page.evaluate("rankone.table()").splitlines()[1].split(",")
+        assert float(row[2]) == pytest.approx(number, rel=1e-3)
+        page.evaluate("rankone.set({ t: 1e-4 })")
+        settle(page)
+        assert float(page.locator("#legend .value").nth(1).inner_text()) == pytest.approx(
+            values(page)["values"]["Delta_T"], rel=1e-4
+        )
+
+
+STROKES = """async () => {
+  const [now, strokes] = [{}, []];
+  const own = CanvasRenderingContext2D.prototype;
+  const kept = {};
+  const spy = (name, seen) => {
+    kept[name] = own[name];
+    own[name] = function (...given) {
+      if (document.querySelector("#phase-plot").contains(this.canvas)) seen(this, ...given);
+      return kept[name].apply(this, given);
+    };
+  };
+  let last = null;
+  let longest = 0;
+  spy("beginPath", () => ([last, longest] = [null, 0]));
+  spy("moveTo", (context, x, y) => (last = [x, y]));
+  spy("lineTo", (context, x, y) => {
+    if (last) longest = Math.max(longest, Math.hypot(x - last[0], y - last[1]));
+    last = [x, y];
+  });
+  spy("stroke", (context) => strokes.push({
+    longest, dashed: context.getLineDash().length > 0, colour: context.strokeStyle,
+  }));
+  rankone.set({});
+  await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+  Object.assign(own, kept);
+  return strokes;
+}"""
+
+
+ACCENT = r"#0072b2|rgba\(0, 114, 178"
+
+
+def test_jumps_are_no_motion_in_the_phase_plot(chromium, heated):
+    """Lines are solid along curves and dashed where a state jumps; the mark is solid as before."""
+    with chromium.open(heated) as page:
+        page.evaluate("rankone.set({ t: 0.08 })")
+        settle(page)
+        strokes = page.evaluate(STROKES)
+        accent = [found for found in strokes if re.match(ACCENT, found["colour"])]
+        assert max(found["longest"] for found in accent if not found["dashed"]) < 20
+        dashed = [found for found in strokes if found["dashed"]]
+        assert len(dashed) == 2
+        assert min(found["longest"] for found in dashed) > 50
+        assert not strokes[-1]["dashed"]
+        page.evaluate("rankone.set({ t: 0.04 })")
+        settle(page)
+        assert sum(found["dashed"] for found in page.evaluate(STROKES)) == 1
+
+
+@pytest.mark.parametrize("font", ["", "serif"])
+def test_exponents_are_beside_what_they_belong_to(chromium, written, font):
+    """Also with a font that has no measures for formulas."""
+    with chromium.open(written) as page:
+        overlap = page.evaluate(
+            """(font) => {
+              const place = document.createElement("p");
+              place.innerHTML =
+                "<math><msup><mrow><mi>B</mi></mrow><mrow><mn>2</mn></mrow></msup></math>";
+              place.firstChild.style.fontFamily = font;
+              document.body.append(place);
+              const [base, above] = ["mi", "mn"].map((name) => place.querySelector(name));
+              const size = parseFloat(getComputedStyle(base).fontSize);
+              const [{ top }, { bottom }] = [base, above].map((e) => e.getBoundingClientRect());
+              return (bottom - top) / size;
+            }""",
+            font,
+        )
+        assert 0.2 < overlap < 0.6
+
+
+def test_a_chosen_theme_lasts(chromium, written):
+    theme = "document.documentElement.dataset.theme"
+    with chromium.open(written) as page:
+        button = page.locator("#theme")
+        assert button.get_attribute("aria-pressed") == "false"
+        button.click()
+        page.reload()
+        assert page.evaluate(theme) == "dark"
+        assert button.get_attribute("aria-pressed") == "true"
+        button.click()
+        page.emulate_media(color_scheme="dark")
+        page.reload()
+        assert page.evaluate(theme) == "dark"  # that of the system was chosen
+        page.add_init_script(
+            "Object.defineProperty(window, 'localStorage', { get() { throw new Error('none'); } })"
+        )
+        page.reload()
+        assert page.evaluate(theme) == "dark"
+        button.click()
+        assert page.evaluate(theme) == "light"
 
 
 def test_it_opens_at_the_medians(chromium, tmp_path):
@@ -256,6 +476,38 @@ def test_links(chromium, written):
         assert found[name] == SOLVED.parameters[name][1]
         notice = page.locator("#notice").inner_text()
         assert all(text in notice for text in ("1000000000", "much", "there is no what"))
+
+
+@pytest.mark.parametrize(
+    ("fragment", "said", "k"),
+    [
+        ("#%E0%A4%A", "%E0%A4%A is no name with a value", 30),
+        ("#k=30&k=31", "k is there more than once", 31),
+        ("#k=31&c", "c is no name with a value", 31),
+        ("#k=%E0%A4%A", "k = %E0%A4%A is not a number", 30),
+        ("#k=31&", None, 31),
+        ("#quality", None, 30),
+    ],
+)
+def test_links_that_cannot_be_followed(chromium, heated, fragment, said, k):
+    with chromium.open(heated, fragment) as page:
+        notice = page.locator("#notice")
+        assert notice.is_visible() == (said is not None)
+        assert said is None or said in notice.inner_text()
+        assert values(page)["parameters"]["k"] == k
+
+
+def test_after_a_reset_a_reload_brings_nothing_back(chromium, heated):
+    with chromium.open(heated, "#k=31") as page:
+        page.locator("#reset").click()
+        assert page.evaluate("location.href") == heated.as_uri()
+        page.reload()
+        assert values(page)["parameters"]["k"] == 30
+
+
+def test_numbers_of_messages_are_on_one_line(chromium, heated):
+    with chromium.open(heated, "#k=1e-9") as page:
+        assert "k = 1e−9 is not in [20, 40]" in page.locator("#notice").inner_text()
 
 
 def test_time_shares_and_bands(chromium, written):
@@ -697,8 +949,12 @@ def test_jumps_are_typeset():
 
 def test_names_are_plain_text_too():
     names = notation()
-    texts = ["theta0", "C_D", "x_t", "u1", "x_{0}", "α", "k12", "Omega_max"]
-    assert [*map(names.text, texts)] == ["θ₀", "C_D", "x′", "u₁", "x_{0}", "α", "k₁₂", "Ω_max"]
+    wanted = (
+        "theta0 θ₀, C_D C_D, x_t x′, u1 u₁, x_{0} x_{0}, α α, k12 k₁₂, Omega_max Ωₘₐₓ, T_i Tᵢ, "
+        "Delta_T Δ_T, k_2a k₂ₐ, T_in_C T_in_C, k_cat k_cat, g_alpha g_α"
+    )
+    pairs = [pair.split() for pair in wanted.split(", ")]
+    assert [names.text(name) for name, _ in pairs] == [text for _, text in pairs]
 
 
 # --- the wheel ---------------------------------------------------------------------------------

@@ -2,15 +2,18 @@
 
 import { fromFragment, toFragment, toTable } from "./values.js";
 import { drawWaiting, setTime, showAll } from "./drawing.js";
+import { unbroken } from "./looks.js";
 import { $, data, start, state, visibleRows } from "./state.js";
 
 const SECONDS = 8; // to play from start to end
 const ranges = new Map([...data.parameters, data.time].map(({ name, range }) => [name, range]));
 
+/** Start anew, also after a reload: the values of a link go from the address. */
 export function reset() {
   start();
   $("notice").hidden = true;
   showAll();
+  if (location.hash) history.replaceState(null, "", location.href.replace(/#.*/s, ""));
 }
 
 /** Set some parameters, or time, by name. What cannot be shown is an error, and changes nothing. */
@@ -35,8 +38,9 @@ export const presentParameters = () =>
   Object.fromEntries(data.parameters.map(({ name }, j) => [name, state.p[j]]));
 
 export function readLink() {
-  if (!location.hash.includes("=")) return;
-  const { values, problems } = fromFragment(location.hash, ranges);
+  const fragment = location.hash.slice(1);
+  if (!fragment || $(fragment)) return; // a place of this page
+  const { values, problems } = fromFragment(fragment, ranges);
   set(values);
   $("notice").hidden = true;
   if (problems.length) say(`The link could not be followed altogether: ${problems.join("; ")}.`);
@@ -74,7 +78,7 @@ export function saveTable() {
 
 function say(text) {
   $("notice").hidden = false;
-  $("notice").textContent = text;
+  $("notice").textContent = unbroken(text);
 }
 
 export function play() {

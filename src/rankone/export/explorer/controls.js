@@ -1,7 +1,10 @@
 /** A slider and a number field for each parameter. */
 
-import { STEPS, stepAt, valueAt } from "./values.js";
-import { digitsOf } from "./looks.js";
+import { STEPS, numberFrom, stepAt, stepped, valueAt } from "./values.js";
+import { digitsOf, unbroken } from "./looks.js";
+
+/** How many steps of the slider the keys of a number field go. */
+const KEYS = { ArrowUp: 1, ArrowDown: -1, PageUp: 10, PageDown: -10 };
 
 /**
  * The controls of one parameter.
@@ -15,57 +18,76 @@ export function parameterControl(place, parameter, number, onValue) {
   const { name, symbol, unit, range, distribution } = parameter;
   const [lower, upper] = range;
   const digits = 1 + digitsOf(range);
-  const short = (value) => String(Number(value.toPrecision(digits))).replaceAll("-", "−");
+  const short = (value) => String(Number(value.toPrecision(digits)));
   const box = document.createElement("div");
   box.className = "parameter";
   box.innerHTML =
     `<div class="row"><label for="p${number}">${symbol} <span class="unit"></span></label>` +
-    '<input type="number" step="any" inputmode="decimal"></div>' +
+    '<input type="text" role="spinbutton" autocomplete="off" spellcheck="false"></div>' +
     `<input type="range" id="p${number}" min="0" max="${STEPS}" step="1">` +
     '<div class="ends"><span></span><span></span><span></span></div>' +
     `<p class="wrong" id="w${number}" role="alert" hidden></p>`;
   const slider = box.querySelector('[type="range"]');
-  const field = box.querySelector('[type="number"]');
+  const field = box.querySelector('[type="text"]');
   const wrong = box.querySelector(".wrong");
   const [left, middle, right] = box.querySelectorAll(".ends span");
   box.querySelector(".unit").textContent = unit && `[${unit}]`;
+  field.inputMode = lower < 0 ? "text" : "decimal"; // some keys for decimals have no minus
+  field.style.minWidth = `calc(${digits + 2}ch + 18px)`;
   field.setAttribute("aria-label", `${name} as a number`);
   field.setAttribute("aria-describedby", wrong.id);
-  Object.assign(field, { min: lower, max: upper });
-  left.textContent = short(lower);
-  middle.textContent = distribution && `~ ${distribution}`;
-  right.textContent = short(upper);
+  field.setAttribute("aria-valuemin", String(lower));
+  field.setAttribute("aria-valuemax", String(upper));
+  left.textContent = short(lower).replaceAll("-", "−");
+  middle.textContent = distribution && `~ ${unbroken(distribution)}`;
+  right.textContent = short(upper).replaceAll("-", "−");
   let present;
+  let settled; // the value to return to if what is typed ends as refused
 
   function complain(text) {
     wrong.hidden = !text;
-    wrong.textContent = text;
+    wrong.textContent = text.replaceAll("-", "−");
     field.setAttribute("aria-invalid", String(Boolean(text)));
   }
 
+  const refuse = () =>
+    complain(`A number from ${lower} to ${upper}; the curves are those of ${short(present)}.`);
+
+  /** Show a value everywhere but where it is being changed. */
   function show(value, except) {
     present = value;
     complain("");
-    if (except !== field) field.value = String(value);
+    if (except !== field) {
+      settled = value;
+      field.value = short(value);
+    }
     if (except !== slider) slider.value = String(stepAt(range, value));
-    slider.setAttribute("aria-valuetext", `${name} ${value} ${unit}`.trim());
+    slider.setAttribute("aria-valuetext", `${name} ${short(value)} ${unit}`.trim());
+    field.setAttribute("aria-valuenow", String(value));
   }
 
-  slider.addEventListener("input", () => {
-    show(valueAt(range, Number(slider.value)), slider);
-    onValue(present);
-  });
-  field.addEventListener("input", () => {
-    const value = field.valueAsNumber;
-    if (!(value >= lower && value <= upper)) {
-      complain(`A number from ${lower} to ${upper}; the curves are those of ${present}.`);
-      return;
-    }
-    show(value, field);
+  function take(value, except) {
+    show(value, except);
     onValue(value);
+  }
+
+  slider.addEventListener("input", () => take(valueAt(range, Number(slider.value)), slider));
+  field.addEventListener("input", () => {
+    const value = numberFrom(field.value);
+    if (value >= lower && value <= upper) take(value, field);
+    else refuse();
   });
   field.addEventListener("change", () => {
-    if (field.getAttribute("aria-invalid") === "true") show(present);
+    if (field.getAttribute("aria-invalid") === "true") {
+      take(settled, field); // what is refused stays, to be mended
+      refuse();
+    } else settled = present;
+  });
+  field.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") take(settled);
+    if (!(event.key in KEYS)) return;
+    event.preventDefault();
+    take(stepped(range, present, KEYS[event.key] * (event.shiftKey ? 10 : 1)));
   });
   place.append(box);
   return { show };

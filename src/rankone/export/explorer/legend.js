@@ -10,6 +10,11 @@ export function symbolWithUnit({ symbol, unit }) {
   return holder.innerHTML;
 }
 
+/** Below this a value of an unknown is noise: its error, or rounding where that is not known. */
+function noiseOf({ error, extent }) {
+  return (error ?? 1e-15) * Math.max(...extent.map(Math.abs));
+}
+
 /**
  * The entry of one unknown.
  *
@@ -32,5 +37,8 @@ export function legendEntry(place, unknown, i, visible, toggle) {
   button.setAttribute("aria-pressed", String(visible));
   button.addEventListener("click", () => button.setAttribute("aria-pressed", String(toggle())));
   place.append(item);
-  return { show: (number) => (value.textContent = shown(number)) };
+  const noise = noiseOf(unknown);
+  return {
+    show: (number) => (value.textContent = shown(Math.abs(number) < noise ? 0 : number)),
+  };
 }

@@ -24,10 +24,31 @@ const DASHES = [[], [9, 4], [2.5, 3], [9, 3, 2.5, 3], [5, 3], [14, 4], [14, 3, 2
 /** The dashes of the line of an unknown, beside its colour, where it is one of several. */
 export const dashOf = (i) => DASHES[i % 8];
 
-/** Set the theme, or read it from the system. */
 export function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
   known.clear();
+}
+
+const KEPT = "rankone-theme";
+
+/** The theme that somebody chose, also before; null if nobody did. */
+export function chosenTheme() {
+  try {
+    const theme = localStorage.getItem(KEPT);
+    return ["dark", "light"].includes(theme) ? theme : null;
+  } catch {
+    return null; // a page from a disk may have no storage
+  }
+}
+
+/** Remember a theme, or with null that of the system. */
+export function keepTheme(theme) {
+  try {
+    if (theme) localStorage.setItem(KEPT, theme);
+    else localStorage.removeItem(KEPT);
+  } catch {
+    // it lasts until the page is closed
+  }
 }
 
 /** A number for people: five digits, or more if that does not tell the numbers apart. */
@@ -40,6 +61,9 @@ export function shown(value, digits = 5) {
   const decimals = digits - 1 - Math.max(0, Math.floor(Math.log10(size)));
   return value.toFixed(Math.max(0, decimals)).replace("-", "−");
 }
+
+/** A text whose numbers stay on one line: there are breaks after a hyphen, not after a minus. */
+export const unbroken = (text) => text.replace(/(\de)-(?=\d)/g, "$1−");
 
 /** Digits of the numbers of a range that is narrow beside their size, to tell them apart. */
 export function digitsOf([lower, upper]) {

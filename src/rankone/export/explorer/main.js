@@ -1,7 +1,7 @@
 /** The page is set up. */
 
 import { STEPS, areAlike } from "./values.js";
-import { setTheme } from "./looks.js";
+import { chosenTheme, keepTheme } from "./looks.js";
 import { phasePlot } from "./phase.js";
 import { sharesBars } from "./shares.js";
 import { parameterControl } from "./controls.js";
@@ -12,10 +12,11 @@ import { copyLink, play, presentParameters, readLink, reset, saveTable, set, tab
 
 const { unknowns, parameters, times } = data;
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
+const systemTheme = () => (systemDark.matches ? "dark" : "light");
 
 // ---- What is shown at first ---------------------------------------------------------------------
 
-setTheme(systemDark.matches ? "dark" : "light");
+recolour(chosenTheme() ?? systemTheme());
 if (unknowns.some(({ derivative }) => !derivative)) {
   unknowns.forEach(({ derivative }, i) => (state.visible[i] &&= !derivative));
 }
@@ -76,9 +77,11 @@ $("reset").addEventListener("click", reset);
 $("link").addEventListener("click", copyLink);
 $("csv").addEventListener("click", saveTable);
 $("theme").addEventListener("click", () => {
-  recolour(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  keepTheme(theme === systemTheme() ? null : theme);
+  recolour(theme);
 });
-systemDark.addEventListener("change", () => recolour(systemDark.matches ? "dark" : "light"));
+systemDark.addEventListener("change", () => recolour(chosenTheme() ?? systemTheme()));
 $("arrangement").addEventListener("click", ({ target }) => {
   if (!target.dataset.together) return;
   state.together = target.dataset.together === "true";

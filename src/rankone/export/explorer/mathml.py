@@ -24,7 +24,7 @@ _LETTERS = (
 )
 _GREEK = dict(zip(_LETTERS.split(), "αβγδεζηθικλμνξοπρστυφχψω", strict=True))
 _GREEK |= {name.capitalize(): letter.upper() for name, letter in _GREEK.items()}
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_SUBSCRIPTS = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
 _NAME = re.compile(r"([^\W\d_]+)(?:_?(\d+)|_(\w*[^\W_]))?")
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
@@ -75,13 +75,12 @@ class Notation:
         return (name, "") if name in self._alike else _parts(name)
 
     def text(self, name: str) -> str:
-        """A name in plain text: ``θ₀``, ``C_D``, ``θ′``."""
+        """A name in plain text: ``θ₀``, ``Tᵢ``, ``C_D``, ``θ′``."""
         base, order = self._primes.get(name, (name, 0))
         letter, index = self._parts(base)
-        if index.isdigit():
-            index = index.translate(_SUBSCRIPTS)
-        elif index:
-            index = f"_{index}"
+        if index:
+            small = all(ord(character) in _SUBSCRIPTS for character in index)
+            index = index.translate(_SUBSCRIPTS) if small else f"_{index}"
         return f"{letter}{index}{_PRIME * order}"
 
     def name(self, name: str, further: int = 0) -> str:

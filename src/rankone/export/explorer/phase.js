@@ -1,12 +1,13 @@
-/** Two unknowns against each other; what lies behind the present time is drawn stronger. */
+/** Two unknowns against each other; what lies behind the present time is drawn stronger, jumps dashed. */
 
-import { around } from "./values.js";
+import { around, jumpsAt } from "./values.js";
 import { axis, colour, follow } from "./looks.js";
 import { dot } from "./curves.js";
 
 /** @param {object} state the present values: `time`, `curves`, `values`, `phase` (two unknowns) */
 export function phasePlot(place, data, state) {
   const { times, unknowns } = data;
+  const jumps = jumpsAt(times);
   let ranges = [];
   let shownPair = "";
   const text = (k) => unknowns[state.phase[k]].text;
@@ -58,15 +59,19 @@ export function phasePlot(place, data, state) {
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
     ctx.lineJoin = "round";
-    ctx.lineWidth = 2.2 * devicePixelRatio;
     const end = state.phase.map((i) => state.values[i]);
     const at = (x, y) => [u.valToPos(x, "x", true), u.valToPos(y, "y", true)];
     for (const [last, strength] of [[times.length, 0.28], [now, 1]]) {
+      const path = Array.from(xs.subarray(0, last), (x, i) => at(x, ys[i]));
       ctx.strokeStyle = colour("accent", strength);
-      ctx.beginPath();
-      for (let i = 0; i < last; i++) ctx.lineTo(...at(xs[i], ys[i]));
-      if (strength === 1) ctx.lineTo(...at(...end));
-      ctx.stroke();
+      stroke(ctx, 2.2, [], () => {
+        path.forEach((point, i) => (jumps[i] ? ctx.moveTo(...point) : ctx.lineTo(...point)));
+        if (strength === 1) ctx.lineTo(...at(...end));
+      });
+      path.forEach((point, i) => {
+        if (!jumps[i] || Math.hypot(point[0] - path[i - 1][0], point[1] - path[i - 1][1]) < 1) return;
+        stroke(ctx, 1.4, [3, 4], () => (ctx.moveTo(...path[i - 1]), ctx.lineTo(...point)));
+      });
     }
     dot(ctx, ...at(...end), colour("accent"));
     ctx.restore();
@@ -88,4 +93,14 @@ export function phasePlot(place, data, state) {
     mark: () => plot.redraw(false, false),
     redraw: () => plot.redraw(true, true),
   };
+}
+
+/** A line along a path; lengths are those of the screen. */
+function stroke(ctx, width, dash, along) {
+  ctx.lineWidth = width * devicePixelRatio;
+  ctx.setLineDash(dash.map((length) => length * devicePixelRatio));
+  ctx.beginPath();
+  along();
+  ctx.stroke();
+  ctx.setLineDash([]);
 }

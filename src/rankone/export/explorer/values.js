@@ -4,11 +4,21 @@
 export const STEPS = 1000;
 
 /** The value at a step of a slider: one with few digits, inside of the range. */
-export function valueAt([lower, upper], step) {
+export function valueAt(range, step) {
+  const [lower, upper] = range;
   if (step <= 0) return lower;
   if (step >= STEPS) return upper;
-  const value = lower + ((upper - lower) * step) / STEPS;
-  const decimals = 3 - Math.floor(Math.log10(upper - lower));
+  return rounded(range, lower + ((upper - lower) * step) / STEPS, 3);
+}
+
+/** A value some steps further. */
+export function stepped(range, value, steps) {
+  return rounded(range, value + ((range[1] - range[0]) * steps) / STEPS, 4);
+}
+
+/** A value of a range with some digits beyond those of its length. */
+function rounded([lower, upper], value, digits) {
+  const decimals = digits - Math.floor(Math.log10(upper - lower));
   const short = decimals > 20 ? value : Number(value.toFixed(Math.max(0, decimals)));
   return Math.min(upper, Math.max(lower, short));
 }
@@ -16,6 +26,18 @@ export function valueAt([lower, upper], step) {
 /** The step of a slider that is closest to a value. */
 export function stepAt([lower, upper], value) {
   return upper > lower ? Math.round(((value - lower) / (upper - lower)) * STEPS) : 0;
+}
+
+/** The number that a text is, with a decimal point or a comma; NaN for what is none. */
+export function numberFrom(text) {
+  const plain = text.trim().replaceAll("−", "-").replace(",", ".");
+  return /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i.test(plain) ? Number(plain) : NaN;
+}
+
+/** For each time whether a jump can lie between it and the one before: nothing else fits there. */
+export function jumpsAt(times) {
+  const span = times.at(-1) - times[0];
+  return times.map((t, i) => i > 0 && t - times[i - 1] <= 1e-12 * span + 2 * Number.EPSILON * Math.abs(t));
 }
 
 /** Piecewise linear between (xs, ys); null where an end of the piece has no value. */
@@ -43,19 +65,24 @@ export function toFragment(values) {
 /**
  * Values by name from the fragment of an address, and what is wrong with it.
  *
- * Numbers outside of their range become its nearest end.
+ * Numbers outside of their range become its nearest end; of several of one name the last counts.
  */
 export function fromFragment(fragment, ranges) {
   const values = Object.create(null);
   const problems = [];
   for (const pair of fragment.replace(/^#/, "").split("&")) {
-    if (!pair.includes("=")) continue;
+    if (!pair) continue;
+    if (!pair.includes("=")) {
+      problems.push(`${decoded(pair)} is no name with a value`);
+      continue;
+    }
     const [name, text] = pair.split(/=(.*)/s).map(decoded);
     const range = ranges.get(name);
     const value = text.trim() === "" ? NaN : Number(text);
     if (!range) problems.push(`there is no ${name}`);
     else if (!Number.isFinite(value)) problems.push(`${name} = ${text} is not a number`);
     else {
+      if (name in values) problems.push(`${name} is there more than once`);
       values[name] = Math.min(range[1], Math.max(range[0], value));
       if (values[name] !== value) {
         problems.push(`${name} = ${value} is not in [${range[0]}, ${range[1]}], ${values[name]} is shown`);
