@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -91,4 +92,5 @@ def quality(solution: Any, model: PackedModel) -> list[str]:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
     made = [line for line in model.summary if line.startswith("Made smaller")]
     lines += [f"{line} The errors of the table are those of both together." for line in made]
-    return [line.replace("`", "") for line in lines]
+    # a minus sign, at which lines are not broken
+    return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]
