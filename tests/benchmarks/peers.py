@@ -10,7 +10,7 @@ equations to the surrogate: for rankone compiling, solving and checking; for the
 trajectories and the fit at the size that is reported; *with search* adds the smaller sizes tried
 before. *Per curve* is a new parameter point at 21 times, in batches of 1,000. Times are processor
 times, SymPy's caches are emptied before rankone is run, and no fit may
-take more than ``--seconds`` and 8 GiB. ``--update`` writes the table to docs/which-tool.md.
+take more than ``--seconds`` and ``--gib``. ``--update`` writes the table to docs/which-tool.md.
 """
 
 from __future__ import annotations
@@ -56,9 +56,6 @@ PROBLEMS = {
 CURVES, REPEATED = 1_000, 0.5
 """Parameter points in a batch, and processor seconds for which a measurement is repeated."""
 
-MEMORY = 8 << 30
-"""Bytes that a tool may take."""
-
 _TIMES = ("offline", "search", "curve")
 Curves = Callable[[Array, Array], Array]
 """Unknowns (n, m, times) at points (d, m) and times."""
@@ -87,10 +84,11 @@ def main() -> None:
     parser.add_argument("--problem", action="append", choices=PROBLEMS, help="only this one")
     parser.add_argument("--tool", action="append", default=[], help="only tools with this name")
     parser.add_argument("--seconds", type=float, default=40.0, help="most seconds of one fit")
+    parser.add_argument("--gib", type=int, default=8, help="most memory of all")
     parser.add_argument("--update", action="store_true", help="write docs/which-tool.md")
     given = parser.parse_args()
     signal.signal(signal.SIGPROF, _stop)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_AS, (given.gib << 30, given.gib << 30))
     lines = ["| problem | tool | size | trajectories | offline | with search | per curve | error |"]
     lines.append("| --- | --- | --- | --: | --: | --: | --: | --: |")
     for name in given.problem or PROBLEMS:
