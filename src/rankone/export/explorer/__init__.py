@@ -65,31 +65,7 @@ def export_page(
     overwrite: bool = False,
     allow_failed: bool = False,
 ) -> Path:
-    """Write a page with a slider for each parameter and the curves that follow.
-
-    Parameters
-    ----------
-    solution : Solution
-    path : path-like
-        Ends in ``.html``.
-    title : str, optional
-        The name of the problem by default, or else that of the file.
-    rtol : float, optional
-        By how much the curves may differ from the solution, to make the file smaller; see
-        :func:`rankone.export.export_model`.
-    overwrite : bool
-        Whether to replace an existing file.
-    allow_failed : bool
-        Whether to write a page of a solution that is not a success; the page says so.
-
-    Raises
-    ------
-    ExportError
-        If the solution is not a success or does not depend on time, or the path has another
-        suffix, exists or cannot be written.
-    OptionError
-        If the title is no text, or ``rtol`` is out of its range.
-    """
+    """What :meth:`rankone.Solution.explore` does."""
     target = page_target(path, overwrite)
     if title is not None and not is_text(title):
         raise OptionError(f"title={shown(title)} is no text", term=title)
