@@ -14,9 +14,10 @@ from scipy import special
 from sympy.core.function import AppliedUndef
 
 from rankone.codegen.narrow import peaks, steps
-from rankone.codegen.printer import numpy_text, readable_text, representable
+from rankone.codegen.printer import numpy_text
 from rankone.codegen.switching import boundaries, switches
 from rankone.coordinates import name_of
+from rankone.decimals import plain_text
 from rankone.errors import OptionError, ProblemError, RankoneError
 from rankone.functions import known_applied
 from rankone.ir import Coordinate
@@ -68,7 +69,7 @@ def quantities_of(
     translator = _Translator(metadata, horizon)
     expressions = {name: _expression(name, value, metadata) for name, value in given.items()}
     values = [translator.translated(name, value) for name, value in expressions.items()]
-    texts = [f"{name} = {readable_text(value)}" for name, value in expressions.items()]
+    texts = [f"{name} = {plain_text(value)}" for name, value in expressions.items()]
     known = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
     written = {
         **known,
@@ -246,7 +247,7 @@ class _Translator:
                 remedy="make the inner one an output, and go on from there",
             )
         self.integrands.append(self._in_sources(name, inner))
-        given = kind, len(self.integrands) - 1, start, end, int(direction), readable_text(part)
+        given = kind, len(self.integrands) - 1, start, end, int(direction), plain_text(part)
         self.reductions.append(Reduction(*given))
         symbol = sp.Dummy(f"r{len(self.reduced)}")
         self.reduced.append(symbol)
@@ -313,7 +314,7 @@ class _Translator:
                 f"the output {quote(name)}, {quote(expression)}, is not real and finite",
                 term=expression,
             )
-        return representable(plain)
+        return plain
 
     def _source(self, name: str, part: sp.Expr) -> sp.Dummy:
         """The symbol of a state or a derivative of one."""

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable
 from fractions import Fraction
 
-__all__ = ["clip", "count", "did_you_mean", "is_text", "listing", "number", "quote", "shown"]
+__all__ = [
+    "clip",
+    "count",
+    "did_you_mean",
+    "is_text",
+    "listing",
+    "number",
+    "quote",
+    "shown",
+    "written",
+]
 
 _LONGEST_QUOTE = 160
 _LONGEST_FRACTION = 24
 """Characters above which a fraction is written as a decimal number."""
 
 
+written = functools.singledispatch(str)
+"""Text of a thing in messages; what has expressions registers how they are written."""
+
+
 def quote(thing: object) -> str:
     """Show what the user wrote between backquotes, cut in the middle when it is long."""
-    return f"`{clip(str(thing), _LONGEST_QUOTE)}`"
+    return f"`{clip(written(thing), _LONGEST_QUOTE)}`"
 
 
 def shown(value: object) -> str:

@@ -15,7 +15,7 @@ import sympy as sp
 
 from rankone.codegen import generate_source, load_module
 from rankone.codegen.header import plain_product
-from rankone.codegen.printer import plain_text
+from rankone.codegen.printer import factor_text
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.systems import REFERENCE, Separated, driven, lotka_volterra, separated, t
 
@@ -174,5 +174,5 @@ def test_products_are_written_as_quotients():
     assert plain_product("1", ["(1 + k)", "x"]) == "(1 + k)*x"
     assert plain_product("1", []) == "1"
     k, m = sp.symbols("k m")
-    texts = [plain_text(e) for e in (1 / k, 1 / (k * m), k / m, 1 + k, 1 / k + m)]
+    texts = [factor_text(e) for e in (1 / k, 1 / (k * m), k / m, 1 + k, 1 / k + m)]
     assert texts == ["1/k", "1/(k*m)", "(k/m)", "(k + 1)", "(m + 1/k)"]

@@ -28,7 +28,7 @@ def test_equals_the_sympy_problem(reference):
         parameters={"x0": (8, 12), "y0": (4, 6)},
         time=(0, 6),
     )
-    assert found.equations == wanted.equations
+    assert found.residuals == wanted.residuals
     assert found.unknowns == wanted.unknowns
     assert found.initial == wanted.initial
     assert found.parameters == wanted.parameters
@@ -56,7 +56,7 @@ def test_any_name_is_a_plain_name():
         ("k*x(t)*sin(2*pi*t)", "k*x*sin(2*pi*t)"),
         ("sqrt(k) + exp(-k) + log(k) + tanh(k)", "sqrt(k) + exp(-k) + log(k) + tanh(k)"),
         ("+k - (-x)", "k + x"),
-        ("1e-3*k", "0.001*k"),
+        ("1e-3*k", "k/1000"),
         ("max(k, t)", "Max(k, t)"),
         ("k\n  * x", "k*x"),
         ("0*k + k", "k"),
@@ -102,7 +102,7 @@ def test_numbers_are_welcome():
         ("(y := k)", "is not understood"),
         ("'k'", "is not understood"),
         ("1j*k", "is not understood"),
-        ("1e999*k", "is not understood"),
+        ("1e999*k", "the number 1e999 is too large"),
         ("k; k", "is not a formula"),
     ],
 )

@@ -192,8 +192,8 @@ def test_phase_separates():
 def test_switch_in_time_separates():
     dose = sp.Piecewise((k, t < 0.5), (x, True))
     assert terms_of(dose) == [
-        (1, "Piecewise((1, t < 0.5), (0, True))", "k", ()),
-        (1, "Piecewise((0, t < 0.5), (1, True))", "1", (0,)),
+        (1, "Piecewise((1, t < 1/2), (0, True))", "k", ()),
+        (1, "Piecewise((0, t < 1/2), (1, True))", "1", (0,)),
     ]
 
 

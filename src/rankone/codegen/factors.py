@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sympy as sp
 
 from rankone.codegen.names import Names
-from rankone.codegen.printer import common_subexpressions, plain_text
+from rankone.codegen.printer import common_subexpressions, factor_text
 from rankone.codegen.text import assignment, docstring, table
 from rankone.ir import Coordinate
 
@@ -69,7 +69,7 @@ def factor_function(
     """A function that evaluates all factors of a coordinate, called ``title``."""
     names = Names(["np", "special", "out", argument])
     shared, texts = common_subexpressions(expressions, {symbol: argument}, names.numbered("c"))
-    summary = f"Factors of {title}: {', '.join(map(plain_text, expressions))}."
+    summary = f"Factors of {title}: {', '.join(map(factor_text, expressions))}."
     if len(summary) > _LONGEST_SUMMARY:
         summary = f"Factors of {title} ({len(expressions)})."
     if len(summary) > _LONGEST_SUMMARY:

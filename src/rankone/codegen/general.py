@@ -23,8 +23,10 @@ from rankone.codegen.header import opening
 from rankone.codegen.jumps import jump_function, jump_table, jumped_values, jumps_text
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import Index, mask, shape_line
-from rankone.codegen.printer import common_subexpressions, numpy_text, readable_text, representable
+from rankone.codegen.printer import common_subexpressions, numpy_text
+from rankone.codegen.stable import stable
 from rankone.codegen.text import assignment, docstring, paragraph, unpacking
+from rankone.decimals import plain_text
 from rankone.errors import ProblemError, SeparationError
 from rankone.ir import Coordinate, Jump, State
 from rankone.lowering.known import known_functions
@@ -107,7 +109,7 @@ def general_equation_texts(system: ExplicitSystem) -> list[str]:
     texts = []
     for left, expressions in (("{}'", system.rhs), (f"{{}}({start})", system.initial)):
         for state, expression in zip(system.states, expressions, strict=True):
-            text = readable_text(expression.xreplace(names))
+            text = plain_text(expression.xreplace(names))
             texts.append(f"{left.format(state.name)} = {text}")
     return texts + jumps_text(system.states, system.coordinates, system.jumps)
 
@@ -162,7 +164,7 @@ class _Writer:
         for applied in sorted(expression.atoms(AppliedUndef), key=sp.default_sort_key):
             if applied not in self.real:
                 raise ProblemError(f"{applied} in {what} is unknown", equation=origin, term=applied)
-        real = representable(expression.xreplace(self.real))
+        real = stable(expression.xreplace(self.real))
         try:
             numpy_text(real, {})
         except SeparationError as error:
@@ -249,7 +251,7 @@ class _Writer:
     ) -> list[str]:
         """A function with expressions as the entries of its value; nothing if there are none."""
         entries: dict[Index, sp.Expr] = {
-            (i,): representable(e.xreplace(self.real)) for i, e in enumerate(expressions)
+            (i,): e.xreplace(self.real) for i, e in enumerate(expressions)
         }
         if not entries:
             return []

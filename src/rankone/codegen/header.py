@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from rankone.codegen.jumps import jumps_text
-from rankone.codegen.printer import plain_text
+from rankone.codegen.printer import factor_text
 from rankone.codegen.text import paragraph
 from rankone.ir import Coordinate, QuadraticSystem, State, Term
 from rankone.wording import number
@@ -101,7 +101,7 @@ def signature_text(system: QuadraticSystem, signature: Sequence[int]) -> str:
 def written_factors(system: QuadraticSystem, rows: Sequence[int]) -> list[str]:
     """Factors that differ from one, as people write them."""
     pairs = zip(system.factors, rows, strict=True)
-    return [plain_text(distinct[i].expression) for distinct, i in pairs if i]
+    return [factor_text(distinct[i].expression) for distinct, i in pairs if i]
 
 
 def plain_product(coefficient: str, factors: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ import sympy as sp
 
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import mask
-from rankone.codegen.printer import common_subexpressions, representable
+from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import assignment, docstring, unpacking
 from rankone.ir import QuadraticSystem
 
@@ -21,7 +21,7 @@ def coupled_initial(system: QuadraticSystem) -> list[str]:
     symbols = {c.symbol: sp.Symbol(c.name, real=True) for c in parameters}
     sums: dict[int, sp.Expr] = {}
     for term in system.coupled:
-        value = representable(term.expression.xreplace(symbols))
+        value = term.expression.xreplace(symbols)
         sums[term.equation] = sums.get(term.equation, sp.S.Zero) + value
     names = Names(["np", "special", "p", "shape", "out"])
     own = [names(c.name) for c in parameters]

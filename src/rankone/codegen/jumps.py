@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.codegen.printer import readable_text
 from rankone.codegen.text import INDENT, assignment, docstring, nested, table
 from rankone.codegen.variables import Variables
+from rankone.decimals import plain_text
 from rankone.ir import Coordinate, Jump, State
 from rankone.wording import number
 
@@ -30,7 +30,7 @@ def jumps_text(
     lines = []
     for values, times in Jump.kinds(jumps).items():
         pairs = zip(functions, values, strict=True)
-        changes = (f"{names[u]} -> {readable_text(v.xreplace(names))}" for u, v in pairs if u != v)
+        changes = (f"{names[u]} -> {plain_text(v.xreplace(names))}" for u, v in pairs if u != v)
         at = ", ".join(map(number, times))
         lines.append(f"at {coordinates[0].name} = {at}: {', '.join(changes)}")
     return lines

@@ -20,7 +20,7 @@ from rankone.codegen.jumps import jump_function, jump_table, jumped_values
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
 from rankone.codegen.meanings import meanings_function
 from rankone.codegen.pointwise import PointwiseWriter
-from rankone.codegen.printer import plain_text
+from rankone.codegen.printer import factor_text
 from rankone.codegen.text import described_table, nested, table
 from rankone.codegen.variables import Variables
 from rankone.errors import OptionError, check_kind
@@ -167,7 +167,7 @@ def term_text(term: Term, left: str, system: QuadraticSystem) -> str:
 
 def kernel_functions(system: QuadraticSystem) -> list[list[str]]:
     """What the kernels share, the kernels of every group, then the tables that list them."""
-    time_factors = [plain_text(factor.expression) for factor in system.factors[0]]
+    time_factors = [factor_text(factor.expression) for factor in system.factors[0]]
     writers = [KernelWriter(system, group, time_factors) for group in system.groups]
     blocks = [helpers(writers)]
     listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}

@@ -1,29 +1,27 @@
-"""Printing: SymPy expressions as NumPy text, or as text for people.
-
-The only user of ``sympy.printing``.
-"""
+"""Printing: SymPy expressions as NumPy text."""
 
 from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import sympy as sp
 from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
-from sympy.printing.str import sstr
 
+from rankone.codegen.stable import scaled_power, stable
 from rankone.codegen.text import literal
+from rankone.decimals import plain_text
 from rankone.errors import ProblemError, SeparationError
+from rankone.wording import quote
 
-__all__ = ["common_subexpressions", "numpy_text", "plain_text", "readable_text", "representable"]
+__all__ = ["common_subexpressions", "factor_text", "numpy_text"]
 
 _LONGEST = 10**15
 """Integers up to which every one is a floating-point number."""
-_LONG = 10**6
-"""Denominators from which on fractions are shown as decimal numbers."""
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
 _INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
 _SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")
@@ -41,21 +39,26 @@ FUNCTIONS = {
     "besselk": "special.kv({})",
     "bessely": "special.yv({})",
     "ceiling": "np.ceil({})",
+    "cosm1": "special.cosm1({})",
     "Chi": "special.shichi({})[1]",
     "Ci": "special.sici({})[1]",
     "Ei": "special.expi({})",
     "elliptic_e": "special.ellipe({})",
     "elliptic_k": "special.ellipk({})",
     "expint": "special.expn({})",
+    "expit": "special.expit({})",
+    "expm1": "np.expm1({})",
     "factorial": "special.gamma({} + 1)",
     "frac": "np.mod({}, 1.0)",
     "fresnelc": "special.fresnel({})[1]",
     "fresnels": "special.fresnel({})[0]",
     "Heaviside": "np.heaviside({})",
+    "log1p": "np.log1p({})",
     "loggamma": "special.gammaln({})",
     "Mod": "np.mod({})",
     "Shi": "special.shichi({})[0]",
     "Si": "special.sici({})[0]",
+    "softplus": "np.logaddexp(0.0, {})",
 }
 """Calls of NumPy, and of ``scipy.special`` for real arguments, by the name of SymPy's function."""
 NESTED = {"And": "logical_and", "Or": "logical_or", "Min": "minimum", "Max": "maximum"}
@@ -91,11 +94,13 @@ class NumPyText(Printer):  # type: ignore[misc]
         text = str(self._print(expr))
         own = PRECEDENCE["Add"] if text.startswith("-") else precedence(expr)
         if isinstance(expr, sp.Rational) and expr.q != 1:
-            own = min(own, PRECEDENCE["Mul"])
+            own = min(own, PRECEDENCE["Atom" if _is_long(expr) else "Mul"])
         if isinstance(expr, sp.Pow) and (expr.exp == -1 or text.startswith("1 / ")):
             own = PRECEDENCE["Mul"]
         if isinstance(expr, CALLS):
             own = PRECEDENCE["Atom"]
+        if isinstance(expr, scaled_power):
+            own = PRECEDENCE["Pow"]
         return f"({text})" if own < level or (strict and own == level) else text
 
     def arguments(self, expr: sp.Basic) -> str:
@@ -104,11 +109,12 @@ class NumPyText(Printer):  # type: ignore[misc]
     def _print_Symbol(self, expr: sp.Symbol) -> str:
         return self.names[expr] if expr in self.names else str(expr.name)
 
-    def _print_Integer(self, expr: sp.Integer) -> str:
-        return str(int(expr))
-
     def _print_Rational(self, expr: sp.Rational) -> str:
-        return f"{expr.p} / {expr.q}"
+        if _is_long(expr):
+            return literal(_float(expr))
+        return str(expr.p) if expr.q == 1 else f"{expr.p} / {expr.q}"
+
+    _print_Integer = _print_Rational
 
     def _print_Float(self, expr: sp.Float) -> str:
         return literal(float(expr))
@@ -144,7 +150,7 @@ class NumPyText(Printer):  # type: ignore[misc]
         below: list[sp.Expr] = []
         for factor in expr.as_ordered_factors():
             base, exponent = factor.as_base_exp()
-            if isinstance(factor, sp.Rational) and factor.q != 1:
+            if isinstance(factor, sp.Rational) and factor.q != 1 and not _is_long(factor):
                 above += [] if factor.p == 1 else [sp.Integer(factor.p)]
                 below.append(sp.Integer(factor.q))
             elif isinstance(factor, sp.Pow) and exponent.is_number and exponent.is_negative:
@@ -167,6 +173,13 @@ class NumPyText(Printer):  # type: ignore[misc]
             return f"np.sqrt({self._print(base)})"
         if base == sp.E:
             return f"np.exp({self._print(exponent)})"
+        return self.power(base, exponent)
+
+    def _print_scaled_power(self, expr: sp.Expr) -> str:
+        return self.power(*expr.args)
+
+    def power(self, base: sp.Expr, exponent: sp.Expr) -> str:
+        """A power as Python writes it."""
         left = self.operand(base, PRECEDENCE["Pow"], strict=True)
         right = self.operand(exponent, PRECEDENCE["Pow"], strict=True)
         simple = re.fullmatch(r"[\w.]+", left) and re.fullmatch(r"[\w.]+", right)
@@ -230,7 +243,7 @@ CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.LambertW, sp.fra
 def unprintable(name: str, expr: Any) -> SeparationError:
     """The error for a function without a NumPy counterpart."""
     return SeparationError(
-        f"the function `{name}` in `{sstr(expr)}` cannot be written with NumPy",
+        f"the function `{name}` in {quote(expr)} cannot be written with NumPy",
         term=expr,
         remedy="rewrite it with elementary functions or Piecewise, or approximate it beforehand",
     )
@@ -254,15 +267,9 @@ def numpy_text(expr: sp.Expr, names: dict[sp.Symbol, str]) -> str:
     return str(NumPyText(names).doprint(expr))
 
 
-def readable_text(expr: sp.Expr) -> str:
-    """Text of an expression for people; fractions of long numbers are decimal."""
-    long = {part: sp.Float(part, 17) for part in expr.atoms(sp.Rational) if part.q >= _LONG}
-    return str(sstr(expr.xreplace(long), full_prec=False))
-
-
-def plain_text(expr: sp.Expr) -> str:
+def factor_text(expr: sp.Expr) -> str:
     """Text for people, in parentheses if it is a sum or a quotient other than ``1/k``."""
-    text = str(sstr(expr))
+    text = plain_text(expr)
     quotient = isinstance(expr, sp.Mul | sp.Pow | sp.Rational) and "/" in text
     quotient = quotient and not text.startswith("1/")
     return f"({text})" if quotient or isinstance(expr, sp.Add) else text
@@ -281,33 +288,35 @@ def common_subexpressions(
         One for each expression.
     """
     symbols = (sp.Dummy(name) for name in temporaries)
+    expressions = [stable(expression) for expression in expressions]
     replacements, reduced = sp.cse(expressions, symbols=symbols, order="canonical", list=True)
     written = {**names, **{symbol: symbol.name for symbol, _ in replacements}}
     shared = [(symbol.name, numpy_text(value, written)) for symbol, value in replacements]
     return shared, [numpy_text(value, written) for value in reduced]
 
 
-def representable(expression: sp.Expr) -> sp.Expr:
-    """Write integers and fractions of more digits than a floating-point number has as such.
+def _is_long(number: sp.Rational) -> bool:
+    """Whether a number has more digits than a floating-point number holds."""
+    return bool(max(abs(number.p), number.q) > _LONGEST)
+
+
+def _float(number: sp.Rational) -> float:
+    """The nearest floating-point number.
 
     Raises
     ------
     ProblemError
-        If one of them is too large, or too small to be told from zero.
+        If the number is too large, or too small to keep its digits.
     """
-    long: dict[sp.Rational, sp.Expr] = {}
-    for number in expression.atoms(sp.Rational):
-        if max(abs(number.p), number.q) > _LONGEST:
-            try:
-                value = float(number)
-            except OverflowError:
-                value = math.inf
-            if value == 0.0 or math.isinf(value):
-                size = "large" if value else "small"
-                raise ProblemError(
-                    f"the number {sp.Float(number, 6)} is too {size}",
-                    term=number,
-                    remedy="change the units",
-                )
-            long[number] = sp.Float(value)
-    return expression.xreplace(long) if long else expression
+    try:
+        value = int(number.p) / int(number.q)
+    except OverflowError:
+        value = math.inf
+    if not sys.float_info.min <= abs(value) < math.inf:
+        size = "large" if value else "small"
+        raise ProblemError(
+            f"the number {sp.Float(number, 6)} is too {size}",
+            term=number,
+            remedy="change the units",
+        )
+    return value

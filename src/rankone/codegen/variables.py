@@ -8,7 +8,7 @@ import sympy as sp
 
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import mask
-from rankone.codegen.printer import common_subexpressions, representable
+from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import assignment, docstring, unpacking
 from rankone.ir import Coordinate, State
 
@@ -52,7 +52,7 @@ class Variables:
 
     def texts(self, expressions: Sequence[sp.Expr]) -> tuple[list[tuple[str, str]], list[str]]:
         """Python text of expressions, after what they share by name."""
-        real = [representable(expression.xreplace(self._real)) for expression in expressions]
+        real = [expression.xreplace(self._real) for expression in expressions]
         self._used |= set().union(*(expression.free_symbols for expression in real))
         return common_subexpressions(real, self._written, self._names.numbered("c"))
 

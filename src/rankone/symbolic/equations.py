@@ -9,7 +9,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
-from rankone.symbolic.numbers import rejoined
+from rankone.symbolic.numbers import exact
 from rankone.wording import count, did_you_mean, is_text, listing, quote
 
 __all__ = [
@@ -93,7 +93,7 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
         raise error(f"{quote(equation)} has complex coefficients", equation, "write real equations")
     if residual.has(*_NOT_FINITE):
         raise error(f"{quote(equation)} is not finite", equation, "check the coefficients")
-    return rejoined(residual)
+    return exact(residual)
 
 
 def _carry_out_derivatives(

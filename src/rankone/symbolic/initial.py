@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 from rankone.errors import ProblemError
 from rankone.symbolic.box import Time
 from rankone.symbolic.equations import as_expression, explain_symbol
-from rankone.symbolic.numbers import rejoined
+from rankone.symbolic.numbers import exact
 from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["check_initial"]
@@ -44,7 +44,7 @@ def check_initial(
             raise ProblemError(*_superfluous(key, state, states), term=key)
         if state in given:
             raise ProblemError(f"{quote(state)} has two initial values", term=key)
-        given[state] = rejoined(_value(state, value, unknowns, parameters, time[0]))
+        given[state] = exact(_value(state, value, unknowns, parameters, time[0]))
     missing = [state for state in states if state not in given]
     if missing:
         raise ProblemError(

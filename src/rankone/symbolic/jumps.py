@@ -15,7 +15,7 @@ from rankone.ir import Jump
 from rankone.symbolic.box import Time, real_number
 from rankone.symbolic.equations import as_expression, explain_symbol
 from rankone.symbolic.notation import latex_of, text_of
-from rankone.symbolic.numbers import rejoined
+from rankone.symbolic.numbers import exact
 from rankone.wording import did_you_mean, listing, quote, shown
 
 __all__ = [
@@ -180,7 +180,7 @@ def _value(
         raise ProblemError(f"{what} has a problem: {message}", term=value, remedy=declare)
     if expression.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan, sp.DiracDelta):
         raise ProblemError(f"{what} is not a finite real number", term=value, remedy=remedy)
-    return rejoined(value_at(expression, time, at))
+    return value_at(exact(expression), time, at)
 
 
 def value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
@@ -188,7 +188,7 @@ def value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
     unknowns = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
     places = {u: sp.Dummy() for u in unknowns}
     back = {place: u for u, place in places.items()}
-    value: sp.Expr = expression.xreplace(places).subs(time, sp.Float(at)).xreplace(back)
+    value: sp.Expr = expression.xreplace(places).subs(time, exact(sp.Float(at))).xreplace(back)
     return value
 
 

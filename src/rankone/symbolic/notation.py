@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.decimals import latex_text, plain_text
 from rankone.wording import clip
 
 __all__ = ["initial_latex", "initial_texts", "latex_of", "text_of"]
@@ -19,14 +20,14 @@ def text_of(expression: sp.Basic) -> str:
     """Return plain text such as ``k*(du/dt + 1) = 10``, cut in the middle when it is long."""
     short, _ = _abbreviate(expression)
     sides = short.args if isinstance(short, sp.Eq) else [short]
-    return " = ".join(clip(sp.sstr(side, full_prec=False), _LONGEST_SIDE) for side in sides)
+    return " = ".join(clip(plain_text(side), _LONGEST_SIDE) for side in sides)
 
 
 def latex_of(expression: sp.Basic) -> str:
     r"""Return LaTeX such as ``k \left(\frac{d u}{d t} + 1\right) &= 10``."""
     short, names = _abbreviate(expression)
     sides = short.args if isinstance(short, sp.Eq) else [short]
-    return " &= ".join(sp.latex(side, symbol_names=names) for side in sides)
+    return " &= ".join(latex_text(side, symbol_names=names) for side in sides)
 
 
 def initial_texts(names: Iterable[str], start: float, values: Iterable[sp.Expr]) -> list[str]:
@@ -37,7 +38,7 @@ def initial_texts(names: Iterable[str], start: float, values: Iterable[sp.Expr])
 def initial_latex(states: Iterable[sp.Expr], start: float, values: Iterable[sp.Expr]) -> list[str]:
     """The same as LaTeX, with ``&=``."""
     pairs = zip(states, values, strict=True)
-    return [f"{latex_of(u)}({start:g}) &= {sp.latex(v)}" for u, v in pairs]
+    return [f"{latex_of(u)}({start:g}) &= {latex_text(v)}" for u, v in pairs]
 
 
 def _abbreviate(expression: sp.Basic) -> tuple[sp.Basic, dict[sp.Symbol, str]]:

@@ -8,9 +8,9 @@ says they mean.
 from __future__ import annotations
 
 import ast
+import contextlib
 import itertools
 import keyword
-import math
 import operator
 import re
 from collections.abc import Callable, Mapping
@@ -20,7 +20,8 @@ import sympy as sp
 
 from rankone.deadline import check_time
 from rankone.errors import ProblemError
-from rankone.wording import did_you_mean, quote
+from rankone.symbolic.numbers import exact
+from rankone.wording import clip, did_you_mean, quote
 
 __all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
 
@@ -60,6 +61,11 @@ _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LONGEST_POWER_BITS = 4096
 _LARGEST = 10**300
+_LARGEST_FLOAT = 10**308
+_LONGEST_EXPONENT = 4
+"""Digits of the exponent of a number."""
+_FINEST_ROOT = 12
+"""Largest denominator of an exponent for which powers of numbers stay as they are."""
 _DEEPEST = 24
 _LARGEST_GAMMA = 172
 """Beyond, the gamma function is larger than any floating-point number."""
@@ -89,8 +95,10 @@ def parse_expression(
         If the text is not such a formula; the message quotes it.
     """
     try:
-        tree = ast.parse(_protect_keywords(" ".join(text.split())), mode="eval")
-        value: sp.Expr = _Translator(text, names, where, equation, further).visit(tree.body)
+        source = _protect_keywords(" ".join(text.split()))
+        tree = ast.parse(source, mode="eval")
+        translator = _Translator(text, source, names, where, equation, further)
+        value: sp.Expr = translator.visit(tree.body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, ProblemError):
             raise
@@ -130,12 +138,14 @@ class _Translator(ast.NodeVisitor):
     def __init__(
         self,
         text: str,
+        source: str,
         names: Mapping[str, sp.Expr],
         where: str,
         equation: int | None,
         further: Mapping[str, Callable[..., sp.Expr]] | None,
     ) -> None:
         self.text = text
+        self.source = source
         self.names = names
         self.where = where
         self.equation = equation
@@ -159,9 +169,22 @@ class _Translator(ast.NodeVisitor):
     def visit_Constant(self, node: ast.Constant) -> sp.Expr:
         if type(node.value) is int:
             return sp.Integer(node.value)
-        if type(node.value) is float and math.isfinite(node.value):
-            return sp.Float(node.value)
+        if type(node.value) is float:
+            return self._decimal(node, node.value)
         return self.generic_visit(node)
+
+    def _decimal(self, node: ast.Constant, value: float) -> sp.Rational:
+        """A decimal number, exactly as it is written."""
+        text = (ast.get_source_segment(self.source, node) or repr(value)).replace("_", "")
+        digits, _, exponent = text.lower().partition("e")
+        if len(exponent.lstrip("+-")) <= _LONGEST_EXPONENT:
+            exact = sp.Rational(text)
+            if exact == 0 or 1 / _LARGEST_FLOAT <= exact <= _LARGEST_FLOAT:
+                return exact
+        elif not digits.strip("0."):
+            return sp.S.Zero
+        size = "small" if value < 1.0 else "large"
+        raise self.error(f"the number {clip(text, 40)} is too {size}", "change the units")
 
     def visit_Name(self, node: ast.Name) -> sp.Expr:
         name = node.id.removesuffix(_KEYWORD_SUFFIX)
@@ -201,6 +224,9 @@ class _Translator(ast.NodeVisitor):
             bits = max(int(base.p).bit_length(), int(base.q).bit_length())
             if bits * abs(int(exponent)) > _LONGEST_POWER_BITS or (abs(base**exponent) > _LARGEST):
                 raise self.error(f"{quote(f'{base}**{exponent}')} is too large a number")
+        elif base.is_Rational and exponent.is_Rational and exponent.q > _FINEST_ROOT:
+            with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
+                return exact(sp.Float(float(base) ** float(exponent)))
         return base**exponent
 
     def visit_Call(self, node: ast.Call) -> sp.Expr:

@@ -7,6 +7,7 @@ that depends on nothing but the mathematics.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
@@ -23,6 +24,10 @@ from rankone.wording import listing, quote
 
 __all__ = ["separate"]
 
+_IN_RANGE = sp.Integer(10) ** 150
+"""Coefficients up to this, and down to its reciprocal, can be those of separated terms."""
+_HIGH = 8
+"""Powers from which on they may be why a number is out of range."""
 _AS_IT_IS = "method='cross' takes it as it is; for the other methods"
 
 
@@ -95,8 +100,9 @@ class _Separation:
         for term in sp.Add.make_args(expression.xreplace(self.plain)):
             try:
                 split = self.splitter.split(term)
-                for monomial in split:
+                for monomial, number in split.items():
                     self._check_powers(monomial)
+                    self._check_range(term, monomial, number)
             except Indivisible as reason:
                 shown = term if initial else -term  # the sign it has in f
                 self.general.append(self._explained(reason, shown, state, initial=initial))
@@ -108,6 +114,14 @@ class _Separation:
         for state, power in monomial.powers:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
+
+    def _check_range(self, term: sp.Expr, monomial: Monomial, number: sp.Expr) -> None:
+        """Leave (x/1e6)**60 as it is: 1e-360*x**60 is nothing that floating point holds."""
+        if 1 / _IN_RANGE < abs(number) < _IN_RANGE:
+            return
+        powers = (p.exp for f in monomial.factors for p in f.atoms(sp.Pow) if p.exp.is_Integer)
+        if max((sum(power for _, power in monomial.powers), *map(abs, powers))) >= _HIGH:
+            raise Indivisible(term, "out of range")
 
     def _explained(
         self, reason: Indivisible, term: sp.Expr, state: int, *, initial: bool
@@ -135,6 +149,9 @@ class _Separation:
                 "take the function as a further unknown with an equation of its own, "
                 "such as s = sin(x) with s' = cos(x) x'"
             )
+        elif reason.reason == "out of range":
+            message += "has a number that floating point does not hold when it is multiplied out"
+            way_out = "change the units"
         elif reason.reason == "too many terms":
             message += "has too many terms when it is multiplied out"
             way_out = "take the sum in it as a further unknown with an equation of its own"
@@ -224,9 +241,11 @@ class _Separation:
             value = float(number)
         except (TypeError, OverflowError):
             value = float("nan")
-        if not abs(value) < float("inf"):
+        lost = abs(value) < sys.float_info.min and number != 0
+        if lost or not abs(value) < float("inf"):
+            what = "too small for a floating-point number" if lost else "not a finite real number"
             raise ProblemError(
-                f"coefficient {quote(number)} is not a finite real number",
+                f"coefficient {quote(number)} is {what}",
                 equation=self.weak.origins[state],
                 term=number,
                 remedy="rescale the equations or change the coefficients",

@@ -32,6 +32,7 @@ _ADDITION = {
 """Addition theorems f(a + b) = sum of sign g(a) h(b), as (g, h, sign)."""
 
 
+_LARGE_EXPONENT = 30
 _MOST_TERMS, _HIGHEST_POWER = 1500, 64
 """Products that a product of two sums may come to, and the highest power of a mixed expression."""
 
@@ -43,7 +44,7 @@ class Indivisible(Exception):
     ----------
     part : Expr
         The smallest expression that cannot be split.
-    reason : {"couples", "not polynomial", "not real", "too many terms"}
+    reason : {"couples", "not polynomial", "not real", "out of range", "too many terms"}
         It couples coordinates, is not polynomial in the states, a root or logarithm leaves the
         real numbers, or it has too many terms when it is multiplied out.
     """
@@ -224,10 +225,26 @@ class Splitter:
         return MonomialSum.of([(Monomial(tuple(factors), integer), coefficient)])
 
     def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> MonomialSum:
-        """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k)."""
+        """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k).
+
+        Parts that are large in the middle of their interval are counted from there, so that no
+        factor overflows where the whole does not.
+        """
         constant, parts = self._by_coordinate(exponent, whole)
-        functions = [self._function(base**part, dimension) for dimension, part in parts.items()]
+        functions = []
+        for dimension, part in parts.items():
+            offset = self._offset(part, dimension)
+            functions.append(self._function(base ** (part - offset), dimension))
+            constant += offset
         return self._product(self._number(base**constant), *functions)
+
+    def _offset(self, part: sp.Expr, dimension: int) -> sp.Expr:
+        """A large exponent in the middle of its interval as an integer, 0 for others."""
+        coordinate = self._coordinates[dimension]
+        middle = exact(sp.Float(0.5 * (coordinate.lower + coordinate.upper)))
+        value = sp.N(part.xreplace({coordinate.symbol: middle}))
+        large = value.is_Float and abs(value) > _LARGE_EXPONENT
+        return sp.Integer(round(float(value))) if large else sp.S.Zero
 
     def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Monomial]:
         """Return an expression as one (number, product), factoring it if need be."""

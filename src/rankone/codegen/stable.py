@@ -1,0 +1,287 @@
+"""Expressions written so that floating-point numbers neither overflow nor cancel.
+
+What people write in kelvin, pascal or years is well conditioned, but not as it stands:
+``1/(1 + exp((T - 310.15)/0.43))`` overflows inside, SymPy turns ``(T/310.15)**125`` into a number
+below all floating-point numbers times ``T**125``, and ``exp(x) - 1`` loses all digits of a small
+``x``. :func:`stable` writes them with functions that do not: the logistic function, ``log1p``,
+``expm1`` and their kin (Higham, Accuracy and Stability of Numerical Algorithms, SIAM 2002,
+section 1.14), which are differentiated as such.
+"""
+
+from __future__ import annotations
+
+import sympy as sp
+from sympy.codegen.cfunctions import expm1, log1p
+from sympy.codegen.scipy_nodes import cosm1
+
+__all__ = ["STABLE", "expit", "expm1", "log1p", "scaled_power", "softplus", "stable"]
+
+_IN_RANGE = sp.Integer(10) ** 30
+"""Numbers up to this, and down to its reciprocal, stand as they are."""
+_HIGH = 8
+"""Powers from which on a quotient of powers is the power of a quotient."""
+_DIGITS = 20
+
+
+class expit(sp.Function):  # type: ignore[misc]
+    """The logistic function 1/(1 + exp(-z))."""
+
+    nargs = 1
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative; no difference of large numbers, as expit*(1 - expit) is."""
+        return self * expit(-self.args[0])
+
+
+class softplus(sp.Function):  # type: ignore[misc]
+    """log(1 + exp(z))."""
+
+    nargs = 1
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative."""
+        return expit(self.args[0])
+
+
+class scaled_power(sp.Function):  # type: ignore[misc]
+    """A power whose base keeps its number: SymPy takes that out of ``(x/310.15)**125``."""
+
+    nargs = 2
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative with respect to the base; exponents are numbers."""
+        base, exponent = self.args
+        return exponent * scaled_power(base, exponent - 1)
+
+
+STABLE = (expit, softplus, scaled_power, expm1, log1p, cosm1)
+"""The functions that only generated code has."""
+
+
+def stable(expression: sp.Expr) -> sp.Expr:
+    """An expression of the same value that is computed without overflow and cancellation.
+
+    >>> x = sp.Symbol("x", real=True)
+    >>> stable(1 / (1 + sp.exp((x - 310) / 2)))
+    expit(155 - x/2)
+    >>> stable(sp.exp(-x) - 1), stable(sp.log(1 + x)), stable(1 - sp.tanh(x))
+    (expm1(-x), log1p(x), 2*expit(-2*x))
+    """
+    return _Rewriting()(expression)
+
+
+class _Rewriting:
+    """Rewrites from the leaves to the root, each subexpression once."""
+
+    def __init__(self) -> None:
+        self._written: dict[sp.Basic, sp.Basic] = {}
+
+    def __call__(self, expression: sp.Basic) -> sp.Basic:
+        if not expression.args or not isinstance(expression, sp.Expr | sp.Tuple):
+            return expression  # conditions stay as they are
+        if expression not in self._written:
+            args = [self(arg) for arg in expression.args]
+            if any(new is not old for new, old in zip(args, expression.args, strict=True)):
+                expression_ = self._rebuilt(expression, args)
+            else:
+                expression_ = expression
+            self._written[expression] = self._rewritten(expression_)
+        return self._written[expression]
+
+    def _rebuilt(self, expression: sp.Basic, args: list[sp.Basic]) -> sp.Basic:
+        return expression.func(*args)
+
+    def _rewritten(self, expression: sp.Basic) -> sp.Basic:
+        if expression.is_Add:
+            return _in_range_sum(_without_cancellation(expression))
+        if expression.is_Pow:
+            return _power(expression)
+        if expression.is_Mul:
+            return _product(expression)
+        if isinstance(expression, sp.log):
+            return _logarithm(expression)
+        return expression
+
+
+# -- sums -------------------------------------------------------------------------------------
+
+
+def _complement(function: sp.Expr) -> tuple[sp.Expr | None, sp.Expr | None]:
+    """1 + f and 1 - f without cancellation; None where there is none to fear."""
+    if not function.args:
+        return None, None
+    argument = function.args[0]
+    if isinstance(function, sp.exp):
+        return None, -expm1(argument)
+    if isinstance(function, sp.cos):
+        return None, -cosm1(argument)
+    if isinstance(function, sp.tanh):
+        return 2 * expit(2 * argument), 2 * expit(-2 * argument)
+    if isinstance(function, sp.erf):
+        return sp.erfc(-argument), sp.erfc(argument)
+    if isinstance(function, expit):
+        return None, expit(-argument)
+    return None, None
+
+
+_COMPLEMENTED = (sp.exp, sp.cos, sp.tanh, sp.erf, expit)
+
+
+def _without_cancellation(total: sp.Expr) -> sp.Expr:
+    """A sum in which pairs of terms such as ``k - k*exp(z)`` are one term."""
+    if not any(isinstance(f, _COMPLEMENTED) for a in total.args for f in sp.Mul.make_args(a)):
+        return total
+    terms = dict.fromkeys(total.args)
+    for term in total.args:
+        for function in sp.Mul.make_args(term):
+            if term not in terms or not isinstance(function, _COMPLEMENTED):
+                continue
+            factor = term / function
+            for sign, together in zip((1, -1), _complement(function), strict=True):
+                if together is not None and sign * factor in terms:
+                    del terms[term], terms[sign * factor]
+                    terms[sign * factor * together] = None
+                    break
+    return sp.Add(*terms)
+
+
+def _in_range_sum(total: sp.Expr) -> sp.Expr:
+    """A sum with its largest number taken out, if that is no ordinary number."""
+    if not total.is_Add:
+        return total
+    numbers = [abs(term.as_coeff_Mul()[0]) for term in total.args]
+    largest = max((n for n in numbers if n.is_Rational), default=sp.S.One)
+    if largest <= _IN_RANGE:
+        return total
+    rest = sp.Add(*(_product(term / largest) for term in total.args))
+    return sp.Mul(largest, rest, evaluate=False)
+
+
+# -- products ---------------------------------------------------------------------------------
+
+
+def _power(power: sp.Expr) -> sp.Expr:
+    """Powers of 1 + exp(z) are powers of the logistic function."""
+    base, exponent = power.base, power.exp
+    if not (base.is_Add and len(base.args) == 2 and exponent.could_extract_minus_sign()):
+        return power
+    first, second = (_exponential(term) for term in base.args)
+    if first is None or second is None or not (first[1].free_symbols or second[1].free_symbols):
+        return power
+    if second[1].is_number:
+        first, second = second, first
+    shift = second[1] - first[1] + _number(sp.log(second[0] / first[0]))
+    outside = first[0] ** exponent * sp.exp(exponent * first[1])
+    return _product(outside * expit(-shift) ** -exponent)
+
+
+def _exponential(term: sp.Expr) -> tuple[sp.Expr, sp.Expr] | None:
+    """(c, z) of a term c*exp(z) with a positive number c; None of others."""
+    number, rest = term.as_coeff_Mul()
+    if not (number.is_Rational and number > 0):
+        return None
+    if rest is sp.S.One:
+        return number, sp.S.Zero
+    return (number, rest.exp) if isinstance(rest, sp.exp) else None
+
+
+def _product(product: sp.Expr) -> sp.Expr:
+    """A product whose parts overflow no earlier than the whole."""
+    if not product.is_Mul:
+        return product
+    return _in_range_product(_with_quotients(_with_logistic(product)))
+
+
+def _with_logistic(product: sp.Expr) -> sp.Expr:
+    """``exp(z)*expit(-z)`` is ``expit(z)``, also where the exponential is infinite."""
+    exponentials = [f for f in product.args if isinstance(f, sp.exp)]
+    logistic = [f for f in product.args if isinstance(f.as_base_exp()[0], expit)]
+    for exponential in exponentials:
+        for power in logistic:
+            base, count = power.as_base_exp()
+            rest = exponential.exp + base.args[0]
+            if not rest.is_number or not count.is_Integer or count < 1:
+                continue
+            turned = expit(-base.args[0]) * base ** (count - 1) * sp.exp(rest)
+            return sp.Mul(turned, *(f for f in product.args if f not in (exponential, power)))
+    return product
+
+
+def _with_quotients(product: sp.Expr) -> sp.Expr:
+    """Quotients of high powers are powers of quotients: ``x**60/y**60`` is ``(x/y)**60``."""
+    if not product.is_Mul:
+        return product
+    high: dict[sp.Expr, list[sp.Expr]] = {}
+    for factor in product.args:
+        if factor.is_Pow and factor.exp.is_Integer and abs(factor.exp) >= _HIGH:
+            high.setdefault(abs(factor.exp), []).append(factor)
+    for exponent, powers in high.items():
+        above = [p.base for p in powers if p.exp > 0]
+        below = [p.base for p in powers if p.exp < 0]
+        if above and below:
+            quotient = scaled_power(sp.Mul(*above) / sp.Mul(*below), exponent)
+            product = sp.Mul(quotient, *(f for f in product.args if f not in powers))
+    return product
+
+
+def _in_range_product(product: sp.Expr) -> sp.Expr:
+    """A product whose number, if it is no ordinary one, is in the base of its highest power."""
+    if not product.is_Mul:
+        return product
+    numbers = [f for f in product.args if f.is_number]
+    number = sp.Mul(*numbers)
+    size = _size(number)
+    if size is None or 1 / _IN_RANGE <= size <= _IN_RANGE:
+        return product
+    rest = [f for f in product.args if not f.is_number]
+    powers = [(*_base_and_exponent(f), f) for f in rest]
+    powers = [p for p in powers if p[1].is_Rational and abs(p[1]) > 1]
+    if not powers:
+        return product
+    base, exponent, factor = max(powers, key=lambda p: abs(p[1]))
+    scale = _number(size ** (1 / exponent))
+    rest.remove(factor)
+    power = scaled_power(scale * base, abs(exponent)) ** sp.sign(exponent)
+    return sp.Mul(sp.sign(number), power, *rest)
+
+
+def _base_and_exponent(factor: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    base, exponent = factor.as_base_exp() if factor.is_Pow else (factor, sp.S.One)
+    if isinstance(base, scaled_power):
+        return base.args[0], base.args[1] * exponent
+    return base, exponent
+
+
+def _size(number: sp.Expr) -> sp.Rational | None:
+    """The absolute value of a number as a fraction."""
+    if number.is_Rational:
+        return abs(number)
+    value = sp.N(abs(number), _DIGITS)
+    return sp.Rational(str(value)) if value.is_Float else None
+
+
+def _number(value: sp.Expr) -> sp.Expr:
+    """A number with the digits that count."""
+    return value if value.is_Rational else sp.Rational(str(sp.N(value, _DIGITS)))
+
+
+# -- logarithms -------------------------------------------------------------------------------
+
+
+def _logarithm(logarithm: sp.Expr) -> sp.Expr:
+    """log(1 + x) and log(1 + exp(z))."""
+    argument = logarithm.args[0]
+    if not argument.is_Add:
+        return logarithm
+    if len(argument.args) == 2:
+        first, second = (_exponential(term) for term in argument.args)
+        if first is not None and second is not None:
+            if second[1].is_number:
+                first, second = second, first
+            shift = second[1] - first[1] + _number(sp.log(second[0] / first[0]))
+            return _number(sp.log(first[0])) + first[1] + softplus(shift)
+    rest = argument - 1
+    return log1p(rest) if sp.S.One in argument.args else logarithm
