@@ -33,6 +33,7 @@ from typing import Any, Literal
 import sympy as sp
 from threadpoolctl import ThreadpoolController
 
+from rankone.agreement.problems import check_problem
 from rankone.codegen import (
     equation_texts,
     general_equation_texts,
@@ -395,6 +396,8 @@ def compile_problem(problem: Problem) -> CompiledProblem:
         _ = compiled.system
     if separated.general:
         check_start(system, compiled.system, system.coordinates)
+    with _timed(timings, "agreement"):
+        check_problem(problem, system, compiled.system)
     return compiled
 
 

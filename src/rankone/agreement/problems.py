@@ -1,0 +1,258 @@
+"""The generated functions of a problem compared with its equations as they were written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+from mpmath.libmp import mpf_abs, mpf_add, mpf_mul, to_float
+from sympy.core.function import AppliedUndef
+
+from rankone.agreement.comparison import Comparison, sides
+from rankone.agreement.precise import NoValueError, Number, number
+from rankone.arrays import Array
+from rankone.errors import ProblemError
+from rankone.ir import Jump
+from rankone.solvers.integration import initial_values
+from rankone.symbolic import FirstOrderSystem, Problem
+from rankone.system import System
+from rankone.wording import quote
+
+__all__ = ["check_problem"]
+
+_POINTS, _FEWEST = 20, 3
+"""Points at which a problem is looked at; the least number for one of very many operations."""
+_MOST_OPERATIONS = 12000
+"""Operations at fifty digits for the rates."""
+_JACOBIANS = 3
+_DRIFTS = (0.0, 1e-3, 0.03, 0.3)
+"""Parts of the horizon over which states have moved from the start, at their first rate."""
+_NOISE = (1e-3, 0.01, 0.1, 0.5)
+"""Relative distances of states from there."""
+_LARGEST_DRIFT = 10.0
+"""In units of the largest initial value of a state."""
+_STEP = number(1e-25)
+_SLOPE_TOLERANCE = 1e-6
+_SEED = 1937
+_REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Where a problem is looked at: times (m,), parameters (d, m), states and rates (n, m)."""
+
+    time: Array
+    parameters: Array
+    states: Array
+    rates: Array
+
+    @classmethod
+    def of(cls, system: System, count: int) -> _Points:
+        """Points over the horizon, the box and plausible states; the same for the same system."""
+        rng = np.random.default_rng(_SEED)
+        start, end = system.TIME
+        box = np.asarray(system.BOX, dtype=float).reshape(-1, 2)
+        time = start + (end - start) * rng.random(count)
+        p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), count))
+        initial = np.asarray(initial_values(system, p), dtype=float)
+        first = np.nan_to_num(np.asarray(system.rhs(start, initial, p), dtype=float))
+        drift = first * (time - start) * np.resize(_DRIFTS, count)
+        size = np.abs(initial).max(axis=1, keepdims=True)
+        longest = np.where(size > 0.0, _LARGEST_DRIFT * size, np.inf)
+        moved = initial + np.clip(drift, -longest, longest)
+        noise = np.repeat(_NOISE, -(-count // len(_NOISE)))[:count]
+        states = moved * (1.0 + noise * rng.uniform(-1.0, 1.0, moved.shape))
+        states = np.where(np.isfinite(states), states, initial)
+        return cls(time, p, states, np.asarray(system.rhs(time, states, p), dtype=float))
+
+    def described(self, k: int, first_order: FirstOrderSystem) -> str:
+        """Where a point is, for messages."""
+        clock, *parameters = first_order.coordinates
+        named = [(clock.name, self.time[k])]
+        named += [(c.name, v) for c, v in zip(parameters, self.parameters[:, k], strict=True)]
+        named += [(s.name, v) for s, v in zip(first_order.states, self.states[:, k], strict=True)]
+        return ", ".join(f"{name} = {value:.6g}" for name, value in named)
+
+
+def check_problem(problem: Problem, first_order: FirstOrderSystem, system: System) -> None:
+    """Compare rates, Jacobian, initial values and jumps with the problem as it was written.
+
+    Raises
+    ------
+    ProblemError
+        If one of them is off by more than rounding; the message names the equation.
+    """
+    clock, *parameters = first_order.coordinates
+    states = [state.expression for state in first_order.states]
+    rates = [state.diff(clock.symbol) for state in states]
+    leaves = [clock.symbol, *(c.symbol for c in parameters), *states]
+    highest = [i for i, rate in enumerate(rates) if rate not in states]
+    written = [_written(e, r) for e, r in zip(problem.equations, problem.residuals, strict=True)]
+    compared = [Comparison(*pair, [*leaves, *(rates[i] for i in highest)]) for pair in written]
+    operations = sum(comparison.operations for comparison in compared)
+    count = max(min(_POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEWEST)
+    with np.errstate(all="ignore"):
+        points = _Points.of(system, count)
+        _check_rates(problem, first_order, compared, points, highest)
+        smooth = [
+            c if _is_smooth(pair) else None for c, pair in zip(compared, written, strict=True)
+        ]
+        _check_jacobian(system, first_order, smooth, points, highest)
+        _check_initial(first_order, points, initial_values(system, points.parameters))
+        if first_order.jumps:
+            _check_jumps(first_order, system, points)
+
+
+def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """Both sides of an equation, of unknowns and their derivatives alone."""
+    nested = any(not isinstance(d.expr, AppliedUndef) for d in equation.atoms(sp.Derivative))
+    return (residual, sp.S.Zero) if nested else sides(equation)
+
+
+def _is_smooth(pair: tuple[sp.Expr, sp.Expr]) -> bool:
+    """Whether differences of its values are derivatives: functions of the user have no digits."""
+    return not any(hasattr(f, "_imp_") for side in pair for f in side.atoms(sp.Function))
+
+
+def _values(*blocks: Sequence[float] | Array) -> list[Number]:
+    return [number(value) for block in blocks for value in block]
+
+
+def _check_rates(
+    problem: Problem,
+    first_order: FirstOrderSystem,
+    compared: Sequence[Comparison],
+    points: _Points,
+    highest: Sequence[int],
+) -> None:
+    """Raise if the generated rates do not solve the equations."""
+    for k in _finite(points.states, points.rates):
+        values = _values(
+            [points.time[k]], points.parameters[:, k], points.states[:, k], points.rates[highest, k]
+        )
+        for origin, comparison in enumerate(compared, start=1):
+            residual = comparison.beyond_rounding(values)
+            if residual is None:
+                continue
+            raise ProblemError(
+                f"the generated code does not compute {quote(problem.equations[origin - 1])} as it "
+                f"is written: at {points.described(k, first_order)} the sides differ by "
+                f"{residual:.3g}",
+                equation=origin,
+                term=problem.equations[origin - 1],
+                remedy=_REMEDY,
+            )
+
+
+def _check_jacobian(
+    system: System,
+    first_order: FirstOrderSystem,
+    compared: Sequence[Comparison | None],
+    points: _Points,
+    highest: Sequence[int],
+) -> None:
+    """Raise if moving the states and, by the Jacobian, the rates leaves the equations."""
+    rng = np.random.default_rng(_SEED)
+    for k in list(_finite(points.states, points.rates))[:_JACOBIANS]:
+        t, p, u, f = (
+            points.time[k],
+            points.parameters[:, k],
+            points.states[:, k],
+            points.rates[:, k],
+        )
+        jacobian = np.asarray(system.jacobian(t, u, p), dtype=float)
+        size = np.where(u != 0.0, np.abs(u), 1.0)
+        direction = size * rng.uniform(0.5, 1.0, len(u)) * rng.choice([-1.0, 1.0], len(u))
+        change = jacobian @ direction
+        if not np.isfinite(jacobian).all():
+            continue
+        here = _values([t], p, u, f[highest])
+        along_states = _values([0.0], 0.0 * p, direction, 0.0 * f[highest])
+        along_rates = _values([0.0], 0.0 * p, 0.0 * u, change[highest])
+        for origin, comparison in enumerate(compared, start=1):
+            if comparison is None:
+                continue
+            try:
+                off, scale = _slope(comparison, here, along_states, along_rates)
+            except (NoValueError, OverflowError):
+                continue
+            if abs(off) > _SLOPE_TOLERANCE * scale:
+                raise ProblemError(
+                    "the generated Jacobian is not the derivative of the equation: at "
+                    f"{points.described(k, first_order)} it is off by {off:.3g} along the states",
+                    equation=origin,
+                    remedy=_REMEDY,
+                )
+
+
+def _slope(
+    comparison: Comparison,
+    here: Sequence[Number],
+    along_states: Sequence[Number],
+    along_rates: Sequence[Number],
+) -> tuple[float, float]:
+    """The derivative of a residual along states and rates together, and the size of both."""
+    steps = [_moved(here, direction) for direction in (along_states, along_rates)]
+    changes = [comparison.difference(here, there) for there in steps]
+    both = mpf_add(*changes, 169, "n")
+    sizes = [mpf_abs(change) for change in changes]
+    _, terms = comparison.residual(here)
+    step = to_float(_STEP)
+    return to_float(both) / step, sum(map(to_float, sizes)) / step + terms
+
+
+def _moved(here: Sequence[Number], direction: Sequence[Number]) -> list[Number]:
+    pairs = zip(here, direction, strict=True)
+    return [mpf_add(x, mpf_mul(_STEP, v, 169, "n"), 169, "n") for x, v in pairs]
+
+
+def _check_initial(first_order: FirstOrderSystem, points: _Points, generated: Array) -> None:
+    """Raise if generated initial values are not those that were given."""
+    symbols = [c.symbol for c in first_order.coordinates[1:]]
+    computed = sp.Dummy()
+    for i, value in enumerate(first_order.initial):
+        comparison = Comparison(computed, value, [*symbols, computed])
+        for k in _finite(generated[i : i + 1]):
+            values = _values(points.parameters[:, k], [generated[i, k]])
+            residual = comparison.beyond_rounding(values)
+            if residual is not None:
+                state = first_order.states[i].expression
+                raise ProblemError(
+                    f"the generated code does not compute the initial value of {quote(state)}, "
+                    f"{quote(value)}, as it is written: it is off by {residual:.3g}",
+                    term=value,
+                    remedy=_REMEDY,
+                )
+
+
+def _check_jumps(first_order: FirstOrderSystem, system: System, points: _Points) -> None:
+    """Raise if generated values after jumps are not those that were given."""
+    symbols = [c.symbol for c in first_order.coordinates[1:]]
+    computed = sp.Dummy()
+    leaves = [*symbols, *first_order.functions, computed]
+    for kind, (values_after, times) in enumerate(Jump.kinds(first_order.jumps).items()):
+        generated = np.asarray(system.jumped(kind, points.states, points.parameters), dtype=float)
+        for i, value in enumerate(values_after):
+            if value == first_order.functions[i]:
+                continue
+            comparison = Comparison(computed, value, leaves)
+            for k in _finite(points.states, generated[i : i + 1]):
+                values = _values(points.parameters[:, k], points.states[:, k], [generated[i, k]])
+                residual = comparison.beyond_rounding(values)
+                if residual is not None:
+                    clock, state = first_order.coordinates[0].name, first_order.states[i]
+                    raise ProblemError(
+                        f"the generated code does not compute the value of "
+                        f"{quote(state.expression)} after the jump at {clock} = {times[0]:g}, "
+                        f"{quote(value)}, as it is written: it is off by {residual:.3g}",
+                        term=value,
+                        remedy=_REMEDY,
+                    )
+
+
+def _finite(*arrays: Array) -> Iterator[int]:
+    """The points at which all is finite; what is not is refused elsewhere, or never met."""
+    finite = np.logical_and.reduce([np.isfinite(array).all(axis=0) for array in arrays])
+    yield from map(int, np.flatnonzero(finite))
