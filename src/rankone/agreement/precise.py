@@ -79,7 +79,7 @@ class Program:
         for step, (function, places) in enumerate(self._steps):
             try:
                 value = function(*(results[i] for i in places))
-            except (ArithmeticError, ValueError, TypeError, MemoryError) as error:
+            except (ArithmeticError, ValueError, MemoryError) as error:
                 raise NoValueError from error
             if noise is not None and type(value) is tuple:
                 value = _disturbed(value, errors[self._inputs + step])
@@ -120,7 +120,15 @@ def _parts(expression: sp.Basic) -> tuple[sp.Basic, ...]:
     """What an operation is applied to."""
     if isinstance(expression, sp.Piecewise):
         return tuple(part for pair in expression.args for part in pair.args)
-    return () if isinstance(expression, sp.Number | sp.NumberSymbol) else tuple(expression.args)
+    if isinstance(expression, sp.Number | sp.NumberSymbol):
+        return ()
+    return expression.args[:1] if _is_product(expression) else tuple(expression.args)
+
+
+def _is_product(expression: sp.Basic) -> bool:
+    """Whether a power is that of an ordinary integer."""
+    whole = expression.is_Pow and expression.exp.is_Integer
+    return bool(whole and abs(expression.exp) <= _SMALL_POWER)
 
 
 def _operation(expression: sp.Basic) -> Callable[..., Any]:
@@ -132,10 +140,7 @@ def _operation(expression: sp.Basic) -> Callable[..., Any]:
     if expression.is_Mul:
         return _product
     if expression.is_Pow:
-        exponent = expression.exp
-        if exponent.is_Integer and abs(exponent) <= _SMALL_POWER:
-            return _integer_power(int(exponent))
-        return _power
+        return _integer_power(int(expression.exp)) if _is_product(expression) else _power
     kind = type(expression).__name__
     if isinstance(expression, Relational):
         return _RELATIONS[expression.rel_op]

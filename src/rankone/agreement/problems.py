@@ -33,8 +33,9 @@ _NOISE = (1e-3, 0.01, 0.1, 0.5)
 """Relative distances of states from there."""
 _LARGEST_DRIFT = 10.0
 """In units of the largest initial value of a state."""
-_STEP = number(1e-25)
-_SLOPE_TOLERANCE = 1e-6
+_STEP = number(1e-35)
+_SLOPE_TOLERANCE, _NOTHING = 1e-6, 1e-15
+"""Derivatives may be off by this part of their terms, and of the change of the states."""
 _SEED = 1937
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 
@@ -178,7 +179,7 @@ def _check_jacobian(
                 off, scale = _slope(comparison, here, along_states, along_rates)
             except (NoValueError, OverflowError):
                 continue
-            if abs(off) > _SLOPE_TOLERANCE * scale:
+            if abs(off) > _SLOPE_TOLERANCE * scale + _NOTHING * np.abs(direction).max():
                 raise ProblemError(
                     "the generated Jacobian is not the derivative of the equation: at "
                     f"{points.described(k, first_order)} it is off by {off:.3g} along the states",

@@ -1,0 +1,96 @@
+"""The check of generated code finds what is wrong with it, and nothing else."""
+
+import re
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import rankone as ro
+from rankone.agreement.problems import check_problem
+from rankone.codegen.module import load_module
+from tests.problems import MEASURED
+
+t, a = sp.symbols("t a")
+x, y = sp.Function("x")(t), sp.Function("y")(t)
+
+
+def doctored(compiled, pattern, replacement):
+    """The system of a compiled problem with a change in its source."""
+    source, count = re.subn(pattern, replacement, compiled.source, count=1)
+    assert count, compiled.source
+    return load_module(source, "doctored")
+
+
+def problem(**changes):
+    given = {
+        "rhs": {"x": "a*y", "y": "1/(1 + exp((x - 310.15)/0.43)) - y"},
+        "initial": {"x": "309 + a", "y": "0.25"},
+        "parameters": {"a": (0.5, 1)},
+        "time": (0, 2),
+        "jumps": {1.0: {"y": "y/2 + a"}},
+        **changes,
+    }
+    return ro.Problem.from_strings(**given)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "message"),
+    [
+        (r"special\.expit\((?!-)", "0 * special.expit(", r"equation 2: .*Eq\(.*as it is written"),
+        (r"(?m)out\[1, 0\] = .*$", "out[1, 0] = 0.0", "equation 2: the generated Jacobian"),
+        (r"= a \+ 309", "= a + 308", "initial value of `x"),
+        (r"y / 2", "y / 3", r"after the jump at t = 1"),
+    ],
+)
+def test_an_error_in_generated_code_is_found(pattern, replacement, message):
+    compiled = ro.compile(problem())
+    system = doctored(compiled, pattern, replacement)
+    with pytest.raises(ro.ProblemError, match=message):
+        check_problem(compiled.problem, compiled.first_order, system)
+
+
+def test_a_mass_matrix_and_second_order_are_checked_as_written():
+    b = sp.Symbol("b")
+    equations = [
+        sp.Eq((2 + b) * x.diff(t, 2) + y.diff(t), -3 * x + sp.sin(y)),
+        sp.Eq(x.diff(t, 2) - 4 * y.diff(t), x.diff(t) * y),
+    ]
+    made = ro.Problem(equations, (t, 0, 1), {b: (0, 1)}, {x: 1, x.diff(t): 0, y: b})
+    compiled = ro.compile(made)
+    system = doctored(compiled, r"np\.sin\(y\)", "np.cos(y)")
+    with pytest.raises(ro.ProblemError, match="as it is written: at t = "):
+        check_problem(made, compiled.first_order, system)
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        "a*(sqrt(1 + x**2) - x)*1e9",
+        "-x + exp(1000*(sqrt(x**2 + 1) - x))",
+        "sin(1e8*x) - x",
+        "-a*x*abs(x) + floor(3.5*t) - Mod(t, 0.1)",
+        "exp(x)/(exp(x) + 2*exp(a*x))",
+        "log(x)*x**a - x**1.7/(0.1 + x**2.5)",
+        "Piecewise((x, x < 1.2), (a, t < 0.7), (-x, True))",
+    ],
+)
+def test_rounding_is_no_error(rate):
+    made = ro.Problem.from_strings({"x": rate}, {"x": "1 + a"}, {"a": (0.5, 1)}, (0, 1))
+    ro.compile(made)
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_reference_problems_agree(name):
+    compiled = ro.compile(MEASURED[name]())
+    assert compiled.timings["agreement"] >= 0.0
+    broken = compiled.source.replace(
+        "def rhs(t, u, p):", "def rhs(t, u, p):\n    return 2 * f(t, u, p)\n\n\ndef f(t, u, p):"
+    )
+    if np.any(
+        ro.compile(MEASURED[name]()).system.rhs(
+            0.1, np.ones(len(compiled.first_order.states)), np.mean(compiled.system.BOX, axis=1)
+        )
+    ):
+        with pytest.raises(ro.ProblemError, match="as it is written"):
+            check_problem(compiled.problem, compiled.first_order, load_module(broken, "doubled"))
