@@ -13,8 +13,11 @@ import sympy as sp
 from scipy import special
 from sympy.core.function import AppliedUndef
 
+from rankone.agreement.outputs import check_outputs
+from rankone.arrays import Array
 from rankone.codegen.narrow import peaks, steps
 from rankone.codegen.printer import numpy_text
+from rankone.codegen.stable import stable
 from rankone.codegen.switching import boundaries, switches
 from rankone.coordinates import name_of
 from rankone.decimals import plain_text
@@ -23,6 +26,7 @@ from rankone.functions import known_applied
 from rankone.ir import Coordinate
 from rankone.metadata import SolutionMetadata
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.symbolic.numbers import exact
 from rankone.symbolic.over_time import duration, first_crossing, maximum, minimum
 from rankone.symbolic.parsing import parse_expression
 from rankone.wording import did_you_mean, listing, quote, shown
@@ -32,6 +36,7 @@ __all__ = ["quantities_of"]
 _REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)
 _MOST_PERIODS = 200
 """Most points of a periodic function."""
+_SEED = 1812
 _KINDS = {
     maximum: Kind.MAXIMUM,
     minimum: Kind.MINIMUM,
@@ -41,7 +46,10 @@ _KINDS = {
 
 
 def quantities_of(
-    given: Any, metadata: SolutionMetadata, horizon: tuple[float, float]
+    given: Any,
+    metadata: SolutionMetadata,
+    horizon: tuple[float, float],
+    samples: tuple[Array, Array, Array],
 ) -> Quantities:
     """What is asked of a solution.
 
@@ -52,6 +60,8 @@ def quantities_of(
         Of the solution.
     horizon : (float, float)
         Start and end of what was solved.
+    samples : (m,), (d, m) and (n, m) ndarray
+        Times, parameters and the states there, at which what is generated is checked.
 
     Raises
     ------
@@ -80,7 +90,7 @@ def quantities_of(
     parts = [*translator.integrands, *values]
     moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
     timeless = metadata.timeless or not any(value.free_symbols & moving for value in values)
-    return Quantities(
+    quantities = Quantities(
         names=tuple(expressions),
         texts=tuple(texts),
         timeless=timeless,
@@ -92,6 +102,44 @@ def quantities_of(
         breaks=_breaks(parts, metadata, horizon),
         values=_function("t, s, p, r", values, written),
     )
+    _check(quantities, translator, dict(zip(expressions, values, strict=True)), samples)
+    return quantities
+
+
+def _check(
+    quantities: Quantities,
+    translator: _Translator,
+    values: Mapping[str, sp.Expr],
+    samples: tuple[Array, Array, Array],
+) -> None:
+    """Compare the functions with what they are made of; derivatives and reductions are made up."""
+    t, p, states = samples
+    rng = np.random.default_rng(_SEED)
+    length = np.ptp(t) or 1.0
+
+    def sized(row: Array) -> Array:
+        return np.asarray(np.abs(row).max() / length * rng.uniform(-1.0, 1.0, row.shape))
+
+    rows = [states[s.row] if s.order == 0 else sized(states[s.row]) for s in quantities.sources]
+    known = {sp.Symbol(translator.metadata.time): t}
+    known |= {sp.Symbol(n): q for n, q in zip(translator.metadata.parameters, p, strict=True)}
+    known |= dict(zip(translator.sources.values(), rows, strict=True))
+    stacked = np.asarray(rows, dtype=float).reshape(len(rows), 1, t.size)
+    made_up = [rng.uniform(0.0, 1.0, t.size) for _ in translator.reduced]
+
+    def at(k: int) -> tuple[Array, Array, Array]:
+        return t[k : k + 1, None], stacked[:, :, k : k + 1], p[:, k : k + 1]
+
+    integrands = {r.text: translator.integrands[r.integrand] for r in quantities.reductions}
+    with np.errstate(all="ignore"):
+        if len(integrands) == len(translator.integrands):
+            check_outputs(integrands, known, lambda k: quantities.integrands(*at(k)))
+        known |= dict(zip(translator.reduced, made_up, strict=True))
+        check_outputs(
+            {f"the output {quote(name)}": value for name, value in values.items()},
+            known,
+            lambda k: quantities.values(*at(k), [r[k : k + 1] for r in made_up]),
+        )
 
 
 def _middles(parts: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
@@ -182,7 +230,9 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
             remedy="give an expression of the unknowns, parameters and time, or its text",
         )
     plain = {symbol: sp.Symbol(symbol.name) for symbol in expression.atoms(sp.Symbol)}
-    return expression.xreplace({k: v for k, v in plain.items() if not isinstance(k, sp.Dummy)})
+    return exact(
+        expression.xreplace({k: v for k, v in plain.items() if not isinstance(k, sp.Dummy)})
+    )
 
 
 def _several(name: str) -> Callable[..., sp.Expr]:
@@ -359,7 +409,7 @@ def _function(
 ) -> Callable[..., Sequence[Any]]:
     """A function of arrays from expressions."""
     listed = list(expressions)
-    texts = [numpy_text(expression, dict(written)) for expression in listed]
+    texts = [numpy_text(stable(expression), dict(written)) for expression in listed]
     called = {part.written(): type(part)._imp_ for part in known_applied(listed)}
     namespace = {"np": np, "special": special, **called}
     made: Callable[..., Sequence[Any]] = eval(

@@ -14,7 +14,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.errors import EvaluationError, RankoneError
 from rankone.estimation.methods import EstimationFromData
-from rankone.outputs.solved import with_outputs
+from rankone.outputs.solved import samples_of, with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution_summary import summary_html, summary_text
 from rankone.solvers.outcome import SlabRecord
@@ -321,7 +321,7 @@ class Solution(DistributionOverBox, EstimationFromData):
             If SymPy is not installed.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        asked = _expressions().quantities_of(quantities, self.metadata, self.time)
+        asked = _expressions().quantities_of(quantities, self.metadata, self.time, samples_of(self))
         return Solution(*with_outputs(self, asked, rtol, max_seconds, units or {}))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:

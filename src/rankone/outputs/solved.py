@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
+from rankone.arrays import Array
 from rankone.errors import OptionError
 from rankone.metadata import Role, SolutionMetadata
 from rankone.options import checked_number
@@ -14,7 +17,22 @@ from rankone.solution_core import SolutionCore
 from rankone.solvers.outcome import Outcome
 from rankone.wording import did_you_mean, quote
 
-__all__ = ["with_outputs"]
+__all__ = ["samples_of", "with_outputs"]
+
+_SAMPLES, _SEED = 20, 1795
+
+
+def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
+    """Some times (m,), parameters (d, m) and the states there (n, m)."""
+    rng = np.random.default_rng(_SEED)
+    box = np.array(list(solution.parameters.values()), dtype=float).reshape(-1, 2)
+    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), _SAMPLES))
+    start, end = solution.time
+    t = start + (end - start) * rng.random(_SAMPLES)
+    named = dict(zip(solution.parameters, p, strict=True))
+    at = () if solution.metadata.timeless else (t,)
+    states = [np.broadcast_to(solution[s](*at, **named), t.shape) for s in solution.states]
+    return t, p, np.array(states)
 
 
 def with_outputs(

@@ -1,0 +1,57 @@
+"""The functions made of quantities of interest compared with the expressions they are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import sympy as sp
+
+from rankone.agreement.comparison import Comparison
+from rankone.agreement.precise import number
+from rankone.arrays import Array
+from rankone.errors import OptionError
+from rankone.wording import quote
+
+__all__ = ["check_outputs"]
+
+
+def check_outputs(
+    expressions: Mapping[str, sp.Expr],
+    values: Mapping[sp.Expr, Array],
+    function: Callable[[int], Sequence[Array]],
+) -> None:
+    """Compare quantities with what was written, at points.
+
+    Parameters
+    ----------
+    expressions : mapping of str to Expr
+        The quantities by how messages name them.
+    values : mapping of Expr to ndarray (m,)
+        What the symbols are at the points.
+    function : callable
+        From the number of a point to the computed value of each quantity.
+
+    Raises
+    ------
+    OptionError
+        If one of them is off by more than rounding.
+    """
+    computed = sp.Dummy()
+    leaves = [*values, computed]
+    compared = [Comparison(computed, value, leaves) for value in expressions.values()]
+    for k in range(len(next(iter(values.values())))):
+        point = [number(array[k]) for array in values.values()]
+        for name, comparison, result in zip(expressions, compared, function(k), strict=True):
+            value = float(np.asarray(result).reshape(-1)[0])
+            if not np.isfinite([value, *(array[k] for array in values.values())]).all():
+                continue
+            residual = comparison.beyond_rounding([*point, number(value)])
+            if residual is not None:
+                raise OptionError(
+                    f"{name}, {quote(expressions[name])}, is not computed as it is written: it is "
+                    f"off by {residual:.3g}",
+                    term=expressions[name],
+                    remedy="write it in another way, or change the units so that its numbers are "
+                    "closer to 1",
+                )
