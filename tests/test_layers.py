@@ -82,6 +82,7 @@ def test_circles_are_found():
 FRONT_END = (
     "agreement",
     "decimals",
+    "stable",
     "symbolic",
     "ir",
     "lowering",

@@ -17,7 +17,6 @@ from rankone.agreement.outputs import check_outputs
 from rankone.arrays import Array
 from rankone.codegen.narrow import peaks, steps
 from rankone.codegen.printer import numpy_text
-from rankone.codegen.stable import stable
 from rankone.codegen.switching import boundaries, switches
 from rankone.coordinates import name_of
 from rankone.decimals import plain_text
@@ -26,6 +25,7 @@ from rankone.functions import known_applied
 from rankone.ir import Coordinate
 from rankone.metadata import SolutionMetadata
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.stable import stable
 from rankone.symbolic.numbers import exact
 from rankone.symbolic.over_time import duration, first_crossing, maximum, minimum
 from rankone.symbolic.parsing import parse_expression

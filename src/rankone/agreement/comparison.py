@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import sympy as sp
@@ -18,8 +18,8 @@ _TOLERANCE = 1e-10
 by that much is what a larger one is compared with."""
 _RUNS, _SEED, _FACTOR = 4, 1914, 10.0
 """Runs with disturbed intermediate results, and how often their spread a residual may be."""
-_TINY = 1e-280
-"""Residuals that are an underflow."""
+_TINY, _UNDERFLOW = 1e-120, 1e-280
+"""Residuals that come from an underflow: beside the largest terms at other points, and at all."""
 
 
 def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:
@@ -58,24 +58,44 @@ class Comparison:
         change: Number = mpf_sub(after, before, _PRECISION, "n")
         return change
 
-    def beyond_rounding(self, values: Sequence[Number]) -> float | None:
-        """The residual if it is larger than rounding explains, else None.
+    def beyond_rounding(self, points: Iterable[Sequence[Number]]) -> tuple[int, float] | None:
+        """The first point at which the residual is larger than rounding explains, and it.
 
         Where the expressions have no value nothing is said.
         """
-        try:
-            exact, scale = self._sums(self._program(values))
-            residual, size = to_float(exact), to_float(scale)
-            if not abs(residual) > _TOLERANCE * size + _TINY:
+        sums = [(k, values, self._sums_at(values)) for k, values in enumerate(points)]
+        known = [(k, values, *found) for k, values, found in sums if found is not None]
+        floor = _TINY * max((to_float(size) for *_, size in known), default=0.0)
+        for k, values, exact, size in known:
+            residual = to_float(exact)
+            if abs(residual) > max(_TOLERANCE * to_float(size), floor, _UNDERFLOW):
+                spread = self._spread(values, exact)
+                if spread is not None and abs(residual) > _FACTOR * spread:
+                    return k, residual
+        return None
+
+    def _spread(self, values: Sequence[Number], exact: Number) -> float | None:
+        """How far rounding moves the residual; None if that cannot be told."""
+        rng = np.random.default_rng(_SEED)
+        spread = 0.0
+        for _ in range(_RUNS):
+            sums = self._sums_at(values, rng)
+            if sums is None:
                 return None
-            rng = np.random.default_rng(_SEED)
-            spread = 0.0
-            for _ in range(_RUNS):
-                disturbed, _size = self._sums(self._program(values, rng, _TOLERANCE))
-                spread = max(spread, abs(to_float(mpf_sub(disturbed, exact, _PRECISION, "n"))))
+            spread = max(spread, abs(to_float(mpf_sub(sums[0], exact, _PRECISION, "n"))))
+        return spread
+
+    def _sums_at(
+        self, values: Sequence[Number], noise: np.random.Generator | None = None
+    ) -> tuple[Number, Number] | None:
+        """Residual and size of the terms; None where there is no value."""
+        try:
+            sums = self._sums(self._program(values, noise, _TOLERANCE))
+            for value in sums:
+                to_float(value)
         except (NoValueError, OverflowError):
             return None
-        return residual if abs(residual) > _FACTOR * spread else None
+        return sums
 
     def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number]:
         residual, size = fzero, fzero

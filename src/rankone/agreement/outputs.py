@@ -40,18 +40,18 @@ def check_outputs(
     computed = sp.Dummy()
     leaves = [*values, computed]
     compared = [Comparison(computed, value, leaves) for value in expressions.values()]
-    for k in range(len(next(iter(values.values())))):
-        point = [number(array[k]) for array in values.values()]
-        for name, comparison, result in zip(expressions, compared, function(k), strict=True):
-            value = float(np.asarray(result).reshape(-1)[0])
-            if not np.isfinite([value, *(array[k] for array in values.values())]).all():
-                continue
-            residual = comparison.beyond_rounding([*point, number(value)])
-            if residual is not None:
-                raise OptionError(
-                    f"{name}, {quote(expressions[name])}, is not computed as it is written: it is "
-                    f"off by {residual:.3g}",
-                    term=expressions[name],
-                    remedy="write it in another way, or change the units so that its numbers are "
-                    "closer to 1",
-                )
+    count = len(next(iter(values.values())))
+    results = np.array([[float(np.ravel(v)[0]) for v in function(k)] for k in range(count)])
+    for i, (name, comparison) in enumerate(zip(expressions, compared, strict=True)):
+        columns = [*values.values(), results[:, i]]
+        finite = np.flatnonzero(np.isfinite(columns).all(axis=0))
+        points = ([number(column[k]) for column in columns] for k in finite)
+        wrong = comparison.beyond_rounding(points)
+        if wrong is not None:
+            raise OptionError(
+                f"{name}, {quote(expressions[name])}, is not computed as it is written: it is off "
+                f"by {wrong[1]:.3g}",
+                term=expressions[name],
+                remedy="write it in another way, or change the units so that its numbers are "
+                "closer to 1",
+            )

@@ -129,18 +129,16 @@ def _check_rates(
     highest: Sequence[int],
 ) -> None:
     """Raise if the generated rates do not solve the equations."""
-    for k in _finite(points.states, points.rates):
-        values = _values(
-            [points.time[k]], points.parameters[:, k], points.states[:, k], points.rates[highest, k]
-        )
-        for origin, comparison in enumerate(compared, start=1):
-            residual = comparison.beyond_rounding(values)
-            if residual is None:
-                continue
+    chosen = list(_finite(points.states, points.rates))
+    p, u, f = points.parameters, points.states, points.rates[highest]
+    values = [_values([points.time[k]], p[:, k], u[:, k], f[:, k]) for k in chosen]
+    for origin, comparison in enumerate(compared, start=1):
+        wrong = comparison.beyond_rounding(values)
+        if wrong is not None:
+            where = points.described(chosen[wrong[0]], first_order)
             raise ProblemError(
                 f"the generated code does not compute {quote(problem.equations[origin - 1])} as it "
-                f"is written: at {points.described(k, first_order)} the sides differ by "
-                f"{residual:.3g}",
+                f"is written: at {where} the sides differ by {wrong[1]:.3g}",
                 equation=origin,
                 term=problem.equations[origin - 1],
                 remedy=_REMEDY,
@@ -215,17 +213,16 @@ def _check_initial(first_order: FirstOrderSystem, points: _Points, generated: Ar
     computed = sp.Dummy()
     for i, value in enumerate(first_order.initial):
         comparison = Comparison(computed, value, [*symbols, computed])
-        for k in _finite(generated[i : i + 1]):
-            values = _values(points.parameters[:, k], [generated[i, k]])
-            residual = comparison.beyond_rounding(values)
-            if residual is not None:
-                state = first_order.states[i].expression
-                raise ProblemError(
-                    f"the generated code does not compute the initial value of {quote(state)}, "
-                    f"{quote(value)}, as it is written: it is off by {residual:.3g}",
-                    term=value,
-                    remedy=_REMEDY,
-                )
+        p, chosen = points.parameters, _finite(generated[i : i + 1])
+        wrong = comparison.beyond_rounding(_values(p[:, k], [generated[i, k]]) for k in chosen)
+        if wrong is not None:
+            state = first_order.states[i].expression
+            raise ProblemError(
+                f"the generated code does not compute the initial value of {quote(state)}, "
+                f"{quote(value)}, as it is written: it is off by {wrong[1]:.3g}",
+                term=value,
+                remedy=_REMEDY,
+            )
 
 
 def _check_jumps(first_order: FirstOrderSystem, system: System, points: _Points) -> None:
@@ -239,18 +236,24 @@ def _check_jumps(first_order: FirstOrderSystem, system: System, points: _Points)
             if value == first_order.functions[i]:
                 continue
             comparison = Comparison(computed, value, leaves)
-            for k in _finite(points.states, generated[i : i + 1]):
-                values = _values(points.parameters[:, k], points.states[:, k], [generated[i, k]])
-                residual = comparison.beyond_rounding(values)
-                if residual is not None:
-                    clock, state = first_order.coordinates[0].name, first_order.states[i]
-                    raise ProblemError(
-                        f"the generated code does not compute the value of "
-                        f"{quote(state.expression)} after the jump at {clock} = {times[0]:g}, "
-                        f"{quote(value)}, as it is written: it is off by {residual:.3g}",
-                        term=value,
-                        remedy=_REMEDY,
-                    )
+            p, u = points.parameters, points.states
+            chosen = _finite(u, generated[i : i + 1])
+                points.parameters,
+                points.states,
+                _finite(points.states, generated[i : i + 1]),
+            )
+            wrong = comparison.beyond_rounding(
+                _values(p[:, k], u[:, k], [generated[i, k]]) for k in chosen
+            )
+            if wrong is not None:
+                clock, state = first_order.coordinates[0].name, first_order.states[i].expression
+                raise ProblemError(
+                    f"the generated code does not compute the value of {quote(state)} after the "
+                    f"jump at {clock} = {times[0]:g}, {quote(value)}, as it is written: it is off "
+                    f"by {wrong[1]:.3g}",
+                    term=value,
+                    remedy=_REMEDY,
+                )
 
 
 def _finite(*arrays: Array) -> Iterator[int]:

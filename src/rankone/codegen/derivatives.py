@@ -51,16 +51,11 @@ class Differentiator:
         if expression.is_Add:
             return sp.Add(*map(self, args))
         if expression.is_Mul:
-            share = self._share(expression)
-            return (
-                share
-                if share is not None
-                else sp.Add(
-                    *(
-                        sp.Mul(*args[:k], self(arg), *args[k + 1 :])
-                        for k, arg in enumerate(args)
-                        if self.symbol in arg.free_symbols
-                    )
+            return sp.Add(
+                *(
+                    sp.Mul(*args[:k], self(arg), *args[k + 1 :])
+                    for k, arg in enumerate(args)
+                    if self.symbol in arg.free_symbols
                 )
             )
         if expression.is_Pow:
@@ -80,22 +75,6 @@ class Differentiator:
         if isinstance(expression, sp.tanh):  # 1 - tanh**2 cancels
             return self(args[0]) / sp.cosh(args[0]) ** 2
         return self._function(expression)
-
-    def _share(self, product: sp.Expr) -> sp.Expr | None:
-        """The derivative of c*a/(a + b) as c*(a'*b - a*b')/(a + b)**2, without cancellation."""
-        for factor in product.args:
-            if not (factor.is_Pow and factor.exp is sp.S.NegativeOne and factor.base.is_Add):
-                continue
-            total, others = factor.base, product * factor.base
-            if self.symbol not in others.free_symbols:
-                continue
-            for term in total.args:
-                constant = others / term
-                if self.symbol not in constant.free_symbols:
-                    rest = total - term
-                    slope = self(term) * rest - term * self(rest)
-                    return constant * slope * factor**2
-        return None
 
     def _power(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> sp.Expr:
         slope = exponent * base ** (exponent - 1) * self(base)

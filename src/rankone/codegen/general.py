@@ -24,12 +24,12 @@ from rankone.codegen.jumps import jump_function, jump_table, jumped_values, jump
 from rankone.codegen.names import Names
 from rankone.codegen.pointwise import Index, mask, shape_line
 from rankone.codegen.printer import common_subexpressions, numpy_text
-from rankone.codegen.stable import stable
 from rankone.codegen.text import assignment, docstring, paragraph, unpacking
 from rankone.decimals import plain_text
 from rankone.errors import ProblemError, SeparationError
 from rankone.ir import Coordinate, Jump, State
 from rankone.lowering.known import known_functions
+from rankone.stable import stable
 from rankone.wording import number
 
 __all__ = ["ExplicitSystem", "general_equation_texts", "general_source"]

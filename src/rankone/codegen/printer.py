@@ -12,10 +12,10 @@ import sympy as sp
 from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
 
-from rankone.codegen.stable import scaled_power, stable
 from rankone.codegen.text import literal
 from rankone.decimals import plain_text
 from rankone.errors import ProblemError, SeparationError
+from rankone.stable import fraction, scaled_power, stable
 from rankone.wording import quote
 
 __all__ = ["common_subexpressions", "factor_text", "numpy_text"]
@@ -101,6 +101,8 @@ class NumPyText(Printer):  # type: ignore[misc]
             own = PRECEDENCE["Atom"]
         if isinstance(expr, scaled_power):
             own = PRECEDENCE["Pow"]
+        if isinstance(expr, fraction):
+            own = PRECEDENCE["Mul"]
         return f"({text})" if own < level or (strict and own == level) else text
 
     def arguments(self, expr: sp.Basic) -> str:
@@ -174,6 +176,13 @@ class NumPyText(Printer):  # type: ignore[misc]
         if base == sp.E:
             return f"np.exp({self._print(exponent)})"
         return self.power(base, exponent)
+
+    def _print_fraction(self, expr: sp.Expr) -> str:
+        part, rest = expr.args
+        above, below = self.operand(part, PRECEDENCE["Mul"]), self._print(part)
+        text = str(self._print(rest))
+        sum_ = f"{below} - {text[1:]}" if text.startswith("-") else f"{below} + {text}"
+        return f"{above} / ({sum_})"
 
     def _print_scaled_power(self, expr: sp.Expr) -> str:
         return self.power(*expr.args)

@@ -26,6 +26,7 @@ from rankone.codegen.narrow import peaks, steps
 from rankone.deadline import check_time
 from rankone.functions import Table
 from rankone.ir import Coordinate
+from rankone.stable import NUMPY, stable
 
 __all__ = ["CONTINUOUS", "JUMPS", "Switches", "boundaries", "switches"]
 
@@ -309,7 +310,7 @@ def _integers(boundary: sp.Expr, coordinate: Coordinate) -> list[float]:
 
 def _numeric(expression: sp.Expr, symbol: sp.Symbol) -> Callable[[Any], Array]:
     """Values at points; NaN where they are not real."""
-    function = sp.lambdify(symbol, expression, ["numpy", "scipy"])
+    function = sp.lambdify(symbol, stable(expression), [NUMPY, "numpy", "scipy"])
 
     def evaluate(points: Any) -> Array:
         with np.errstate(all="ignore"):

@@ -14,6 +14,7 @@ import sympy as sp
 
 from rankone.arrays import Array
 from rankone.ir import Coordinate
+from rankone.stable import NUMPY, stable
 from rankone.wording import quote
 
 __all__ = ["defect", "located_defect", "sign", "zero"]
@@ -103,7 +104,7 @@ def _points(coordinate: Coordinate) -> Array:
 
 def _numeric(expression: sp.Expr, coordinate: Coordinate) -> Callable[[Array], Array]:
     """Compile an expression; it gives nan where it is not real."""
-    function = sp.lambdify(coordinate.symbol, expression, ["numpy", "scipy"])
+    function = sp.lambdify(coordinate.symbol, stable(expression), [NUMPY, "numpy", "scipy"])
 
     def evaluate(points: Array) -> Array:
         with np.errstate(all="ignore"):

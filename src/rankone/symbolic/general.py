@@ -18,6 +18,7 @@ from rankone.errors import ProblemError
 from rankone.functions import Table, known_applied
 from rankone.ir import Coordinate
 from rankone.lowering.known import known_functions
+from rankone.stable import NUMPY, stable
 from rankone.symbolic.admissible import located_defect
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.system import System
@@ -42,7 +43,8 @@ def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) ->
         lower, upper = coordinate.lower, coordinate.upper
         points = np.linspace(lower, upper, _SAMPLES)
         values = np.broadcast_to(
-            sp.lambdify(coordinate.symbol, argument, ["numpy", "scipy"])(points), points.shape
+            sp.lambdify(coordinate.symbol, stable(argument), [NUMPY, "numpy", "scipy"])(points),
+            points.shape,
         )
         first, last = part.points[0], part.points[-1]
         outside = (values < first) | (values > last)

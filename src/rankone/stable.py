@@ -10,17 +10,26 @@ section 1.14), which are differentiated as such.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
 import sympy as sp
+from scipy import special
 from sympy.codegen.cfunctions import expm1, log1p
 from sympy.codegen.scipy_nodes import cosm1
 
-__all__ = ["STABLE", "expit", "expm1", "log1p", "scaled_power", "softplus", "stable"]
+__all__ = ["NUMPY", "fraction", "scaled_power", "stable"]
 
 _IN_RANGE = sp.Integer(10) ** 30
 """Numbers up to this, and down to its reciprocal, stand as they are."""
 _HIGH = 8
 """Powers from which on a quotient of powers is the power of a quotient."""
+_MOST_TERMS = 20
+"""Terms of a denominator among which one is looked for that stands above too."""
 _DIGITS = 20
+_ROUNDING = sp.Rational(1, 10**12)
 
 
 class expit(sp.Function):  # type: ignore[misc]
@@ -57,8 +66,28 @@ class scaled_power(sp.Function):  # type: ignore[misc]
         return exponent * scaled_power(base, exponent - 1)
 
 
-STABLE = (expit, softplus, scaled_power, expm1, log1p, cosm1)
-"""The functions that only generated code has."""
+class fraction(sp.Function):  # type: ignore[misc]
+    """a/(a + b), whose derivatives have one term each: the quotient rule cancels."""
+
+    nargs = 2
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative with respect to either part."""
+        part, rest = self.args
+        return (rest if argindex == 1 else -part) / (part + rest) ** 2
+
+
+NUMPY: dict[str, Callable[..., Any]] = {
+    "cosm1": special.cosm1,
+    "expit": special.expit,
+    "expm1": np.expm1,
+    "fraction": lambda a, b: a / (a + b),
+    "log1p": np.log1p,
+    "scaled_power": np.power,
+    "softplus": lambda z: np.logaddexp(0.0, z),
+}
+"""The functions that SymPy does not have, or does not write for NumPy."""
 
 
 def stable(expression: sp.Expr) -> sp.Expr:
@@ -192,22 +221,36 @@ def _product(product: sp.Expr) -> sp.Expr:
     """A product whose parts overflow no earlier than the whole."""
     if not product.is_Mul:
         return product
-    return _in_range_product(_with_quotients(_with_logistic(product)))
+    return _with_fractions(_in_range_product(_with_quotients(_with_logistic(product))))
 
 
 def _with_logistic(product: sp.Expr) -> sp.Expr:
     """``exp(z)*expit(-z)`` is ``expit(z)``, also where the exponential is infinite."""
     exponentials = [f for f in product.args if isinstance(f, sp.exp)]
     logistic = [f for f in product.args if isinstance(f.as_base_exp()[0], expit)]
-    for exponential in exponentials:
-        for power in logistic:
-            base, count = power.as_base_exp()
-            rest = exponential.exp + base.args[0]
-            if not rest.is_number or not count.is_Integer or count < 1:
-                continue
-            turned = expit(-base.args[0]) * base ** (count - 1) * sp.exp(rest)
-            return sp.Mul(turned, *(f for f in product.args if f not in (exponential, power)))
+    for exponential, power in itertools.product(exponentials, logistic):
+        base, count = power.as_base_exp()
+        if not count.is_Integer or not 1 <= count <= _HIGH:
+            continue
+        for turned in range(1, int(count) + 1):
+            rest = exponential.exp + turned * base.args[0]
+            if _is_negligible(rest, exponential.exp):
+                rest = rest.as_coeff_Add()[0]
+                powers = expit(-base.args[0]) ** turned * base ** (count - turned)
+                others = (f for f in product.args if f not in (exponential, power))
+                return sp.Mul(sp.exp(rest), powers, *others)
     return product
+
+
+def _is_negligible(rest: sp.Expr, whole: sp.Expr) -> bool:
+    """Whether rest is a number, or as small beside the whole as rounding makes it."""
+    if rest.is_number:
+        return True
+    largest, left = (
+        max((abs(c) for term, c in e.as_coefficients_dict().items() if term != 1), default=0)
+        for e in (whole, rest)
+    )
+    return bool(left <= _ROUNDING * largest)
 
 
 def _with_quotients(product: sp.Expr) -> sp.Expr:
@@ -237,6 +280,9 @@ def _in_range_product(product: sp.Expr) -> sp.Expr:
     if size is None or 1 / _IN_RANGE <= size <= _IN_RANGE:
         return product
     rest = [f for f in product.args if not f.is_number]
+    matched = _scaled_as_elsewhere(product, number, rest)
+    if matched is not None:
+        return matched
     powers = [(*_base_and_exponent(f), f) for f in rest]
     powers = [p for p in powers if p[1].is_Rational and abs(p[1]) > 1]
     if not powers:
@@ -246,6 +292,49 @@ def _in_range_product(product: sp.Expr) -> sp.Expr:
     rest.remove(factor)
     power = scaled_power(scale * base, abs(exponent)) ** sp.sign(exponent)
     return sp.Mul(sp.sign(number), power, *rest)
+
+
+def _scaled_as_elsewhere(
+    product: sp.Expr, number: sp.Expr, factors: Sequence[sp.Expr]
+) -> sp.Expr | None:
+    """A product in which the power of a variable is scaled as one in a denominator is."""
+    for power in sorted(product.atoms(scaled_power), key=sp.default_sort_key):
+        for factor in factors:
+            base, exponent = _base_and_exponent(factor)
+            scale, times = power.args[0] / base, exponent / power.args[1]
+            if not times.is_Integer or factor == power or not scale.is_Rational:
+                continue
+            left = number / scale**exponent
+            if 1 / _IN_RANGE <= abs(left) <= _IN_RANGE:
+                others = (f for f in factors if f is not factor)
+                return sp.Mul(_number(left), power**times, *others)
+    return None
+
+
+def _with_fractions(product: sp.Expr) -> sp.Expr:
+    """What stands above and is a term below is a fraction: ``v*x/(K + x)``."""
+    if not product.is_Mul:
+        return product
+    for power in product.args:
+        total, exponent = power.as_base_exp()
+        if not (total.is_Add and exponent.is_Integer and exponent < 0):
+            continue
+        above = dict(f.as_base_exp() for f in product.args if f is not power)
+        for term in total.args if len(total.args) <= _MOST_TERMS else ():
+            if _times_within(term, above) >= -exponent:
+                others = product / power * term**exponent
+                return _with_fractions(others * fraction(term, total - term) ** -exponent)
+    return product
+
+
+def _times_within(term: sp.Expr, above: Mapping[sp.Expr, sp.Expr]) -> int:
+    """How often a term divides a product of powers."""
+    rest = term.as_coeff_Mul()[1]
+    if not rest.free_symbols:
+        return 0
+    pairs = [factor.as_base_exp() for factor in sp.Mul.make_args(rest)]
+    ratios = [above.get(base, sp.S.Zero) / exponent for base, exponent in pairs]
+    return int(min(ratios)) if all(r.is_Rational and r >= 1 for r in ratios) else 0
 
 
 def _base_and_exponent(factor: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
