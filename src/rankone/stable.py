@@ -29,6 +29,7 @@ _HIGH = 8
 _MOST_TERMS = 20
 """Terms of a denominator among which one is looked for that stands above too."""
 _DIGITS = 20
+_LONGEST = 10**_DIGITS
 _ROUNDING = sp.Rational(1, 10**12)
 
 
@@ -304,7 +305,7 @@ def _scaled_as_elsewhere(
             scale, times = power.args[0] / base, exponent / power.args[1]
             if not times.is_Integer or factor == power or not scale.is_Rational:
                 continue
-            left = number / scale**exponent
+            left = sp.N(number, _DIGITS) / sp.N(scale, _DIGITS) ** exponent
             if 1 / _IN_RANGE <= abs(left) <= _IN_RANGE:
                 others = (f for f in factors if f is not factor)
                 return sp.Mul(_number(left), power**times, *others)
@@ -354,7 +355,9 @@ def _size(number: sp.Expr) -> sp.Rational | None:
 
 def _number(value: sp.Expr) -> sp.Expr:
     """A number with the digits that count."""
-    return value if value.is_Rational else sp.Rational(str(sp.N(value, _DIGITS)))
+    if value.is_Rational and max(abs(value.p), value.q) <= _LONGEST:
+        return value
+    return sp.Rational(str(sp.N(value, _DIGITS)))
 
 
 # -- logarithms -------------------------------------------------------------------------------

@@ -238,10 +238,6 @@ def _check_jumps(first_order: FirstOrderSystem, system: System, points: _Points)
             comparison = Comparison(computed, value, leaves)
             p, u = points.parameters, points.states
             chosen = _finite(u, generated[i : i + 1])
-                points.parameters,
-                points.states,
-                _finite(points.states, generated[i : i + 1]),
-            )
             wrong = comparison.beyond_rounding(
                 _values(p[:, k], u[:, k], [generated[i, k]]) for k in chosen
             )
