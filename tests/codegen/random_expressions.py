@@ -45,6 +45,7 @@ class Sample:
     def value(self, point: dict[sp.Symbol, float], *wanted: sp.Symbol) -> tuple:
         """Value and condition of the expression, or of its derivative, at a point."""
         target = self.template.diff(*wanted) if wanted else self.template
+        target = target.replace(sp.DiracDelta, lambda *_: sp.S.Zero)  # no point is on a switch
         names = [*point, *self.numbers]
         with mpmath.workdps(DIGITS):
             function = sp.lambdify(names, target, "mpmath")

@@ -21,6 +21,8 @@ _DIGITS = 15
 """Significant digits that every floating-point number holds."""
 _TAKEN_OUT = 1e30
 """Numbers beyond, or below its reciprocal, go back into the exponential they came from."""
+_LARGEST_SCALE = 6
+"""Decimal logarithm of scales s in powers (x/s)**n that are looked for."""
 _ROUNDING = 2
 """Units in the last place by which sums of a few decimal numbers miss the decimal result."""
 _LARGEST_EXPONENT = 1e5
@@ -72,13 +74,15 @@ def _beyond(number: sp.Expr) -> bool:
 def _joined(product: sp.Mul) -> sp.Expr:
     """A product whose number is again in the exponential, if it has one."""
     number, *factors = product.args
+    powers = [factor.exp for factor in factors if factor.is_Pow and factor.exp.is_number]
+    highest = max(map(abs, powers), default=1)
+    from_power = abs(sp.log(abs(number), 10)) < _LARGEST_SCALE * highest
     for i, factor in enumerate(factors):
-        if isinstance(factor, sp.exp):
+        if isinstance(factor, sp.exp) and not from_power:
             shift = sp.Rational(str(sp.N(sp.log(abs(number)), 20)))
             others = factors[:i] + factors[i + 1 :]
             return sp.Mul(sp.sign(number), sp.exp(exact(factor.exp) + shift), *others)
-    powers = (factor for factor in factors if factor.is_Pow and factor.exp.is_number)
-    if next(powers, None) is not None:  # the printer puts it there: (x/310.15)**125
+    if powers:  # the printer puts it there: (x/310.15)**125
         digits = sp.N(number, _DIGITS + 2)
         return sp.Mul(sp.Rational(str(digits)), *factors)
     if not 0.0 < abs(float(number)) < math.inf:

@@ -33,6 +33,8 @@ _ADDITION = {
 
 
 _LARGE_EXPONENT = 30
+_ORDINARY = sp.Integer(10) ** 30
+"""Numbers up to this, and down to its reciprocal, are pulled out of factors."""
 _MOST_TERMS, _HIGHEST_POWER = 1500, 64
 """Products that a product of two sums may come to, and the highest power of a mixed expression."""
 
@@ -178,7 +180,10 @@ class Splitter:
         return MonomialSum.of([(Monomial(tuple(factors), ()), number)])
 
     def _normalise(self, expression: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
-        """Pull out numbers, so that equal factors look equal: 1/(2*k + 2) is 1/(k + 1) / 2."""
+        """Pull out numbers, so that equal factors look equal: 1/(2*k + 2) is 1/(k + 1) / 2.
+
+        That of (k/310.15)**125 stays, where the two are a power of a number near one.
+        """
         if expression not in self._normal:
             number, rest = expression.as_coeff_Mul()
             number = exact(number)
@@ -193,7 +198,10 @@ class Splitter:
                     number *= leading**exponent
                     part = base**exponent
                 parts.append(part)
-            self._normal[expression] = number, sp.Mul(*parts)
+            ordinary = 1 / _ORDINARY <= abs(number) <= _ORDINARY
+            self._normal[expression] = (
+                (number, sp.Mul(*parts)) if ordinary else (sp.S.One, expression)
+            )
         return self._normal[expression]
 
     # -- powers -----------------------------------------------------------------------------
