@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -54,29 +56,28 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
     """Write files that belong together.
 
     Each is written beside its place and moved there when all are complete, so that an interrupt or
-    a full disk leaves no half-written file and older files stay as they were. Of several that write
-    the same new file at the same time without ``overwrite`` one succeeds. An ``error`` is raised if
-    a file is not to be replaced or cannot be written.
+    a full disk leaves no half-written file and older files stay as they were. What a process left
+    that was killed is removed when the same file is written again. Of several that write the same
+    new file at the same time without ``overwrite`` one succeeds. An ``error`` is raised if a file
+    is not to be replaced or cannot be written.
     """
     places = {path: Path(os.path.realpath(free_target(path, overwrite, error))) for path in files}
     if len({*places.values()}) < len(places):
         raise error(f"{' and '.join(f'`{path}`' for path in files)} are one file")
-    beside = {
-        path: place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
-        for path, place in places.items()
-    }
+    complete: dict[Path, Path] = {}
     moved: dict[Path, bytes | None] = {}
     try:
-        for path, content in files.items():
-            _write(beside[path], content)
-        for number, (path, place) in enumerate(places.items(), 1):
-            keep = number < len(places) and place.exists()  # nothing can fail after the last
-            old = place.read_bytes() if keep else None
-            try:
-                _move(beside[path], place, overwrite)
-            except FileExistsError:  # since it was looked for
-                raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
-            moved[place] = old
+        with ExitStack() as beside:
+            for path, content in files.items():
+                complete[path] = beside.enter_context(_complete(places[path], content))
+            for number, (path, place) in enumerate(places.items(), 1):
+                keep = number < len(places) and place.exists()  # nothing can fail after the last
+                old = place.read_bytes() if keep else None
+                try:
+                    _move(complete[path], place, overwrite)
+                except FileExistsError:  # since it was looked for
+                    raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
+                moved[place] = old
     except BaseException as reason:
         for place, old in moved.items():  # put back what was replaced before one failed
             if old is None:
@@ -87,9 +88,6 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
             raise
         why = reason.strerror or reason
         raise error(f"`{path}` cannot be written: {why}", term=path) from reason
-    finally:
-        for left in beside.values():
-            left.unlink(missing_ok=True)
 
 
 def npz(arrays: Mapping[str, Any]) -> Callable[[IO[bytes]], None]:
@@ -104,15 +102,59 @@ def npz(arrays: Mapping[str, Any]) -> Callable[[IO[bytes]], None]:
     return write
 
 
-def _write(path: Path, content: Content) -> None:
-    """Write a new file to the disk itself."""
-    with path.open("xb") as stream:
-        if callable(content):
-            content(stream)
-        else:
-            stream.write(content.encode() if isinstance(content, str) else content)
-        stream.flush()
-        os.fsync(stream.fileno())
+@contextmanager
+def _complete(place: Path, content: Content) -> Iterator[Path]:
+    """A complete file beside its place, on the disk itself; removed unless it is moved there."""
+    _remove_abandoned(place)
+    with ExitStack() as until_moved:
+        stream = _begin(place, until_moved)
+        path = Path(stream.name)
+        until_moved.callback(path.unlink, missing_ok=True)
+        with stream:
+            if callable(content):
+                content(stream)
+            else:
+                stream.write(content.encode() if isinstance(content, str) else content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        yield path
+
+
+def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
+    """A new file beside its place, locked until it is moved: its process lives."""
+    while True:
+        stream = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial").open("xb")
+        if not _lock(stream):
+            return stream
+        until_moved.callback(os.close, os.dup(stream.fileno()))
+        if Path(stream.name).exists():  # else it looked abandoned, just before it was locked
+            return stream
+        stream.close()
+
+
+def _remove_abandoned(place: Path) -> None:
+    """Remove what processes that were killed left beside a place, where the system has locks."""
+    names = f".{glob.escape(place.name)}.{'[0-9a-f]' * 8}.partial"
+    for path in place.parent.glob(names):
+        with suppress(OSError), path.open("r+b") as stream:
+            if _lock(stream, wait=False):
+                path.unlink()
+
+
+def _lock(stream: IO[bytes], wait: bool = True) -> bool:
+    """Lock a file for as long as it, or a duplicate, is open; False where there are no locks.
+
+    Without ``wait`` a file that another has locked is an OSError.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(stream, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except (ImportError, OSError):  # Windows; file systems of a network
+        return False
+    return True
 
 
 def _move(complete: Path, place: Path, overwrite: bool) -> None:

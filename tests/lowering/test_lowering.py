@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rankone as ro
 from rankone.errors import SeparationError
 from rankone.ir import Role, SeparatedForm, Term
 from rankone.lowering import quadratic_system
@@ -121,3 +122,33 @@ def test_vertex_cover_of_a_large_graph_is_found_within_its_budget() -> None:
     cover = vertex_cover([(a, b) for a, b in edges])
     assert all({a, b} & {*cover} for a, b in edges)
     assert len(cover) < 75
+
+
+@given(seed=st.integers(0, 10**6), budget=st.integers(1, 60))
+def test_every_vertex_of_a_cover_is_needed(seed: int, budget: int) -> None:
+    """Also where the budget ends the search, and whatever the order of the edges."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(0, 60, (rng.integers(1, 120), 2)).tolist()
+    edges = sorted({(min(pair), max(pair)) for pair in drawn})
+    cover = vertex_cover(edges, budget=budget)
+    assert all({a, b} & {*cover} for a, b in edges)
+    assert all(any({a, b} & {*cover} == {v} for a, b in edges) for v in cover)
+    assert vertex_cover(edges[::-1], budget=budget) == cover
+
+
+def test_many_products_of_many_states_compile() -> None:
+    """The search ends with its budget here, with a vertex that the cover does not need."""
+    rng = np.random.default_rng(49)
+    pairs = rng.integers(0, 60, (70, 2)).tolist()
+    rates = {f"x{i}": f"-k*x{i}" for i in range(60)}
+    for number, (a, b) in enumerate(pairs):
+        rates[f"x{number % 60}"] += f" + x{a}*x{b}"
+    starts = {name: f"{1 + i / 60}" for i, name in enumerate(rates)}
+    compiled = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (1, 2)}, (0, 0.1)))
+    system, u = compiled.system, np.linspace(-1.0, 1.0, 60)
+    exact = -1.5 * u
+    for number, (a, b) in enumerate(pairs):
+        exact[number % 60] += u[a] * u[b]
+    rates_there = system.rhs(0.0, u[:, None], np.array([[1.5]]))[:, 0]
+    np.testing.assert_allclose(rates_there, exact, atol=1e-13)
+    assert compiled.solve(1e-4).success

@@ -7,6 +7,7 @@ import rankone as ro
 from rankone.codegen.events import event_functions, parameter_surfaces
 from rankone.ir import Coordinate
 from rankone.solvers.reference import check_points, integrate_reference
+from rankone.solvers.steppers import StackedDOP853
 from rankone.solvers.suspects import surface_points
 from rankone.solvers.watch import _zeros
 from tests.honesty.cases import t, unknown
@@ -146,6 +147,24 @@ def test_a_ridge_is_refused_or_right():
     a = np.linspace(0.5, 1.0, 11)
     exact = (1 - np.exp(-10.0)) / 2  # on the ridge
     assert not solution.success or np.abs(solution(t=5, a=a, b=0.41 / a)[0] - exact).max() < 5e-3
+
+
+def test_a_stiff_system_is_handed_over_before_the_watch_refuses_many_steps(monkeypatch):
+    """The estimate of the error lets unstable steps pass, and a fifth of their length is stable."""
+    steps = []
+    step = StackedDOP853.step
+    monkeypatch.setattr(StackedDOP853, "step", lambda self: steps.append(self.t) or step(self))
+    back, release = "2270*y + 9430*y/(y/127 + 1)", "1290*z/(z + 0.0135) + 0.845*z/(742*y**2 + 1)"
+    rates = {
+        "x": f"-2.83*k*x + {back}",
+        "y": f"2.83*k*x - ({back}) + {release}",
+        "z": f"-({release})",
+    }
+    starts = {"x": "100", "y": "167", "z": "116"}
+    system = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (0.7, 1.3)}, (0, 30))).system
+    reference = integrate_reference(system, np.linspace(0.7, 1.3, 16)[:, None], 0.0, 30.0, 3e-7)
+    assert reference.stiff
+    assert len(steps) < 60
 
 
 def test_zeros_are_found_in_few_evaluations():

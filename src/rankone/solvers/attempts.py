@@ -145,7 +145,7 @@ def solve_in_attempts(
         status = met
     with _timed(timings, "check"):
         status, cause = marcher.explained(status, best)
-    message = best.message(status, request.rtol, cause)
+    message = best.message(status, request.rtol, cause) + yardstick.zeros
     remedies = {Status.TIME_LIMIT: _MORE_TIME, Status.MEMORY_LIMIT: _LESS, **marcher.remedies}
     if status in remedies:
         message += f"; {remedies[status]}"

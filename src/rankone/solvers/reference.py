@@ -15,6 +15,7 @@ from rankone.deadline import OutOfTimeError
 from rankone.errors import ConvergenceError
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
+from rankone.solvers.rounding import rounding_errors
 from rankone.spread import spread
 from rankone.system import System
 from rankone.tensors.slab import SlabTrain
@@ -49,8 +50,8 @@ _EARLY, _LINGERS = 4, 1e-3
 """Steps after which a state that is below what is resolved lingers there, and the part of its size
 then that is resolved instead."""
 _LOOKED, _AMPLIFIED = 8, 5.0
-"""Times at which the growth of small values is looked at, and the growth over the horizon, as a
-power of e, from which it counts."""
+"""Times at which rates and the growth of small values are looked at, and the growth over the
+horizon, as a power of e, from which it counts."""
 _INTEGRATIONS = 4
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -114,6 +115,10 @@ class Reference:
     floor : ndarray (n,)
         Values of each state below which its relative accuracy ends, where that is lower than usual
         since it is amplified later; else infinite.
+    rounded : ndarray (n,)
+        Rounding errors of states that are tiny beside the others; 0 for all others.
+    zero : ndarray of bool (n,)
+        The states that are numerically zero.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
     """
@@ -127,6 +132,8 @@ class Reference:
     states: int
     large: bool = False
     floor: Any = np.inf
+    rounded: Any = 0.0
+    zero: Any = False
 
     @property
     def stiff(self) -> bool:
@@ -146,7 +153,15 @@ class Reference:
         points = np.concatenate([self.points, other.points])
         batches, avoided = self.batches + other.batches, max(self.avoided, other.avoided)
         ends = first.end, avoided, blown, batches, self.states, first.large
-        return Reference(points, self.start, *ends, floor=np.minimum(self.floor, other.floor))
+        both = np.minimum(self.rounded, other.rounded) > 0.0
+        return Reference(
+            points,
+            self.start,
+            *ends,
+            floor=np.minimum(self.floor, other.floor),
+            rounded=np.where(both, np.maximum(self.rounded, other.rounded), 0.0),
+            zero=self.zero & other.zero,
+        )
 
 
 def integrate_reference(
@@ -182,11 +197,12 @@ def integrate_reference(
     _check_start(system, start, initial, points)
     floor = np.full((len(initial), 1), np.inf)
     size = np.abs(initial).max(axis=1, keepdims=True)
+    rounding = rounding_errors(stack, [(start, initial)], size, rtol)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
     longest = math.inf if stack.polynomial else _LONGEST * (end - start)
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
-        atol = rtol * np.minimum(_NEGLIGIBLE * size, floor)
+        atol = np.maximum(rtol * np.minimum(_NEGLIGIBLE * size, floor), rounding.floor)
         try:
             state, avoided = stack.run(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
@@ -199,11 +215,19 @@ def integrate_reference(
             values.reshape(initial.shape).max(axis=1, keepdims=True)
             for values in (steps.largest, steps.early)
         )
-        small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
-        lingers = ~small & (early > 0.0) & (early < np.minimum(_NEGLIGIBLE * size, floor))
+        looks = steps.looks(len(initial))
+        before, rounding = rounding, rounding_errors(stack, looks, largest, rtol)
+        coarse = before.floor > np.maximum(rounding.floor, rtol * _NEGLIGIBLE * largest)
+        small = ~rounding.zero & (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
+        lingers = (
+            ~rounding.zero
+            & ~small
+            & (early > 0.0)
+            & (early < np.minimum(_NEGLIGIBLE * size, floor))
+        )
         if lingers.any() and not _amplifies(stack, steps, len(initial)):
             lingers[:] = False
-        if not (small | lingers).any():
+        if not (small | lingers | coarse).any():
             break
         size = np.where(small, largest, size)
         floor = np.where(lingers, _LINGERS * early, floor)
@@ -217,6 +241,7 @@ def integrate_reference(
             remedy="check the initial values and the coefficients",
         )
     blown, large = None, False
+    size = np.maximum(size, rounding.floor)
     negligible = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
     if end - reached > NUMBERS_LEFT * np.spacing(abs(end)):
@@ -227,7 +252,8 @@ def integrate_reference(
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces, alt_segment=True)
     batches = ((len(points), dense),)
     ends = start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large
-    return Reference(points, *ends, floor=floor[:, 0])
+    rounded = rounding.floor[:, 0], rounding.zero[:, 0]
+    return Reference(points, *ends, floor[:, 0], *rounded)
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:
@@ -265,11 +291,9 @@ def _with_moving(
 
 def _amplifies(stack: Stack, steps: _Steps, states: int) -> bool:
     """Whether some state may grow exponentially along the first trajectory, by a large factor."""
-    pieces = steps.pieces[:: max(1, len(steps.pieces) // _LOOKED)]
     growth = 0.0
-    for piece in pieces:
-        state = piece(piece.t).reshape(states, -1)
-        blocks = stack.jacobians(piece.t, state)[:1]
+    for time, state in steps.looks(states):
+        blocks = stack.jacobians(time, state)[:1]
         if np.isfinite(blocks).all():
             growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
     return growth * (steps.times[-1] - steps.times[0]) > _AMPLIFIED
@@ -296,6 +320,11 @@ class _Steps:
         """Forget what was, and start."""
         self.times, self.pieces, self.largest = [start], [], np.zeros(1)
         self.early = np.zeros(1)
+
+    def looks(self, states: int) -> list[tuple[float, Array]]:
+        """Some times, and the states (n, m) then."""
+        pieces = self.pieces[:: max(1, len(self.pieces) // _LOOKED)]
+        return [(piece.t, piece(piece.t).reshape(states, -1)) for piece in pieces]
 
     def add(self, solver: Any) -> None:
         """Keep a step."""

@@ -39,13 +39,25 @@ class _Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
         States of one trajectory; the stacked vector is in the order (state, trajectory).
     watch : Watch, optional
         Looks for what the stages of a step do not see.
+
+    Attributes
+    ----------
+    refusals : int
+        Steps that were made again since :meth:`longest_tried` was last asked for.
     """
 
     def __init__(
         self, *arguments: Any, states: int, watch: Watch | None = None, **options: Any
     ) -> None:
         self._states, self._watch = states, watch
+        self.refusals, self._refused = 0, 0.0
         super().__init__(*arguments, **options)
+
+    def longest_tried(self) -> float:
+        """The longest of the last step and of those refused since this was last asked for."""
+        longest = max(self.step_size, self._refused)
+        self.refusals, self._refused = 0, 0.0
+        return float(longest)
 
     def _step_impl(self) -> tuple[bool, str | None]:
         """A step as SciPy's, made again and shorter while something in it was overlooked."""
@@ -59,6 +71,7 @@ class _Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
             if shorter >= 1.0 or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
                 return done, message
             check_time()
+            self.refusals, self._refused = self.refusals + 1, max(self._refused, h)
             for name, value in before.items():
                 setattr(self, name, value)
             self._restart(h * shorter)

@@ -136,7 +136,8 @@ class Yardstick:
         """Largest absolute value of each state, products included; one for a vanishing state.
 
         Over the centre and the interior points: values at corners of a box of many
-        parameters may be larger by orders of magnitude and are seen by nobody.
+        parameters may be larger by orders of magnitude and are seen by nobody. States that are
+        numerically zero get a size of which their rounding errors are a small part.
         """
         start, end = self.reference.start, self.end
         times = np.linspace(start, end, 201)
@@ -145,6 +146,9 @@ class Yardstick:
         values = self.system.with_products(self.reference(times))
         values = np.delete(values, np.s_[1 : 1 + self.corners], axis=1)
         sizes = np.abs(values).max(axis=(1, 2))
+        n = self.system.N_DIFFERENTIAL
+        rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
+        sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy)
         return np.where(sizes > 0.0, sizes, 1.0)
 
     @property
@@ -159,6 +163,18 @@ class Yardstick:
         seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
         counts = self.corners, self.whole_box, seen, self.counted
         return measure(slabs, self.reference, self.states, *counts)
+
+    @property
+    def zeros(self) -> str:
+        """Which unknowns are numerically zero, as a message says it; empty if none is."""
+        seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
+        zero = np.broadcast_to(self.reference.zero, len(self.states))[:seen]
+        return "".join(
+            f"; `{self.system.STATES[i]}` is numerically zero: it stays below "
+            f"{self.reference.rounded[i]:.1e}, which rounding errors reach; its error counts "
+            f"relative to {self.states[i]:.1e}"
+            for i in np.nonzero(zero)[0]
+        )
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

@@ -132,11 +132,18 @@ def test_dask_gives_the_same_bits(compiled, alone):
         assert bits(compiled.solve(1e-4, executor=executor)) == alone
 
 
-def test_processes_end_when_the_solve_is_interrupted(compiled, monkeypatch):
+@pytest.mark.parametrize(
+    ("place", "name"), [(concurrent.futures, "wait"), (ProcessPoolExecutor, "submit")]
+)
+def test_processes_end_when_the_solve_is_interrupted(compiled, monkeypatch, place, name):
+    """While it waits for its workers, and while it starts them."""
+    original = getattr(place, name)
+
     def interrupted(*arguments, **named):
+        original(*arguments, **named)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(concurrent.futures, "wait", interrupted)
+    monkeypatch.setattr(place, name, interrupted)
     with pytest.raises(KeyboardInterrupt):
         compiled.solve(1e-4, executor=2)
     assert processes_have_ended()

@@ -161,7 +161,8 @@ class Trajectories:
             end,
         ]
         floor = np.minimum(_ABSOLUTE * yardstick.states, yardstick.reference.floor)
-        given = edges, self.grid.times, yardstick.states, floor, self.tolerance, self.stiff
+        atol = np.maximum(self.tolerance * floor, yardstick.reference.rounded)
+        given = edges, self.grid.times, yardstick.states, atol, self.tolerance, self.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
         return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
@@ -181,20 +182,19 @@ def _integrated(
     edges: list[float],
     times: Array,
     sizes: Array,
-    floor: Array,
+    atol: Array,
     tolerance: float,
     stiff: bool,
 ) -> Array:
     """Trajectories at points (m, d) in units of the states' sizes, (n T, m).
 
-    Below ``floor`` (n,) their relative accuracy ends.
+    The tolerance is relative to the states, and ``atol`` (n,) where that is more.
     """
     record = _AtNodes(times, sizes.size, len(points))
-    atol = tolerance * floor[:, None]
     stack = Stack(system, points, edges)
-    state, _ = stack.run(record, tolerance, atol, stiff, bearable=_BEARABLE)
+    state, _ = stack.run(record, tolerance, atol[:, None], stiff, bearable=_BEARABLE)
     if record.reached < times.size or not np.isfinite(record.values).all():
-        ends = quickest(system, record.time, state, points, atol)
+        ends = quickest(system, record.time, state, points, atol[:, None])
         raise TrajectoryEnds(record.time, points[ends])
     units = sizes * np.sqrt(times.size)
     scaled = record.values.transpose(1, 0, 2) / units[:, None, None]

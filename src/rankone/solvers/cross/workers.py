@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import concurrent.futures
 import math
+import multiprocessing
+import os
 import pickle
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
@@ -43,7 +47,8 @@ class Workers:
     ----------
     system : System
     executor : Executor or int, optional
-        An int is a number of processes, which :meth:`close` ends.
+        An int is a number of processes, which :meth:`open` starts and :meth:`close` ends. They end
+        with this process too, however it ends.
     """
 
     def __init__(self, system: System, executor: Executor | int | None = None) -> None:
@@ -60,7 +65,6 @@ class Workers:
             )
         processes = isinstance(executor, int | ProcessPoolExecutor)
         self._recipe = _pickled(recipe) if processes else recipe
-        self._open()
 
     def map(
         self,
@@ -81,7 +85,7 @@ class Workers:
         if lost is not None:
             if isinstance(self._asked, int):
                 self.close()
-                self._open()
+                self.open()
             left = [k for k in range(len(tasks)) if k not in results]
             lost = self._round(function, tasks, left, end, results, failures)
         if lost is not None:
@@ -102,12 +106,15 @@ class Workers:
         for process in running:
             process.join()
 
-    def _open(self) -> None:
+    def open(self) -> None:
         """Start processes, or ask whether the executor given takes work."""
+        if self._asked is None:
+            return
         self._executor, starts = self._asked, 1  # type: ignore[assignment]
         if isinstance(self._asked, int):
             starts, context = self._asked, _Spawn()
-            self._executor, self._processes = ProcessPoolExecutor(starts, context), context.started
+            self._executor = ProcessPoolExecutor(starts, context, initializer=_obey_parent)
+            self._processes = context.started
         for _ in range(starts):
             try:
                 self._submit(time.time)
@@ -174,9 +181,28 @@ def open_workers(system: System, executor: Executor | int | None) -> Iterator[Wo
     """Workers for a solve; processes that were started end with it."""
     workers = Workers(system, executor)
     try:
+        workers.open()
         yield workers
     finally:
         workers.close()
+
+
+def _obey_parent() -> None:
+    """Let the parent alone decide when this worker ends, in the middle of a task too.
+
+    An interrupt from the keyboard reaches all processes: the parent ends its workers then. When the
+    parent is killed, nobody does, and a worker would wait for tasks for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait until the parent has ended, without polling, then end at once."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _call(recipe: Any, end: float, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
