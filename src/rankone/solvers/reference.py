@@ -11,7 +11,8 @@ import numpy as np
 import scipy.integrate
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError
+from rankone.budget import OutOfBudgetError, charge
+from rankone.costs import Cost
 from rankone.errors import ConvergenceError
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
@@ -52,6 +53,8 @@ then that is resolved instead."""
 _LOOKED, _AMPLIFIED = 8, 5.0
 """Times at which rates and the growth of small values are looked at, and the growth over the
 horizon, as a power of e, from which it counts."""
+_DENSE = Cost(50e3, 15.0)
+"""Operations of an evaluation of dense output, and for each number that it gives."""
 _INTEGRATIONS = 4
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -142,6 +145,7 @@ class Reference:
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
+        charge(len(self.batches) * _DENSE(times.size * self.states * len(self.points)))
         parts = [dense(times).reshape(self.states, count, -1) for count, dense in self.batches]
         return np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
 
@@ -188,7 +192,7 @@ def integrate_reference(
     ------
     ConvergenceError
         If not a single step can be made.
-    OutOfTimeError
+    OutOfBudgetError
         With the time reached and the number of steps.
     """
     between = _with_moving(system, points, start, end, cuts)
@@ -200,15 +204,15 @@ def integrate_reference(
     rounding = rounding_errors(stack, [(start, initial)], size, rtol)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
     longest = math.inf if stack.polynomial else _LONGEST * (end - start)
+    atol = np.maximum(rtol * _NEGLIGIBLE * size, rounding.floor)
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
-        atol = np.maximum(rtol * np.minimum(_NEGLIGIBLE * size, floor), rounding.floor)
         try:
             state, avoided = stack.run(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
             )
-        except OutOfTimeError as out:
-            raise OutOfTimeError(steps.times[-1], len(steps.pieces)) from out
+        except OutOfBudgetError as out:
+            raise type(out)(steps.times[-1], len(steps.pieces)) from out
         if not steps.pieces:
             break
         largest, early = (
@@ -219,18 +223,16 @@ def integrate_reference(
         before, rounding = rounding, rounding_errors(stack, looks, largest, rtol)
         coarse = before.floor > np.maximum(rounding.floor, rtol * _NEGLIGIBLE * largest)
         small = ~rounding.zero & (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
-        lingers = (
-            ~rounding.zero
-            & ~small
-            & (early > 0.0)
-            & (early < np.minimum(_NEGLIGIBLE * size, floor))
-        )
+        usual = _NEGLIGIBLE * np.maximum(size, largest)
+        lingers = ~rounding.zero & ~small & (early > 0.0) & (early < np.minimum(usual, floor))
         if lingers.any() and not _amplifies(stack, steps, len(initial)):
             lingers[:] = False
-        if not (small | lingers | coarse).any():
-            break
         size = np.where(small, largest, size)
         floor = np.where(lingers, _LINGERS * early, floor)
+        coarser = atol
+        atol = np.maximum(rtol * np.minimum(_NEGLIGIBLE * size, floor), rounding.floor)
+        if not ((small | lingers | coarse) & (atol < coarser)).any():
+            break
     if not steps.pieces:
         values = points[quickest(system, start, state, points, rtol * _NEGLIGIBLE * size)]
         where = [f"{n} = {v:.6g}" for n, v in zip(system.PARAMETERS, values, strict=True)]
