@@ -88,8 +88,10 @@ def test_a_minimum_that_may_be_local():
     best = case.solution.minimize(case.objective, case.at, start=start, starts=0)
     assert best.success
     assert not best.is_global
-    assert "may be a local one; remedy: more starts, or narrower bounds" in best.message
+    assert "may be a local one; remedy: raise effort, or narrow the bounds" in best.message
     assert best.fun > LEAST["rastrigin 4"] + 1
+    low = case.solution.minimize(case.objective, case.at, effort="low")
+    assert low.searches <= 4 + 2
     again = case.solution.minimize(case.objective, case.at, start=start, starts=0)
     assert again == best
 
@@ -102,6 +104,7 @@ def test_a_minimum_that_may_be_local():
         (("u", [1.0, 2.0]), {}, "best at several times"),
         (("u",), {}, "no times are given"),
         (("u", 1.0), {"sense": "up"}, "sense='up'"),
+        (("u", 1.0), {"effort": "huge"}, "effort='huge' is unknown"),
         (("u", 1.0), {"fixed": {"k": 1, "a": 1}}, "all parameters are fixed"),
         (("u", 1.0), {"constraints": {"w": (0, 1)}}, "no unknown `w`"),
         (("u", 1.0), {"constraints": {"u": 1}}, "the limits of `u` are 1"),

@@ -166,6 +166,7 @@ class EstimationFromData(SolutionCore):
         bounds: Mapping[Any, Any] | None = None,
         constraints: Mapping[Any, Any] | None = None,
         starts: int = 16,
+        effort: str | float = "normal",
     ) -> Optimum:
         """The parameters for which an unknown, or a function of the unknowns, is least.
 
@@ -188,6 +189,8 @@ class EstimationFromData(SolutionCore):
         starts : int
             Most searches from basins of the box; half as many follow from the last generation. 0
             with a ``start`` searches from there alone.
+        effort : {"low", "normal", "high"} or float
+            Factor on the number of points, generations and searches: 0.2, 1, 10 or another one.
         constraints : mapping, optional
             For unknowns ``(lower, upper)`` at the times ``t``, or ``(lower, upper, times)``; None
             for no limit. Limits are numbers, or one for each time; they hold at these times.
@@ -213,4 +216,5 @@ class EstimationFromData(SolutionCore):
             bounds=bounds,
             constraints=constraints,
             starts=starts,
+            effort=effort,
         )

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import minimize as scipy_minimize
 
 from rankone.arrays import Array
+from rankone.budget import NORMAL, operations_for
 from rankone.errors import OptionError
 from rankone.estimation.basins import basins, evolved, screened
 from rankone.estimation.free import Free, free_parameters
@@ -24,7 +25,7 @@ __all__ = ["Optimum", "minimize"]
 
 _LOOKED_AT, _GENERATIONS = 1024, 30
 """Points all over the box at which the objective is looked at, and generations of the best."""
-_MOST_STARTS = 256
+_MOST_STARTS, _MOST_POINTS = 256, 2**17
 _SECOND = 2
 """Searches from the basins of the sample over those from the last generation."""
 _VALUES = 2_000_000
@@ -200,6 +201,7 @@ def minimize(
     bounds: Mapping[Any, Any] | None = None,
     constraints: Mapping[Any, Any] | None = None,
     starts: int = 16,
+    effort: str | float = "normal",
 ) -> Optimum:
     """The best parameters; arguments and errors are those of :meth:`~rankone.Solution.minimize`."""
     solution._evaluator  # noqa: B018 - raises if nothing was solved
@@ -219,7 +221,9 @@ def minimize(
     states = _States(solution, names, times, free)
     function = None if by_name else objective
     goal = _Objective(states, function, 1.0 if sense == "min" else -1.0, one)
-    points = screened(_LOOKED_AT, len(free.names))
+    factor = operations_for(effort) / NORMAL
+    starts = min(math.ceil(factor * starts), _MOST_STARTS)
+    points = screened(min(math.ceil(factor * _LOOKED_AT), _MOST_POINTS), len(free.names))
     limits = _constraints(solution, constraints, t, free, points[:_MOST_STARTS])
     values = goal.many(points)
     usable = np.isfinite(values)
@@ -234,7 +238,7 @@ def minimize(
     if starts:
         ends = np.array([minimum.z for minimum in minima])
         pool = np.concatenate([ends, points]), np.concatenate([merit(ends), merits])
-        second = evolved(merit, *pool, _GENERATIONS)[: -(-starts // _SECOND)]
+        second = evolved(merit, *pool, math.ceil(factor * _GENERATIONS))[: -(-starts // _SECOND)]
         minima += [merit.search(point) for point in second]
     return _optimum(merit, minima, len(lowest) <= starts)
 
@@ -324,7 +328,8 @@ def _told(what: str, searches: int, agreeing: int, is_global: bool) -> str:
     said = f"{agreeing} of {count(searches, 'search', 'searches')} ended at"
     if is_global:
         return f"{said} this {what}, the best of the box as far as seen"
-    return f"{said} this {what}, which may be a local one; remedy: more starts, or narrower bounds"
+    remedy = "remedy: raise effort, or narrow the bounds"
+    return f"{said} this {what}, which may be a local one; {remedy}"
 
 
 def _search(goal: _Objective, start: Array, constraints: Sequence[Mapping[str, Any]]) -> Any:
