@@ -285,7 +285,13 @@ class CompiledProblem:
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
         solution = Solution(replace(outcome, timings=timings), metadata)
-        raise_blow_up(solution)
+
+        def again(intervals: Mapping[str, tuple[float, float]], factor: float) -> Solution:
+            smaller = asked.on_part(intervals, factor)
+            given = {name: getattr(smaller, name) for name in asked.keywords()}
+            return self.solve(**given, method=method, **options)
+
+        raise_blow_up(solution, again)
         if on_failure == "raise" and not solution.success:
             raise ConvergenceError(outcome.message, solution=solution)
         return solution

@@ -19,8 +19,9 @@ from rankone.options import Options
 from rankone.progress import Report
 from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.solvers.outcome import Measured, Outcome, SafeInterval, SlabRecord, Status
 from rankone.solvers.residual import doubtful_points
+from rankone.solvers.survival import safe_intervals
 from rankone.solvers.verification import Yardstick
 from rankone.system import System
 
@@ -205,8 +206,12 @@ def solve_in_attempts(
     if status in remedies:
         message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
+    safe: tuple[SafeInterval, ...] = ()
+    if blow_up is not None:
+        with stages.of("reference"):
+            safe = safe_intervals(system, domain, yardstick.cuts, np.array(blow_up[1]))
     spent = stages.timings, stages.work
-    return Outcome(slabs, status, message, best.measured, tuple(records), *spent, blow_up)
+    return Outcome(slabs, status, message, best.measured, tuple(records), *spent, blow_up, safe)
 
 
 def _attempts(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from rankone.budget import OutOfBudgetError, OutOfWorkError
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Measured", "Outcome", "SlabRecord", "Status"]
+__all__ = ["Measured", "Outcome", "SafeInterval", "SlabRecord", "Status"]
 
 
 class Status(Enum):
@@ -120,6 +120,34 @@ class Measured:
         return max((errors[i] for i in counted if errors), default=0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class SafeInterval:
+    """A shorter interval of one parameter, without the trajectories seen to have an early end.
+
+    Attributes
+    ----------
+    parameter : int
+    lower, upper : float
+    below : bool
+        Whether the upper end was moved, and not the lower one.
+    share : float
+        Its length over that of the whole interval.
+    """
+
+    parameter: int
+    lower: float
+    upper: float
+    below: bool
+    share: float
+
+    def shortened(self, kept: float) -> SafeInterval:
+        """The same with a part of its length, away from where trajectories end."""
+        length, share = kept * (self.upper - self.lower), kept * self.share
+        if self.below:
+            return replace(self, upper=self.lower + length, share=share)
+        return replace(self, lower=self.upper - length, share=share)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The result of an engine.
@@ -138,6 +166,8 @@ class Outcome:
         Operations counted in the same stages: shares of the budget that ``effort`` sets.
     blow_up : tuple or None
         Time and parameter values near which a trajectory blows up.
+    safe : tuple of SafeInterval
+        Where the box would have to end instead, the one that keeps most of it first.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -148,6 +178,7 @@ class Outcome:
     timings: dict[str, float] = field(default_factory=dict)
     work: dict[str, float] = field(default_factory=dict)
     blow_up: tuple[float, tuple[float, ...]] | None = None
+    safe: tuple[SafeInterval, ...] = ()
 
     @property
     def error(self) -> float:

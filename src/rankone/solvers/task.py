@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from rankone.budget import (
+    LEAST_EFFORT,
+    NORMAL,
     OutOfBudgetError,
     limited,
     operations_for,
@@ -57,6 +59,13 @@ class Asked:
     options: Mapping[str, Any]
     unknowns: Sequence[Any] | None = None
     effort: str | float = "normal"
+
+    def on_part(self, intervals: Mapping[str, tuple[float, float]], factor: float) -> Asked:
+        """The same with other intervals of some parameters, and a part of the budget."""
+        box = {name_of(key): ends for key, ends in (self.parameters or {}).items()}
+        effort = max(factor * operations_for(self.effort) / NORMAL, LEAST_EFFORT)
+        seconds = None if self.max_seconds is None else factor * self.max_seconds
+        return replace(self, parameters={**box, **intervals}, effort=effort, max_seconds=seconds)
 
     @classmethod
     def keywords(cls) -> tuple[str, ...]:
