@@ -39,7 +39,7 @@ _IMPLICIT = 1.7
 """Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
 _LOW_DEGREE = 4
 """Degree of rates, in the unknowns, up to which nothing is narrower than the unknowns change."""
-_STAGE, _STEP = Cost(15e3, 8.0), Cost(40e3, 5.0)
+_STAGE, _STEP = Cost(8e3, 5.0), Cost(40e3, 5.0)
 """What an integrator does for each evaluation of the rates, and for each step besides: operations
 for a stack, and for each number of its state."""
 
