@@ -23,9 +23,17 @@ from rankone.solvers.outcome import Outcome, Status
 from rankone.solvers.survival import PARTS, safe_sentence, solved_part
 from rankone.storage.npz import write
 from rankone.tensors.evaluator import Rows, TrainEvaluator
-from rankone.wording import did_you_mean, listing
+from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
+
+
+_ENDS = {
+    Status.BLOW_UP: "blows up inside the horizon",
+    Status.LEAVES: "comes to where its right-hand side is not finite",
+    Status.SWITCHES: "switches to and fro without end",
+}
+"""What a solution does whose trajectories do not reach the end of the horizon."""
 
 
 class SolutionCore:
@@ -306,22 +314,25 @@ def _memory() -> Iterator[None]:
 
 
 def raise_blow_up(
-    solution: SolutionCore, again: Callable[[Mapping[str, tuple[float, float]], float], Any]
+    solution: SolutionCore,
+    again: Callable[[Mapping[str, tuple[float, float]], float], Any],
+    smoothing: str | None = None,
 ) -> None:
     """Raise a BlowUpError that carries the solution if a trajectory has no end.
 
-    ``again`` solves with other intervals of some parameters, and a factor on the budget.
+    ``again`` solves with other intervals of some parameters, and a factor on the budget;
+    ``smoothing`` says which term switches.
     """
     outcome = solution.outcome
-    if outcome.status not in (Status.BLOW_UP, Status.LEAVES) or outcome.blow_up is None:
+    if not outcome.status.ends_early or outcome.blow_up is None:
         return
     when, values = outcome.blow_up
     names, safe = tuple(solution.parameters), outcome.safe
     where = dict(zip(names, values, strict=True))
     at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
-    how = "blows up inside the horizon"
-    if outcome.status is Status.LEAVES:
-        how = "comes to where its right-hand side is not finite"
+    what = "the solution"
+    if outcome.switching is not None:
+        what = f"the rate of {quote(solution.states[outcome.switching])}"
     remedy = f"end the horizon before t = {when:.4g}"
     carried = f"the error carries the part up to t = {solution.time[1]:.4g} as .solution"
     if safe:
@@ -334,7 +345,9 @@ def raise_blow_up(
         return solved_part(lambda j, ends: again({names[j]: ends}, 1.0 / PARTS), safe)
 
     raise BlowUpError(
-        f"the solution {how}: near t = {when:.4g}" + (f" at {at}" if at else ""),
+        f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"
+        + (f" at {at}" if at else "")
+        + (f"; {smoothing}" if smoothing else ""),
         time=when,
         parameters=where,
         solution=solution,

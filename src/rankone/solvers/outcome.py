@@ -28,7 +28,13 @@ class Status(Enum):
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     STEEP = "the solution depends steeply on a parameter"
     BLOW_UP = "a trajectory blows up inside the horizon"
+    SWITCHES = "a trajectory switches to and fro without end"
     LEAVES = "a trajectory comes to where its right-hand side is not finite"
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether a trajectory does not reach the end of the horizon."""
+        return self in (Status.BLOW_UP, Status.LEAVES, Status.SWITCHES)
 
     @classmethod
     def of_limit(cls, error: OutOfBudgetError) -> Status:
@@ -168,6 +174,8 @@ class Outcome:
         Time and parameter values near which a trajectory blows up.
     safe : tuple of SafeInterval
         Where the box would have to end instead, the one that keeps most of it first.
+    switching : int or None
+        The state whose rate switches to and fro where the reference trajectories came to an end.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -179,6 +187,7 @@ class Outcome:
     work: dict[str, float] = field(default_factory=dict)
     blow_up: tuple[float, tuple[float, ...]] | None = None
     safe: tuple[SafeInterval, ...] = ()
+    switching: int | None = None
 
     @property
     def error(self) -> float:

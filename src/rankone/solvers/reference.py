@@ -14,6 +14,7 @@ from rankone.arrays import Array
 from rankone.budget import OutOfBudgetError, charge
 from rankone.costs import Cost
 from rankone.errors import ConvergenceError
+from rankone.solvers.chatter import switching_state
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
 from rankone.spread import spread
@@ -117,6 +118,8 @@ class Reference:
     floor : ndarray (n,)
         Values of each state below which its relative accuracy ends, where that is lower than usual
         since it is amplified later; else infinite.
+    switching : int or None
+        The state whose rate switches to and fro at ``end``, if that is why it ends.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
     """
@@ -130,6 +133,7 @@ class Reference:
     states: int
     large: bool = False
     floor: Any = np.inf
+    switching: int | None = None
 
     @property
     def stiff(self) -> bool:
@@ -150,7 +154,8 @@ class Reference:
         points = np.concatenate([self.points, other.points])
         batches, avoided = self.batches + other.batches, max(self.avoided, other.avoided)
         ends = first.end, avoided, blown, batches, self.states, first.large
-        return Reference(points, self.start, *ends, floor=np.minimum(self.floor, other.floor))
+        floor, switching = np.minimum(self.floor, other.floor), first.switching
+        return Reference(points, self.start, *ends, floor=floor, switching=switching)
 
 
 def integrate_reference(
@@ -178,7 +183,8 @@ def integrate_reference(
     ConvergenceError
         If not a single step can be made.
     OutOfBudgetError
-        With the time reached and the number of steps.
+        With the time reached, the number of steps, and the state whose rate switches to and fro
+        there, or None.
     """
     between = _with_moving(system, points, start, end, cuts)
     stack = Stack(system, points, [start, *between, end])
@@ -196,7 +202,7 @@ def integrate_reference(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
             )
         except OutOfBudgetError as out:
-            raise type(out)(steps.times[-1], len(steps.pieces)) from out
+            raise type(out)(*steps.so_far(system, points, end - start)) from out
         if not steps.pieces:
             break
         largest, early = (
@@ -222,18 +228,21 @@ def integrate_reference(
             + ": the right-hand side is not finite there or varies without bound",
             remedy="check the initial values and the coefficients",
         )
-    blown, large = None, False
+    blown, large, switching = None, False, None
     negligible = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
     if end - reached > NUMBERS_LEFT * np.spacing(abs(end)):
         blown = quickest(system, reached, state, points, negligible)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
         large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)
+        chatter = None if large else switching_state(system, reached, state, points, end - start)
+        if chatter is not None:
+            switching, blown = chatter
     # At the time of a jump the states are those after it.
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces, alt_segment=True)
     batches = ((len(points), dense),)
     ends = start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large
-    return Reference(points, *ends, floor=floor[:, 0])
+    return Reference(points, *ends, floor=floor[:, 0], switching=switching)
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:
@@ -310,6 +319,17 @@ class _Steps:
         self.largest = np.maximum(self.largest, np.abs(solver.y))
         if len(self.pieces) <= _EARLY:
             self.early = self.largest
+
+    def so_far(
+        self, system: System, points: Array, horizon: float
+    ) -> tuple[float, int, int | None]:
+        """Time reached, number of steps, and the state whose rate switches to and fro there."""
+        time, count = self.times[-1], len(self.pieces)
+        if not count:
+            return time, count, None
+        states = self.pieces[-1](time).reshape(-1, len(points))
+        chatter = switching_state(system, time, states, points, horizon)
+        return time, count, None if chatter is None else chatter[0]
 
 
 def times_within(start: float, end: float, shares: Array) -> Array:

@@ -104,28 +104,26 @@ class CrossMarcher:
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
-        result = MarchResult()
         level = self.share * self.rtol
         grid = self._grid(level)
         if grid is None:
-            result.stopped = Status.SLAB_LIMIT
-            return result
+            return MarchResult(stopped=Status.SLAB_LIMIT)
         most = self.options.max_trajectories - self.integrated
         given = grid, _INTEGRATION * level, self.tightness, most, self.workers
         self.trajectories = trajectories = Trajectories(self.yardstick, *given)
         try:
-            return self._marched(trajectories, level, number, report)
+            result = self._marched(trajectories, level, number, report)
         except TooManyTrajectories:
-            return self._stopped(Status.TRAJECTORY_LIMIT, grid)
+            result = self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfBudgetError as out:
-            return self._stopped(Status.of_limit(out), grid)
+            result = self._stopped(Status.of_limit(out), grid)
         except TrajectoryEnds as ends:
-            result.stopped, result.points = Status.NO_CONVERGENCE, ends.point[None, :]
+            result = MarchResult(stopped=Status.NO_CONVERGENCE, points=ends.point[None, :])
             self.ends = ends.time
-            return result
-        finally:
-            self.integrated += trajectories.count
-            self.tightness = trajectories.tightness
+        self.integrated += trajectories.count
+        self.tightness = trajectories.tightness
+        result.sampled = trajectories.work
+        return result
 
     def _marched(
         self, trajectories: Trajectories, level: float, number: int, report: Report
