@@ -24,11 +24,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-import rankone as ro
-from rankone.budget import limited
-from tests.honesty.cases import KINDS, case
-from tests.problems import EXAMPLES
-from tests.reference.published import PUBLISHED
+import rankone as ro  # noqa: E402
+from rankone.budget import limited  # noqa: E402
+from tests.honesty.cases import KINDS, case  # noqa: E402
+from tests.problems import EXAMPLES  # noqa: E402
+from tests.reference.published import PUBLISHED  # noqa: E402
 
 LONG = 0.1
 """Processor seconds from which a solve counts in the summary."""
