@@ -226,7 +226,7 @@ class CompiledProblem:
             Another end of the horizon.
         progress : bool or callable
             True shows a bar on stderr; a callable gets a
-            :class:`~rankone.progress.ProgressEvent` after each slab (cross: after each attempt).
+            :class:`~rankone.progress.ProgressEvent` after each slab (cross: each batch of samples).
         check : bool or int
             Number of check points in the interior, spread evenly (96 for True, at most 100000).
             False skips the check; the solution then does not count as a success.

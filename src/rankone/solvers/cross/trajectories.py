@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,8 @@ class Trajectories:
         Largest number of trajectories.
     workers : Workers, optional
         Where they are integrated.
+    done : callable, optional
+        Told the part of those that were asked for that is done, batch after batch.
 
     Attributes
     ----------
@@ -84,8 +87,9 @@ class Trajectories:
         tightness: float,
         most: int,
         workers: Workers | None = None,
+        done: Callable[[float], None] | None = None,
     ) -> None:
-        self.workers = workers or Workers(yardstick.system)
+        self.workers, self.done = workers or Workers(yardstick.system), done
         self.yardstick, self.grid, self.wanted, self.most = yardstick, grid, wanted, most
         self.stiff = self.calibrated = yardstick.reference.avoided > _BEARABLE
         self.tightness = _STIFF if self.stiff else tightness
@@ -172,7 +176,8 @@ class Trajectories:
         tasks = [(chunk, *given) for chunk in chunks]
         before = work_done()
         try:
-            return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
+            found = self.workers.map(_integrated, tasks, TrajectoryEnds, done=self.done)
+            return np.concatenate(found, axis=1)
         finally:
             self.work += work_done() - before
 
