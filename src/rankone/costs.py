@@ -122,7 +122,7 @@ def svd(rows: float, columns: float) -> float:
 
 def inverse(size: int, real: bool) -> float:
     """The inverse of one matrix of a stack."""
-    return (100.0 + size**2 * (20.0 + 0.2 * size)) * (1.0 if real else 2.0)
+    return (100.0 + size**2 * (20.0 + 0.3 * size)) * (1.0 if real else 2.0)
 
 
 def eigenvalues(size: int) -> float:
