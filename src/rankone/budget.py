@@ -19,6 +19,7 @@ from rankone.options import checked_number
 
 __all__ = [
     "EFFORT_HELP",
+    "LEAST_EFFORT",
     "NORMAL",
     "Account",
     "OutOfBudgetError",
@@ -40,7 +41,7 @@ EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best
 NORMAL = 2.5e10
 """Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
-_LEAST, _MOST = 1e-6, 1e6
+LEAST_EFFORT, _MOST = 1e-6, 1e6
 """Factors on the budget that are accepted."""
 _SECONDS = 1e-9
 """Seconds that an operation takes, about: what would end after the deadline is not begun."""
@@ -196,4 +197,4 @@ def operations_for(effort: str | float) -> float:
             remedy = "choose 'low', 'normal', 'high' or a positive factor"
             raise OptionError(f"effort={effort!r} is unknown", term=effort, remedy=remedy)
         return NORMAL * _EFFORTS[effort]
-    return NORMAL * float(checked_number("effort", effort, _LEAST, _MOST, float))
+    return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, _MOST, float))

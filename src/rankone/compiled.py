@@ -40,6 +40,7 @@ from rankone.codegen import (
     general_equation_texts,
     general_source,
     generate_source,
+    switching_term,
 )
 from rankone.codegen.recipe import Recipe
 from rankone.errors import ConvergenceError, OptionError, SeparationError, check_kind
@@ -52,6 +53,7 @@ from rankone.options import check_points, refuse_positional
 from rankone.progress import Report, resolve_progress
 from rankone.solution import Solution
 from rankone.solution_core import raise_blow_up
+from rankone.solvers.outcome import Status
 from rankone.solvers.registry import AUTO, ENGINES, engines_for
 from rankone.solvers.task import Asked, Task
 from rankone.symbolic import (
@@ -225,7 +227,7 @@ class CompiledProblem:
             Another end of the horizon.
         progress : bool or callable
             True shows a bar on stderr; a callable gets a
-            :class:`~rankone.progress.ProgressEvent` after each slab (cross: after each attempt).
+            :class:`~rankone.progress.ProgressEvent` after each slab (cross: each batch of samples).
         check : bool or int
             Number of check points in the interior, spread evenly (96 for True, at most 100000).
             False skips the check; the solution then does not count as a success.
@@ -285,10 +287,20 @@ class CompiledProblem:
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        solution = Solution(replace(outcome, timings=timings), metadata)
-        raise_blow_up(solution)
+        message, smoothing = outcome.message, None
+        if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
+            smoothing = switching_term(self.first_order, outcome.switching)
+            message = "; ".join(filter(None, [message, smoothing]))
+        solution = Solution(replace(outcome, timings=timings, message=message), metadata)
+
+        def again(intervals: Mapping[str, tuple[float, float]], factor: float) -> Solution:
+            smaller = asked.on_part(intervals, factor)
+            given = {name: getattr(smaller, name) for name in asked.keywords()}
+            return self.solve(**given, method=method, **options)
+
+        raise_blow_up(solution, again, smoothing)
         if on_failure == "raise" and not solution.success:
-            raise ConvergenceError(outcome.message, solution=solution)
+            raise ConvergenceError(message, solution=solution)
         return solution
 
     def export(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 __all__ = [
@@ -110,14 +111,37 @@ class BlowUpError(ConvergenceError):
     parameters : dict of str to float
         Parameter values at which it was seen.
     solution : Solution or None
-        The verified part of the solution, up to shortly before ``time``.
+        For the whole box, up to shortly before ``time``; its error is measured.
+    part : Solution or None
+        For the whole horizon and a smaller box: one interval is shorter, so that as much as
+        possible of the box is kept. None if no such box is known, or a solve on it fails. It is
+        solved when it is first asked for, which may take as long as a solve; a copy by pickle
+        has it only if it was asked for before.
     """
 
     def __init__(
-        self, message: str, *, time: float = math.nan, parameters: Any = None, **where: Any
+        self,
+        message: str,
+        *,
+        time: float = math.nan,
+        parameters: Any = None,
+        part: Callable[[], Any] | None = None,
+        **where: Any,
     ) -> None:
         super().__init__(message, **where)
         self.time, self.parameters = time, dict(parameters or {})
+        self._solve_part, self._part = part, None
+
+    @property
+    def part(self) -> Any:
+        """A solution for the whole horizon on a smaller box, or None."""
+        if self._solve_part is not None:
+            self._part, self._solve_part = self._solve_part(), None
+        return self._part
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = {**self.__dict__, "_solve_part": None}
+        return type(self), self.args, state
 
 
 class RankoneWarning(UserWarning):

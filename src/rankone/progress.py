@@ -14,20 +14,21 @@ __all__ = ["ProgressEvent", "Report", "progress_bar", "quiet", "resolve_progress
 
 @dataclass(frozen=True, slots=True)
 class ProgressEvent:
-    """The state of a solve after a slab was accepted; for the cross engine after an attempt.
+    """The state of a solve after a slab was accepted; for the cross engine within an attempt.
 
     Attributes
     ----------
     time : float
-        End of the slab; for the cross engine that of what is solved.
+        End of the slab; for the cross engine the start of the horizon until an attempt is done.
     fraction : float
-        Fraction of the horizon solved in this attempt, 0 to 1.
+        Fraction of the horizon solved in this attempt, 0 to 1; for the cross engine the fraction
+        of the attempt's sweep over the parameters. It never falls within an attempt.
     attempt : int
         Index of the attempt, from 0; each starts the horizon again with a tighter tolerance.
     slabs : int
-        Number of slabs accepted in this attempt.
+        Number of slabs accepted in this attempt; for the cross engine of all.
     rank : int
-        Largest rank of the slab; for the cross engine that of the train over all slabs.
+        Largest rank of the slab; for the cross engine the largest so far.
     """
 
     time: float

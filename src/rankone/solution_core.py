@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,11 +20,20 @@ from rankone.coordinates import Coordinates, name_of
 from rankone.errors import BlowUpError, EvaluationError
 from rankone.metadata import SolutionMetadata
 from rankone.solvers.outcome import Outcome, Status
+from rankone.solvers.survival import PARTS, safe_sentence, solved_part
 from rankone.storage.npz import write
 from rankone.tensors.evaluator import Rows, TrainEvaluator
-from rankone.wording import did_you_mean, listing
+from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
+
+
+_ENDS = {
+    Status.BLOW_UP: "blows up inside the horizon",
+    Status.LEAVES: "comes to where its right-hand side is not finite",
+    Status.SWITCHES: "switches to and fro without end",
+}
+"""What a solution does whose trajectories do not reach the end of the horizon."""
 
 
 class SolutionCore:
@@ -304,24 +313,47 @@ def _memory() -> Iterator[None]:
         ) from None
 
 
-def raise_blow_up(solution: SolutionCore) -> None:
-    """Raise a BlowUpError that carries the solution if a trajectory has no end."""
+def raise_blow_up(
+    solution: SolutionCore,
+    again: Callable[[Mapping[str, tuple[float, float]], float], Any],
+    smoothing: str | None = None,
+) -> None:
+    """Raise a BlowUpError that carries the solution if a trajectory has no end.
+
+    ``again`` solves with other intervals of some parameters, and a factor on the budget;
+    ``smoothing`` says which term switches.
+    """
     outcome = solution.outcome
-    if outcome.status in (Status.BLOW_UP, Status.LEAVES) and outcome.blow_up is not None:
-        when, values = outcome.blow_up
-        where = dict(zip(solution.parameters, values, strict=True))
-        at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
-        how = "blows up inside the horizon"
-        if outcome.status is Status.LEAVES:
-            how = "comes to where its right-hand side is not finite"
-        raise BlowUpError(
-            f"the solution {how}: near t = {when:.4g}" + (f" at {at}" if at else ""),
-            time=when,
-            parameters=where,
-            solution=solution,
-            remedy=f"end the horizon before t = {when:.4g}, or narrow the box; the error carries "
-            f"the part up to t = {solution.time[1]:.4g} as .solution",
-        )
+    if not outcome.status.ends_early or outcome.blow_up is None:
+        return
+    when, values = outcome.blow_up
+    names, safe = tuple(solution.parameters), outcome.safe
+    where = dict(zip(names, values, strict=True))
+    at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
+    what = "the solution"
+    if outcome.switching is not None:
+        what = f"the rate of {quote(solution.states[outcome.switching])}"
+    remedy = f"end the horizon before t = {when:.4g}"
+    carried = f"the error carries the part up to t = {solution.time[1]:.4g} as .solution"
+    if safe:
+        remedy += f", or narrow the box: {safe_sentence(safe, names)} would do"
+        carried += ", and solves such a part of the box over the whole horizon for .part"
+    elif names:
+        remedy += ", or narrow the box"
+
+    def part() -> Any:
+        return solved_part(lambda j, ends: again({names[j]: ends}, 1.0 / PARTS), safe)
+
+    raise BlowUpError(
+        f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"
+        + (f" at {at}" if at else "")
+        + (f"; {smoothing}" if smoothing else ""),
+        time=when,
+        parameters=where,
+        solution=solution,
+        part=part if safe else None,
+        remedy=f"{remedy}; {carried}",
+    )
 
 
 def _rows(positions: Sequence[int]) -> Rows:

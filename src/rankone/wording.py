@@ -70,9 +70,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f" (did you mean {quote(lowered[close[0]])}?)" if close else ""
 
 
-def count(n: int, noun: str) -> str:
-    """Return ``"1 unknown"`` or ``"2 unknowns"``."""
-    return f"{n} {noun}" + ("" if n == 1 else "s")
+def count(n: int, noun: str, plural: str | None = None) -> str:
+    """Return ``"1 unknown"`` or ``"2 unknowns"``; a plural without "s" is given."""
+    return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
 def number(value: Fraction | float) -> str:

@@ -5,6 +5,7 @@ import pytest
 
 import rankone as ro
 from rankone.errors import EvaluationError, OptionError
+from tests.estimation.multimodal import CASES, LEAST
 from tests.estimation.systems import decay
 
 
@@ -27,6 +28,7 @@ def test_of_an_unknown():
     assert best.values == {"y": best.fun}
     low = solution.minimize("y", t)
     assert low.x == {"k": 0.1}
+    assert low.is_global
     assert "`k` at its lower bound" in low.message
 
 
@@ -54,6 +56,46 @@ def test_constraints():
     assert "`u` misses its limits by 7.9" in none.message
 
 
+def found_least(name):
+    case = CASES[name]
+    best = case.solution.minimize(case.objective, case.at, sense=case.sense)
+    assert case.is_least(case.value(list(best.x.values())), LEAST[name]), best.message
+    return best
+
+
+@pytest.mark.parametrize(
+    "name", ["rastrigin 4", "schwefel 4", "shekel", "two frequencies, two amplitudes"]
+)
+def test_the_minimum_over_the_box(name):
+    """Each has many minima, and one search from the best of a sample ends in another one."""
+    best = found_least(name)
+    assert best.is_global
+    assert best.agreeing > 1
+    assert f"{best.agreeing} of {best.searches} searches ended at this minimum" in best.message
+
+
+@pytest.mark.slow
+def test_the_minima_of_thirty_problems():
+    """Differential evolution tells the truth (``python -m tests.estimation.multimodal``)."""
+    assert len(CASES) == 30
+    for name in CASES:
+        found_least(name)
+
+
+def test_a_minimum_that_may_be_local():
+    case = CASES["rastrigin 4"]
+    start = dict.fromkeys(case.box, -2.6)
+    best = case.solution.minimize(case.objective, case.at, start=start, starts=0)
+    assert best.success
+    assert not best.is_global
+    assert "may be a local one; remedy: raise effort, or narrow the bounds" in best.message
+    assert best.fun > LEAST["rastrigin 4"] + 1
+    low = case.solution.minimize(case.objective, case.at, effort="low")
+    assert low.searches <= 4 + 2
+    again = case.solution.minimize(case.objective, case.at, start=start, starts=0)
+    assert again == best
+
+
 @pytest.mark.parametrize(
     ("arguments", "given", "message"),
     [
@@ -62,6 +104,7 @@ def test_constraints():
         (("u", [1.0, 2.0]), {}, "best at several times"),
         (("u",), {}, "no times are given"),
         (("u", 1.0), {"sense": "up"}, "sense='up'"),
+        (("u", 1.0), {"effort": "huge"}, "effort='huge' is unknown"),
         (("u", 1.0), {"fixed": {"k": 1, "a": 1}}, "all parameters are fixed"),
         (("u", 1.0), {"constraints": {"w": (0, 1)}}, "no unknown `w`"),
         (("u", 1.0), {"constraints": {"u": 1}}, "the limits of `u` are 1"),

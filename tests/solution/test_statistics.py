@@ -2,6 +2,7 @@
 
 import functools
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -291,3 +292,27 @@ def test_the_same_as_by_sampling():
         apart = np.abs(found[0, :, 0] - sampled[key])
         assert (apart <= 2 * sampled[f"{key}_conf"]).all()
         assert (sampled[f"{key}_conf"] < 0.2).all()
+
+
+def hidden_and_vague():
+    """``u`` varies clearly, ``v`` by 2.9 and ``w`` by 0.14 of the error that is stated."""
+    rates = {"u": "k", "v": "1 + 1e-3*k", "w": "1 + 5e-5*k"}
+    problem = ro.Problem.from_strings(rates, dict.fromkeys(rates, "1"), {"k": (0, 1)}, (0, 1))
+    solution = ro.solve(problem, 1e-6)
+    measured = replace(solution.outcome.measured, interior=(5e-5,) * 3)
+    return ro.Solution(replace(solution.outcome, measured=measured), solution.metadata)
+
+
+def test_indices_below_the_error_are_said():
+    with pytest.warns(ro.RankoneWarning) as caught:
+        sobol = hidden_and_vague().sobol([0.0, 0.9, 1.0])
+    assert np.isnan(sobol.first[2]).all()
+    assert np.isfinite(sobol.first[1, :, 2]).all()
+    (message,) = (str(warning.message) for warning in caught)
+    assert "indices of `w` are NaN at 2 times between t = 0.9 and 1: its spread" in message
+    assert "over the box, 1.4e-05, is below the error of the solution, 0.0001" in message
+    assert "indices of `v` are uncertain" in message
+    assert "`u`" not in message
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hidden_and_vague().sobol(0.0)

@@ -9,6 +9,7 @@
 ``derivatives``     derivatives of expressions in real symbols
 ``events``          where rates switch or are narrow: over states, and over several coordinates
 ``switching``       where functions of one coordinate switch
+``switching_term``  a term that switches over the unknowns, named where a solve fails
 ``narrow``          peaks, steps and valleys of smooth functions
 ``initial``         initial values that couple parameters
 ``jumps``           states that are reset at known times
@@ -26,6 +27,7 @@
 from rankone.codegen.general import general_equation_texts, general_source
 from rankone.codegen.header import equation_texts
 from rankone.codegen.module import generate_source, load_module
+from rankone.codegen.switching_term import switching_term
 
 __all__ = [
     "equation_texts",
@@ -33,4 +35,5 @@ __all__ = [
     "general_source",
     "generate_source",
     "load_module",
+    "switching_term",
 ]

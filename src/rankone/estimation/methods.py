@@ -169,12 +169,15 @@ class EstimationFromData(SolutionCore):
         start: Mapping[Any, Any] | None = None,
         bounds: Mapping[Any, Any] | None = None,
         constraints: Mapping[Any, Any] | None = None,
-        starts: int = 4,
+        starts: int = 16,
+        effort: str | float = "normal",
     ) -> Optimum:
         """The parameters for which an unknown, or a function of the unknowns, is least.
 
-        Sequential quadratic programming (SciPy) with derivatives from the separated form, from
-        the best of points all over the box.
+        The objective is looked at all over the box (a Sobol sequence, the centre, corners). From
+        the best points of the basins seen there, and from the best after 30 generations of
+        differential evolution, searches begin: sequential quadratic programming (SciPy) with
+        derivatives from the separated form. The same call gives the same result.
 
         Parameters
         ----------
@@ -185,8 +188,13 @@ class EstimationFromData(SolutionCore):
         t : float or array_like
             Time of the objective; several for a function. None if nothing depends on time.
         sense : {"min", "max"}
-        fixed, start, bounds, starts
+        fixed, start, bounds
             As for :meth:`fit`.
+        starts : int
+            Most searches from basins of the box; half as many follow from the last generation. 0
+            with a ``start`` searches from there alone.
+        effort : {"low", "normal", "high"} or float
+            Factor on the number of points, generations and searches: 0.2, 1, 10 or another one.
         constraints : mapping, optional
             For unknowns ``(lower, upper)`` at the times ``t``, or ``(lower, upper, times)``; None
             for no limit. Limits are numbers, or one for each time; they hold at these times.
@@ -194,7 +202,8 @@ class EstimationFromData(SolutionCore):
         Returns
         -------
         Optimum
-            With ``x``, ``fun``, ``success``, ``message`` and ``values``.
+            With ``x``, ``fun``, ``success``, ``message`` and ``values``. ``is_global`` says
+            whether it is the best of the box as far as seen, or may be local.
 
         Raises
         ------
@@ -211,4 +220,5 @@ class EstimationFromData(SolutionCore):
             bounds=bounds,
             constraints=constraints,
             starts=starts,
+            effort=effort,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,18 +11,28 @@ import numpy as np
 from scipy.optimize import minimize as scipy_minimize
 
 from rankone.arrays import Array
+from rankone.budget import NORMAL, operations_for
 from rankone.errors import OptionError
+from rankone.estimation.basins import basins, evolved, screened
 from rankone.estimation.free import Free, free_parameters
 from rankone.estimation.model import TrainModel
 from rankone.estimation.observations import checked_times, state_name
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
-from rankone.spread import spread
-from rankone.wording import listing, quote, shown
+from rankone.wording import count, listing, quote, shown
 
 __all__ = ["Optimum", "minimize"]
 
-_LOOKED_AT = 256
+_LOOKED_AT, _GENERATIONS = 1024, 30
+"""Points all over the box at which the objective is looked at, and generations of the best."""
+_MOST_STARTS, _MOST_POINTS = 256, 2**17
+_SECOND = 2
+"""Searches from the basins of the sample over those from the last generation."""
+_VALUES = 2_000_000
+"""Values of unknowns that are held together."""
+_SAME, _MISSED = 1e-6, 1e3
+"""Difference of objectives, relative to their range over the box, up to which minima are as good;
+weight of constraints that are missed."""
 _FEASIBLE = 1e-6
 """How far a constraint may be missed, in units of the spread of its unknown over the box."""
 _STEP = 1e-6
@@ -51,6 +61,13 @@ class Optimum:
         All parameters, fixed ones as well.
     evaluations : int
         Number of evaluations of the objective with its derivatives.
+    searches : int
+        Number of searches.
+    agreeing : int
+        How many of them ended at a value as good as this one.
+    is_global : bool
+        Whether this is the best of the box as far as it was looked at: several searches agree, or
+        every basin of the points that were looked at was searched. Otherwise it may be local.
     """
 
     x: dict[str, float]
@@ -60,6 +77,9 @@ class Optimum:
     values: dict[str, Any]
     parameters: dict[str, float]
     evaluations: int
+    searches: int = 1
+    agreeing: int = 1
+    is_global: bool = False
 
 
 class _States:
@@ -80,9 +100,12 @@ class _States:
         slopes = slopes[0].reshape(*self._shape, -1) * self.free.width
         return values[0].reshape(self._shape), slopes
 
-    def many(self, z: Array) -> Array:
-        """Values at points (N, n): shape (N, states, times)."""
-        return self._model.values(self.free.points(z)).reshape(len(z), *self._shape)
+    def many(self, z: Array) -> Iterator[Array]:
+        """Values (states, times) at points (N, n), one after the other."""
+        size = max(_VALUES // max(math.prod(self._shape), 1), 1)
+        for begin in range(0, len(z), size):
+            points = self.free.points(z[begin : begin + size])
+            yield from self._model.values(points).reshape(-1, *self._shape)
 
 
 @dataclass(frozen=True)
@@ -105,8 +128,8 @@ class _Constraint:
 
     def missed(self, z: Array) -> Array:
         """Sum by which the limits are missed at points (N, n): shape (N,)."""
-        values = self.states.many(z)[:, 0]
-        return np.array([-np.minimum(self._inside(row), 0.0).sum() for row in values])
+        values = self.states.many(z)
+        return np.array([-np.minimum(self._inside(row[0]), 0.0).sum() for row in values])
 
     def _inside(self, values: Array) -> Array:
         below, above = np.isfinite(self.lower), np.isfinite(self.upper)
@@ -146,6 +169,10 @@ class _Objective:
                 f"the objective gives {shown(found)}, not a number", term=found
             ) from None
 
+    def many(self, z: Array) -> Array:
+        """The objective at points (N, n), unscaled and with its own sign."""
+        return np.array([self.at(v, one) for v, one in zip(self.states.many(z), z, strict=True)])
+
     def __call__(self, z: Array) -> tuple[float, Array]:
         """Scaled value and gradient (n,)."""
         self.evaluations += 1
@@ -173,14 +200,15 @@ def minimize(
     start: Mapping[Any, Any] | None = None,
     bounds: Mapping[Any, Any] | None = None,
     constraints: Mapping[Any, Any] | None = None,
-    starts: int = 4,
+    starts: int = 16,
+    effort: str | float = "normal",
 ) -> Optimum:
     """The best parameters; arguments and errors are those of :meth:`~rankone.Solution.minimize`."""
     solution._evaluator  # noqa: B018 - raises if nothing was solved
     if sense not in ("min", "max"):
         raise OptionError(f"sense={sense!r} is unknown", remedy='choose "min" or "max"')
     free = free_parameters(solution, fixed, bounds, start)
-    starts = checked_number("starts", starts, 0 if start is not None else 1, _LOOKED_AT)
+    starts = checked_number("starts", starts, 0 if start is not None else 1, _MOST_STARTS)
     times, one = checked_times(solution, t), np.ndim(t) == 0
     by_name = isinstance(objective, str) or not _is_function(objective)
     names = [state_name(solution, objective)] if by_name else list(solution.states)
@@ -193,53 +221,115 @@ def minimize(
     states = _States(solution, names, times, free)
     function = None if by_name else objective
     goal = _Objective(states, function, 1.0 if sense == "min" else -1.0, one)
-    points = spread(_LOOKED_AT, len(free.names), np.random.default_rng(7))
-    limits = _constraints(solution, constraints, t, free, points)
-    found = np.array([goal.at(v, z) for v, z in zip(states.many(points), points, strict=True)])
-    usable = np.isfinite(found)
+    factor = operations_for(effort) / NORMAL
+    starts = min(math.ceil(factor * starts), _MOST_STARTS)
+    points = screened(min(math.ceil(factor * _LOOKED_AT), _MOST_POINTS), len(free.names))
+    limits = _constraints(solution, constraints, t, free, points[:_MOST_STARTS])
+    values = goal.many(points)
+    usable = np.isfinite(values)
     if not usable.any():
         raise OptionError("the objective is not finite anywhere in the box", term=objective)
-    goal.scale = float(np.ptp(found[usable])) or 1.0
-    missed = np.sum([limit.missed(points) for limit in limits], axis=0) if limits else 0.0 * found
-    merit = np.where(usable, goal.sign * found / goal.scale + 1e3 * missed, np.inf)
-    chosen = [] if free.start is None else [free.start]
-    chosen += list(points[np.argsort(merit)][:starts])
-    return _best(goal, limits, chosen)
+    goal.scale = float(np.ptp(values[usable])) or 1.0
+    merit = _Merit(goal, limits)
+    merits = merit.of(values, points)
+    lowest = points[basins(points, merits)]
+    minima = [] if free.start is None else [merit.search(free.start)]
+    minima += [merit.search(point) for point in lowest[:starts]]
+    if starts:
+        ends = np.array([minimum.z for minimum in minima])
+        pool = np.concatenate([ends, points]), np.concatenate([merit(ends), merits])
+        second = evolved(merit, *pool, math.ceil(factor * _GENERATIONS))[: -(-starts // _SECOND)]
+        minima += [merit.search(point) for point in second]
+    return _optimum(merit, minima, len(lowest) <= starts)
 
 
-def _best(goal: _Objective, limits: Sequence[_Constraint], starts: Sequence[Array]) -> Optimum:
-    """The best of the searches from all starts (sequential quadratic programming)."""
-    given = [{"type": "ineq", "fun": limit.margins, "jac": limit.slopes} for limit in limits]
-    best: tuple[tuple[float, float], Array, bool, str] | None = None
-    for start in starts:
-        done = _search(goal, start, given)
+@dataclass(frozen=True)
+class _Minimum:
+    """Where a search ended: scaled objective, and by how much a constraint is missed."""
+
+    z: Array
+    value: float
+    missed: float
+    ended: bool
+    message: str
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The best minimum has the least."""
+        return self.missed, self.value
+
+    def as_good_as(self, other: _Minimum) -> bool:
+        """Whether a search ended at a minimum with the same value as another one."""
+        return self.missed <= other.missed and self.value <= other.value + _SAME
+
+
+@dataclass(frozen=True)
+class _Merit:
+    """The objective, scaled, with what constraints are missed by."""
+
+    goal: _Objective
+    limits: Sequence[_Constraint]
+
+    def __call__(self, points: Array) -> Array:
+        """Merits of points (N, n), the least the best; infinite where the objective is not."""
+        return self.of(self.goal.many(points), points)
+
+    def of(self, values: Array, points: Array) -> Array:
+        """The same where the values of the objective are known."""
+        merits = self.goal.sign * values / self.goal.scale
+        for limit in self.limits:
+            merits = merits + _MISSED * limit.missed(points)
+        return np.where(np.isfinite(merits), merits, np.inf)
+
+    def search(self, start: Array) -> _Minimum:
+        """Where sequential quadratic programming ends from a start."""
+        given = [{"type": "ineq", "fun": each.margins, "jac": each.slopes} for each in self.limits]
+        done = _search(self.goal, start, given)
         z = np.clip(done.x, 0.0, 1.0)
-        missed = max((float(-limit.margins(z).min()) for limit in limits), default=0.0)
+        missed = max((float(-limit.margins(z).min()) for limit in self.limits), default=0.0)
         missed = missed if missed > _FEASIBLE else 0.0
-        rank = missed, float(done.fun) if math.isfinite(done.fun) else math.inf
-        if best is None or rank < best[0]:
-            best = rank, z, bool(done.success), str(done.message)
-    assert best is not None
-    (missed, _), z, ended, message = best
-    values = goal.states(z)[0]
-    free = goal.states.free
-    if missed:
-        message = f"no parameters were found that fulfil the constraints: {_worst(limits, z)}"
-    elif ended:
-        message = (
-            "the search ended at a minimum" if goal.sign > 0 else "the search ended at a maximum"
-        )
-        message += _edges(free, z)
-    every = {**free.named(z), **free.fixed}
+        value = float(done.fun) if math.isfinite(done.fun) else math.inf
+        return _Minimum(z, value, missed, bool(done.success), str(done.message))
+
+
+def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Optimum:
+    """The best of the minima; ``every_basin``: all basins of the sample were searched."""
+    best = min(minima, key=lambda minimum: minimum.rank)
+    best = next((each for each in minima if each.ended and each.as_good_as(best)), best)
+    agreeing = sum(minimum.as_good_as(best) for minimum in minima)
+    goal, free = merit.goal, merit.goal.states.free
+    values = goal.states(best.z)[0]
+    every = {**free.named(best.z), **free.fixed}
+    success = best.ended and not best.missed
+    is_global = success and (every_basin or agreeing > 1)
+    message = best.message
+    if best.missed:
+        missed = _worst(merit.limits, best.z)
+        message = f"no parameters were found that fulfil the constraints: {missed}"
+    elif best.ended:
+        what = "minimum" if goal.sign > 0 else "maximum"
+        message = f"{_told(what, len(minima), agreeing, is_global)}{_edges(free, best.z)}"
     return Optimum(
-        x=free.named(z),
-        fun=goal.at(values, z),
-        success=ended and not missed,
+        x=free.named(best.z),
+        fun=goal.at(values, best.z),
+        success=success,
         message=message,
         values=goal.named(values),
         parameters={name: every[name] for name in free.order},
         evaluations=goal.evaluations,
+        searches=len(minima),
+        agreeing=agreeing,
+        is_global=is_global,
     )
+
+
+def _told(what: str, searches: int, agreeing: int, is_global: bool) -> str:
+    """What kind of minimum the searches ended at."""
+    said = f"{agreeing} of {count(searches, 'search', 'searches')} ended at"
+    if is_global:
+        return f"{said} this {what}, the best of the box as far as seen"
+    remedy = "remedy: raise effort, or narrow the bounds"
+    return f"{said} this {what}, which may be a local one; {remedy}"
 
 
 def _search(goal: _Objective, start: Array, constraints: Sequence[Mapping[str, Any]]) -> Any:
@@ -306,7 +396,7 @@ def _constraints(
                 term=limits,
                 remedy="give a lower limit that is not above the upper one",
             )
-        scale = float(np.ptp(states.many(points))) or 1.0
+        scale = float(np.ptp(list(states.many(points)))) or 1.0
         found.append(_Constraint(states, lower, upper, scale))
     return found
 

@@ -47,7 +47,11 @@ def solve_system(
     """Solve the system on its own box and horizon, or on others."""
     check_points(asked.check)
     solution = SolutionCore(*Task.of((engine,), system, asked).run(metadata))
-    raise_blow_up(solution)
+
+    def again(intervals: Mapping[str, tuple[float, float]], factor: float) -> SolutionCore:
+        return solve_system(engine, system, metadata, asked.on_part(intervals, factor))
+
+    raise_blow_up(solution, again)
     return solution
 
 

@@ -30,7 +30,7 @@ __all__ = ["plot_main_effects", "plot_sobol"]
 
 _TIMES = 201
 _VALUES = 101
-_ROUNDING = 1e-12
+
 _WORDS = {"first": "first-order", "total": "total"}
 
 Kind = Literal["total", "first", "both"]
@@ -93,14 +93,10 @@ def plot_sobol(
     _needs_parameters(solution)
     times = sometimes_of(solution, t, _TIMES)
     over: dict[str, Any] = {"under": under, "correlation": correlation}
-    found = solution.sobol(times, **over)
+    found, _ = solution._indices(times, **over)
     row, count = found.unknowns.index(name), len(found.parameters)
     kinds = ("total", "first") if kind == "both" else (kind,)
-    sure = _varies(solution, row, times, over)
-    shares = {
-        one: np.where(sure, np.reshape(getattr(found, one)[row], (count, -1)), np.nan)
-        for one in kinds
-    }
+    shares = {one: np.reshape(getattr(found, one)[row], (count, -1)) for one in kinds}
     if not any(np.isfinite(one).any() for one in shares.values()):
         raise EvaluationError(
             f"{quote(name)} does not vary by more than its error: there are no Sobol indices",
@@ -201,17 +197,6 @@ def _needs_parameters(solution: Solution) -> None:
             "the solution has no parameters: there is nothing that varies",
             remedy="plot_trajectories plots its unknowns over time",
         )
-
-
-def _varies(solution: Solution, row: int, times: Array | None, over: Mapping[str, Any]) -> Array:
-    """Whether the spread of an unknown at each time is above its measured error."""
-    everywhere = sometimes_of(solution, None, _TIMES)
-    mean = np.ravel(solution.mean(everywhere, **over)[row])
-    std = np.ravel(solution.std(everywhere, **over)[row])
-    size = float(np.hypot(mean, std).max())
-    error = solution.errors[solution.unknowns[row]]
-    least = size * (error if np.isfinite(error) else _ROUNDING)
-    return np.asarray(np.ravel(solution.std(times, **over)[row]) > least)
 
 
 def _at(solution: Solution, time: float | None) -> str:

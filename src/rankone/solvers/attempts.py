@@ -19,10 +19,13 @@ from rankone.options import Options
 from rankone.progress import Report
 from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.solvers.outcome import Measured, Outcome, SafeInterval, SlabRecord, Status
 from rankone.solvers.residual import doubtful_points
+from rankone.solvers.survival import safe_intervals
+from rankone.solvers.verdict import Verdict, spent_sentence
 from rankone.solvers.verification import Yardstick
 from rankone.system import System
+from rankone.wording import quote
 
 __all__ = ["Attempt", "Marcher", "Progress", "solve_in_attempts"]
 
@@ -71,8 +74,11 @@ class Attempt:
         """How the solve ended, if this attempt is what it came to."""
         limits = [status for status in _CAUSES if status in self.result.limits]
         stopped = self.result.stopped
-        if yardstick.reference.blown is not None:
-            return Status.BLOW_UP if yardstick.reference.large else Status.LEAVES
+        reference = yardstick.reference
+        if reference.blown is not None:
+            if reference.switching is not None:
+                return Status.SWITCHES
+            return Status.BLOW_UP if reference.large else Status.LEAVES
         if stopped is not None:
             return limits[0] if stopped is Status.NO_CONVERGENCE and limits else stopped
         if not yardstick.checked:
@@ -80,25 +86,6 @@ class Attempt:
         if self.error <= rtol:
             return Status.CONVERGED
         return limits[0] if limits else Status.TOLERANCE
-
-    def message(self, status: Status, rtol: float, cause: str) -> str:
-        """The sentence a user reads: how it ended, the figures, and how far it came."""
-        text, slabs = cause, self.result.slabs
-        if self.measured is not None:
-            corner = self.measured.corner_error
-            worse = corner > max(rtol, self.error)
-            if worse and status is Status.CONVERGED:
-                text += " in the interior of the box"
-            figures = f"{self.error:.1e} of {rtol:.1e}"
-            if status is not Status.CONVERGED:
-                figures = f"measured error {self.error:.1e}, asked {rtol:.1e}"
-            text += f": {figures}"
-            if worse:
-                text += f" (up to {corner:.1e} at the corners, which cover='box' asks for too)"
-        if self.result.stopped is not None and not self.result.whole:
-            reached = f"at t = {slabs[-1].end:.6g}" if slabs else "before the first slab"
-            text += f"; stopped {reached}"
-        return text
 
 
 @dataclass
@@ -132,6 +119,16 @@ class Stages:
     def __init__(self) -> None:
         self.timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
         self.work = dict.fromkeys(self.timings, 0.0)
+        self.budget, self.sampled = work_left(), 0.0
+
+    @property
+    def named(self) -> dict[str, float]:
+        """Operations by stage; samples and ranks apart where a march consists of both."""
+        if not self.sampled:
+            return self.work
+        ranks = self.work["march"] - self.sampled
+        work = {"reference": self.work["reference"], "samples": self.sampled, "ranks": ranks}
+        return {**work, "check": self.work["check"]}
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
@@ -184,12 +181,7 @@ def solve_in_attempts(
                 marcher = prepared(request, yardstick)
                 marcher.yardstick = yardstick
         except OutOfBudgetError as out:
-            status = Status.of_limit(out)
-            message = f"{status.value} by the reference trajectories"
-            if out.args:
-                message += ", at t = {:.6g} after {} steps".format(*out.args)
-            message += f"; {_REMEDIES[status]}"
-            return Outcome((), status, message, None, (), stages.timings, stages.work)
+            return _out_at_reference(Status.of_limit(out), out.args, system, stages)
         best, records, met = _attempts(marcher, request, report, stages)
     yardstick = marcher.yardstick
     status = best.status(yardstick, request.rtol)
@@ -200,13 +192,38 @@ def solve_in_attempts(
             status, cause = marcher.explained(status, best)
         except OutOfBudgetError:
             cause = status.value
-    message = best.message(status, request.rtol, cause) + yardstick.zeros
-    remedies = {**_REMEDIES, **marcher.remedies}
-    if status in remedies:
-        message += f"; {remedies[status]}"
+    remedy = {**_REMEDIES, **marcher.remedies}.get(status)
+    measure = status, cause, request.rtol, best.measured, best.result
+    message = str(Verdict(*measure, system.STATES, stages.named, stages.budget, remedy))
+    message += yardstick.zeros
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
+    safe: tuple[SafeInterval, ...] = ()
+    if blow_up is not None and yardstick.reference.switching is None:
+        with stages.of("reference"):
+            safe = safe_intervals(system, domain, yardstick.cuts, np.array(blow_up[1]))
+    ended = blow_up, safe, yardstick.reference.switching
+    return Outcome(
+        slabs, status, message, best.measured, tuple(records), stages.timings, stages.work, *ended
+    )
+
+
+def _out_at_reference(
+    status: Status, reached: tuple[Any, ...], system: System, stages: Stages
+) -> Outcome:
+    """The outcome when a limit is met by the reference; ``reached`` tells how far it came."""
+    cause, switching = f"{status.value} by the reference trajectories", None
+    if reached:
+        time, steps, switching = reached
+        cause += f", at t = {time:.6g} after {steps} steps"
+    if switching is not None:
+        name = quote(system.STATES[switching])
+        cause += f", where the rate of {name} switches to and fro"
+    took = spent_sentence(stages.work, stages.budget)
+    message = "; ".join(
+        filter(None, [cause, took, _REMEDIES[status] if switching is None else None])
+    )
     spent = stages.timings, stages.work
-    return Outcome(slabs, status, message, best.measured, tuple(records), *spent, blow_up)
+    return Outcome((), status, message, None, (), *spent, switching=switching)
 
 
 def _attempts(
@@ -225,6 +242,7 @@ def _attempts(
             except OutOfBudgetError as out:
                 result = MarchResult(stopped=Status.of_limit(out))
         records += result.records
+        stages.sampled += result.sampled
         before = marcher.yardstick
         with stages.of("check"):
             attempt = Attempt(result, before.measured(result.slabs))

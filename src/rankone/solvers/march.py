@@ -69,7 +69,7 @@ class MarchResult:
     parameter points at which the error must be within the tolerance too if it is at those that are
     always taken, or at which the march met its end; ``doubtful`` (k, d) are those at which the
     residual says that it is not. ``whole`` says that the slabs reach the end
-    although it was stopped.
+    although it was stopped. ``sampled`` are operations that went into trajectories.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)
@@ -79,6 +79,7 @@ class MarchResult:
     points: Array | None = None
     doubtful: Array | None = None
     whole: bool = False
+    sampled: float = 0.0
 
 
 @dataclass(frozen=True)

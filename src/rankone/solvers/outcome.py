@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from rankone.budget import OutOfBudgetError, OutOfWorkError
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Measured", "Outcome", "SlabRecord", "Status"]
+__all__ = ["Measured", "Outcome", "SafeInterval", "SlabRecord", "Status"]
 
 
 class Status(Enum):
@@ -28,7 +28,13 @@ class Status(Enum):
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     STEEP = "the solution depends steeply on a parameter"
     BLOW_UP = "a trajectory blows up inside the horizon"
+    SWITCHES = "a trajectory switches to and fro without end"
     LEAVES = "a trajectory comes to where its right-hand side is not finite"
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether a trajectory does not reach the end of the horizon."""
+        return self in (Status.BLOW_UP, Status.LEAVES, Status.SWITCHES)
 
     @classmethod
     def of_limit(cls, error: OutOfBudgetError) -> Status:
@@ -120,6 +126,34 @@ class Measured:
         return max((errors[i] for i in counted if errors), default=0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class SafeInterval:
+    """A shorter interval of one parameter, without the trajectories seen to have an early end.
+
+    Attributes
+    ----------
+    parameter : int
+    lower, upper : float
+    below : bool
+        Whether the upper end was moved, and not the lower one.
+    share : float
+        Its length over that of the whole interval.
+    """
+
+    parameter: int
+    lower: float
+    upper: float
+    below: bool
+    share: float
+
+    def shortened(self, kept: float) -> SafeInterval:
+        """The same with a part of its length, away from where trajectories end."""
+        length, share = kept * (self.upper - self.lower), kept * self.share
+        if self.below:
+            return replace(self, upper=self.lower + length, share=share)
+        return replace(self, lower=self.upper - length, share=share)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The result of an engine.
@@ -138,6 +172,10 @@ class Outcome:
         Operations counted in the same stages: shares of the budget that ``effort`` sets.
     blow_up : tuple or None
         Time and parameter values near which a trajectory blows up.
+    safe : tuple of SafeInterval
+        Where the box would have to end instead, the one that keeps most of it first.
+    switching : int or None
+        The state whose rate switches to and fro where the reference trajectories came to an end.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -148,6 +186,8 @@ class Outcome:
     timings: dict[str, float] = field(default_factory=dict)
     work: dict[str, float] = field(default_factory=dict)
     blow_up: tuple[float, tuple[float, ...]] | None = None
+    safe: tuple[SafeInterval, ...] = ()
+    switching: int | None = None
 
     @property
     def error(self) -> float:

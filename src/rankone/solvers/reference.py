@@ -14,6 +14,7 @@ from rankone.arrays import Array
 from rankone.budget import OutOfBudgetError, charge
 from rankone.costs import Cost
 from rankone.errors import ConvergenceError
+from rankone.solvers.chatter import switching_state
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
 from rankone.solvers.rounding import rounding_errors
@@ -122,6 +123,8 @@ class Reference:
         Rounding errors of states that are tiny beside the others; 0 for all others.
     zero : ndarray of bool (n,)
         The states that are numerically zero.
+    switching : int or None
+        The state whose rate switches to and fro at ``end``, if that is why it ends.
     batches : tuple
         Number of points and dense output of each integration, in the order of the points.
     """
@@ -137,6 +140,7 @@ class Reference:
     floor: Any = np.inf
     rounded: Any = 0.0
     zero: Any = False
+    switching: int | None = None
 
     @property
     def stiff(self) -> bool:
@@ -165,6 +169,7 @@ class Reference:
             floor=np.minimum(self.floor, other.floor),
             rounded=np.where(both, np.maximum(self.rounded, other.rounded), 0.0),
             zero=self.zero & other.zero,
+            switching=first.switching,
         )
 
 
@@ -193,7 +198,8 @@ def integrate_reference(
     ConvergenceError
         If not a single step can be made.
     OutOfBudgetError
-        With the time reached and the number of steps.
+        With the time reached, the number of steps, and the state whose rate switches to and fro
+        there, or None.
     """
     between = _with_moving(system, points, start, end, cuts)
     stack = Stack(system, points, [start, *between, end])
@@ -212,7 +218,7 @@ def integrate_reference(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
             )
         except OutOfBudgetError as out:
-            raise type(out)(steps.times[-1], len(steps.pieces)) from out
+            raise type(out)(*steps.so_far(system, points, end - start)) from out
         if not steps.pieces:
             break
         largest, early = (
@@ -242,7 +248,7 @@ def integrate_reference(
             + ": the right-hand side is not finite there or varies without bound",
             remedy="check the initial values and the coefficients",
         )
-    blown, large = None, False
+    blown, large, switching = None, False, None
     size = np.maximum(size, rounding.floor)
     negligible = rtol * _NEGLIGIBLE * size
     reached = float(steps.times[-1])
@@ -250,12 +256,15 @@ def integrate_reference(
         blown = quickest(system, reached, state, points, negligible)
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
         large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)
+        chatter = None if large else switching_state(system, reached, state, points, end - start)
+        if chatter is not None:
+            switching, blown = chatter
     # At the time of a jump the states are those after it.
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces, alt_segment=True)
     batches = ((len(points), dense),)
     ends = start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large
     rounded = rounding.floor[:, 0], rounding.zero[:, 0]
-    return Reference(points, *ends, floor[:, 0], *rounded)
+    return Reference(points, *ends, floor[:, 0], *rounded, switching=switching)
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:
@@ -335,6 +344,17 @@ class _Steps:
         self.largest = np.maximum(self.largest, np.abs(solver.y))
         if len(self.pieces) <= _EARLY:
             self.early = self.largest
+
+    def so_far(
+        self, system: System, points: Array, horizon: float
+    ) -> tuple[float, int, int | None]:
+        """Time reached, number of steps, and the state whose rate switches to and fro there."""
+        time, count = self.times[-1], len(self.pieces)
+        if not count:
+            return time, count, None
+        states = self.pieces[-1](time).reshape(-1, len(points))
+        chatter = switching_state(system, time, states, points, horizon)
+        return time, count, None if chatter is None else chatter[0]
 
 
 def times_within(start: float, end: float, shares: Array) -> Array:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from rankone.budget import (
+    LEAST_EFFORT,
+    NORMAL,
     OutOfBudgetError,
     limited,
     operations_for,
@@ -33,7 +35,7 @@ from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["Asked", "Task", "counted_states"]
 
-_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP, Status.LEAVES, Status.STEEP)
+_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
 """How a solve ends that no other engine is tried after."""
 _SLOW = 10.0
 """Factor on the budget of work where functions of the user are called, which may be slow."""
@@ -57,6 +59,13 @@ class Asked:
     options: Mapping[str, Any]
     unknowns: Sequence[Any] | None = None
     effort: str | float = "normal"
+
+    def on_part(self, intervals: Mapping[str, tuple[float, float]], factor: float) -> Asked:
+        """The same with other intervals of some parameters, and a part of the budget."""
+        box = {name_of(key): ends for key, ends in (self.parameters or {}).items()}
+        effort = max(factor * operations_for(self.effort) / NORMAL, LEAST_EFFORT)
+        seconds = None if self.max_seconds is None else factor * self.max_seconds
+        return replace(self, parameters={**box, **intervals}, effort=effort, max_seconds=seconds)
 
     @classmethod
     def keywords(cls) -> tuple[str, ...]:
@@ -183,7 +192,7 @@ class Task:
         slabs = tuple(slab.first_states(seen) for slab in outcome.slabs)
         known = outcome.measured and replace(outcome.measured, drift=drifted)
         outcome = replace(outcome, slabs=slabs, measured=known)
-        if self.truth is None or outcome.status in (Status.UNCHECKED, Status.BLOW_UP):
+        if self.truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:
             return outcome
         if outcome.status is not Status.CONVERGED:
             return replace(outcome, message=f"{outcome.message}; {_AS_WRITTEN}")

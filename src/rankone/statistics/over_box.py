@@ -10,9 +10,10 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.distributions import from_text
-from rankone.errors import EvaluationError, OptionError
+from rankone.errors import EvaluationError, OptionError, warn
 from rankone.options import checked_number
 from rankone.solution_core import SolutionCore
+from rankone.statistics.certainty import Certainty
 from rankone.statistics.copula import Copula, copula_of
 from rankone.statistics.measures import Measure
 from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
@@ -22,8 +23,6 @@ __all__ = ["StatisticsOverBox"]
 
 _TIMES = 25
 """Times at which the size of an unknown is looked for."""
-_ROUNDING = 1e-13
-"""Error of values, relative to the largest, where none is measured."""
 
 
 class StatisticsOverBox(SolutionCore):
@@ -110,9 +109,21 @@ class StatisticsOverBox(SolutionCore):
         """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
 
         Arguments as for :meth:`mean`; times are one-dimensional. Where an unknown does not vary by
-        more than its measured error the indices are NaN. Correlations are refused: the
-        shares of correlated parameters overlap, and depend on the order in which they are counted.
+        more than its measured error the indices are NaN; a warning says so, but for the start of
+        the horizon, where initial values are usually numbers. It also names indices that the error
+        may change visibly, because the spread is less than five times as large. Correlations are
+        refused: the shares of correlated parameters overlap, and depend on the order in which they
+        are counted.
         """
+        indices, certainty = self._indices(t, under, correlation)
+        if message := certainty.message:
+            warn(message)
+        return indices
+
+    def _indices(
+        self, t: Any, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None
+    ) -> tuple[Sobol, Certainty]:
+        """Sobol indices, and how far they can be trusted."""
         if self._copula(correlation) is not None:
             raise OptionError(
                 "Sobol indices are not defined for correlated parameters: what two of them explain "
@@ -129,17 +140,14 @@ class StatisticsOverBox(SolutionCore):
         variance, first, total, second = (
             self._over_box(times, under, part, correlation) for part in parts
         )
-        least = self._noise(variance, times, under, correlation)
+        clock = np.asarray([] if times is None else times, dtype=float)
+        sizes = self._sizes(under, correlation)
+        errors = np.array([self.errors[name] for name in self.unknowns])
+        certainty = Certainty(self.unknowns, clock, self.time[0], np.sqrt(variance), sizes, errors)
         with np.errstate(all="ignore"):
-            share = np.where(variance > least**2, 1.0 / variance, np.nan)
-        names = self.metadata.parameters, self.unknowns
-        return Sobol(
-            *names,
-            np.asarray([] if times is None else times, dtype=float),
-            first * share[:, None],
-            total * share[:, None],
-            second * share[:, None, None],
-        )
+            share = np.where(certainty.defined, 1.0 / variance, np.nan)
+        shares = first * share[:, None], total * share[:, None], second * share[:, None, None]
+        return Sobol(self.metadata.parameters, self.unknowns, clock, *shares), certainty
 
     def sample(
         self,
@@ -221,22 +229,14 @@ class StatisticsOverBox(SolutionCore):
         values = part(self._statistics(under, correlation), times.ravel())
         return values.reshape(*values.shape[:-1], *times.shape)
 
-    def _noise(
-        self,
-        variance: Array,
-        times: Array | None,
-        under: Mapping[Any, Any] | None,
-        correlation: Mapping[Any, Any] | None,
+    def _sizes(
+        self, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None
     ) -> Array:
-        """Standard deviations that are no more than the measured errors, (unknowns, 1 or none)."""
-        ends = None if times is None else np.linspace(*self.time, _TIMES)
-        given = under, correlation
-        spread_of = np.sqrt(self._over_box(ends, given[0], Statistics.variance, given[1]))
-        size = np.hypot(self._over_box(ends, given[0], Statistics.mean, given[1]), spread_of)
-        errors = np.array([self.errors[name] for name in self.unknowns])
-        relative = np.where(np.isfinite(errors), errors, _ROUNDING)
-        least = size.reshape(len(size), -1).max(axis=1) * np.maximum(relative, _ROUNDING)
-        return np.asarray(least.reshape(-1, *[1] * (variance.ndim - 1)))
+        """Largest root mean square of each unknown over the horizon, (unknowns,)."""
+        ends = None if self.metadata.timeless else np.linspace(*self.time, _TIMES)
+        variance = self._over_box(ends, under, Statistics.variance, correlation)
+        mean = self._over_box(ends, under, Statistics.mean, correlation)
+        return np.asarray(np.hypot(mean, np.sqrt(variance)).reshape(len(mean), -1).max(axis=1))
 
     def _times(self, t: Any) -> Array:
         """Checked times; any one of the horizon if nothing depends on time."""

@@ -162,7 +162,7 @@ def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
 
 def _shares(solution: DistributionOverBox, times: Array) -> Array:
     """Sobol indices, first and total: (2, unknowns, parameters, times)."""
-    indices = solution.sobol(times)
+    indices, _ = solution._indices(times, None, None)
     return np.stack([indices.first, indices.total])
 
 

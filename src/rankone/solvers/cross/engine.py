@@ -16,6 +16,7 @@ from rankone.progress import ProgressEvent
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
 from rankone.solvers.cross.options import CrossOptions
+from rankone.solvers.cross.pace import Pace
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.samples import Samples
 from rankone.solvers.cross.steep import steepest_front
@@ -104,35 +105,34 @@ class CrossMarcher:
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
-        result = MarchResult()
         level = self.share * self.rtol
         grid = self._grid(level)
         if grid is None:
-            result.stopped = Status.SLAB_LIMIT
-            return result
+            return MarchResult(stopped=Status.SLAB_LIMIT)
         most = self.options.max_trajectories - self.integrated
-        given = grid, _INTEGRATION * level, self.tightness, most, self.workers
+        pace = Pace(report, ProgressEvent(grid.breaks[0], 0.0, number, grid.slabs, 1))
+        given = grid, _INTEGRATION * level, self.tightness, most, self.workers, pace.batch
         self.trajectories = trajectories = Trajectories(self.yardstick, *given)
         try:
-            return self._marched(trajectories, level, number, report)
+            result = self._marched(trajectories, level, number, pace)
         except TooManyTrajectories:
-            return self._stopped(Status.TRAJECTORY_LIMIT, grid)
+            result = self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfBudgetError as out:
-            return self._stopped(Status.of_limit(out), grid)
+            result = self._stopped(Status.of_limit(out), grid)
         except TrajectoryEnds as ends:
-            result.stopped, result.points = Status.NO_CONVERGENCE, ends.point[None, :]
+            result = MarchResult(stopped=Status.NO_CONVERGENCE, points=ends.point[None, :])
             self.ends = ends.time
-            return result
-        finally:
-            self.integrated += trajectories.count
-            self.tightness = trajectories.tightness
+        self.integrated += trajectories.count
+        self.tightness = trajectories.tightness
+        result.sampled = trajectories.work
+        return result
 
     def _marched(
-        self, trajectories: Trajectories, level: float, number: int, report: Report
+        self, trajectories: Trajectories, level: float, number: int, pace: Pace
     ) -> MarchResult:
         """The interpolation of trajectories, and what it came to."""
         result, grid = MarchResult(), trajectories.grid
-        found, bases = self._interpolated(trajectories, level)
+        found, bases = self._interpolated(trajectories, level, pace)
         self.bases = bases
         if found.limited:
             result.limits.add(Status.RANK_LIMIT)
@@ -150,7 +150,7 @@ class CrossMarcher:
         counts = trajectories.count, grid.slabs
         record = CrossRecord(number, start, end, True, level, tails, ranks, sizes, *counts)
         result.records.append(record)
-        report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
+        pace.report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
         return result
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
@@ -181,7 +181,7 @@ class CrossMarcher:
         return None if breaks is None else TimeGrid(breaks, count)
 
     def _interpolated(
-        self, trajectories: Trajectories, level: float
+        self, trajectories: Trajectories, level: float, pace: Pace
     ) -> tuple[Interpolation, tuple[Basis1D, ...]]:
         domain = self.yardstick.domain
         if not domain.box:
@@ -199,7 +199,8 @@ class CrossMarcher:
             left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
         samples = Samples(trajectories, bases)
         tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
-        return interpolate(samples, bases, left, tolerance, self.options.max_rank), bases
+        most = self.options.max_rank
+        return interpolate(samples, bases, left, tolerance, most, pace.bond), bases
 
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """More nodes where the highest modes are not small, more points, or more accuracy."""

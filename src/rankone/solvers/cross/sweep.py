@@ -123,6 +123,7 @@ def interpolate(
     left: Sequence[Integers],
     tolerance: float,
     max_rank: int,
+    begun: Callable[[int, int, int], None] | None = None,
 ) -> Interpolation:
     """One sweep from the last parameter to the first.
 
@@ -137,12 +138,16 @@ def interpolate(
     tolerance : float
         Root mean square of what a row space may miss, over the trajectories of its bond.
     max_rank : int
+    begun : callable, optional
+        Called when a bond is begun: how many were done, of how many, and the rank.
     """
     generator = np.random.default_rng(20140)
     right = np.zeros((1, 0), dtype=np.int64)
     cores: list[Array] = []
     limited = False
     for b in range(len(bases) - 1, -1, -1):
+        if begun is not None:
+            begun(len(bases) - 1 - b, len(bases), len(right))
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
         block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))

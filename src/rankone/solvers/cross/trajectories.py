@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.budget import charge
+from rankone.budget import charge, work_done
 from rankone.costs import Cost
 from rankone.solvers.cross.growing_basis import GrowingBasis
 from rankone.solvers.cross.time_grid import TimeGrid
@@ -67,9 +68,13 @@ class Trajectories:
         Largest number of trajectories.
     workers : Workers, optional
         Where they are integrated.
+    done : callable, optional
+        Told the part of those that were asked for that is done, batch after batch.
 
     Attributes
     ----------
+    work : float
+        Operations that the trajectories took.
     highest : ndarray (slabs,)
         Largest of the highest modes in time of all trajectories.
     """
@@ -82,12 +87,13 @@ class Trajectories:
         tightness: float,
         most: int,
         workers: Workers | None = None,
+        done: Callable[[float], None] | None = None,
     ) -> None:
-        self.workers = workers or Workers(yardstick.system)
+        self.workers, self.done = workers or Workers(yardstick.system), done
         self.yardstick, self.grid, self.wanted, self.most = yardstick, grid, wanted, most
         self.stiff = self.calibrated = yardstick.reference.avoided > _BEARABLE
         self.tightness = _STIFF if self.stiff else tightness
-        self.count = 0
+        self.count, self.work = 0, 0.0
         self.units = yardstick.states * np.sqrt(grid.times.size)
         self.basis = GrowingBasis(self.units.size * grid.times.size)
         self.highest = np.zeros(grid.slabs)
@@ -169,7 +175,12 @@ class Trajectories:
         given = edges, self.grid.times, yardstick.states, atol, self.tolerance, self.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
-        return np.concatenate(self.workers.map(_integrated, tasks, TrajectoryEnds), axis=1)
+        before = work_done()
+        try:
+            found = self.workers.map(_integrated, tasks, TrajectoryEnds, done=self.done)
+            return np.concatenate(found, axis=1)
+        finally:
+            self.work += work_done() - before
 
     def _chunk(self) -> int:
         """Largest number of trajectories in a chunk."""

@@ -80,15 +80,17 @@ class Workers:
         function: Callable[..., Any],
         tasks: Sequence[tuple[Any, ...]],
         *failures: type[Exception],
+        done: Callable[[float], None] | None = None,
     ) -> list[Any]:
         """The results of ``function(system, *task)`` in order.
 
+        ``done`` is told the part of the tasks that is done after each, if they are run here.
         A single task is run here. Tasks of a worker that died are submitted once more. Failures
         of the function are raised as they are, other errors as a RankoneError. The work of the
         tasks is charged, and a failure raised, in their order: it does not matter who was first.
         """
         if self._executor is None or len(tasks) < 2:
-            return [function(self.system, *task) for task in tasks]
+            return list(self._here(function, tasks, done))
         limits = work_left(), time.time() + seconds_left()
         results: dict[int, Any] = {}
         lost = self._round(function, tasks, range(len(tasks)), limits, results, failures)
@@ -104,6 +106,18 @@ class Workers:
                 remedy="look for a crash or a lack of memory in the workers; " + _GUARD,
             ) from lost
         return [results[k] for k in range(len(tasks))]
+
+    def _here(
+        self,
+        function: Callable[..., Any],
+        tasks: Sequence[tuple[Any, ...]],
+        done: Callable[[float], None] | None,
+    ) -> Iterator[Any]:
+        """The results of tasks that are run one after the other."""
+        for count, task in enumerate(tasks, 1):
+            yield function(self.system, *task)
+            if done is not None:
+                done(count / len(tasks))
 
     def close(self) -> None:
         """End the processes that were started here, also in the middle of a task or of a start."""
