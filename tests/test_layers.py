@@ -150,6 +150,7 @@ def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):
         "sys.modules['sympy'] = None\n"
         f"package = types.ModuleType('rankone'); package.__path__ = [{str(SOURCE)!r}]\n"
         "sys.modules['rankone'] = package\n"
+        "import rankone.progress, rankone.tensors.canonical\n"
         "from rankone.solution import load\n"
         f"print(float(load({str(path)!r})(t=1.0, k=2.0)[0]))\n"
     )

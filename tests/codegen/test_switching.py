@@ -118,7 +118,13 @@ MOVING = {
 }
 
 
-@pytest.mark.parametrize("rate", MOVING.values(), ids=MOVING)
+@pytest.mark.parametrize(
+    "rate",
+    [
+        pytest.param(rate, marks=() if name == "pulse" else pytest.mark.slow, id=name)
+        for name, rate in MOVING.items()
+    ],
+)
 def test_switches_that_move_with_a_parameter_are_not_stepped_over(rate):
     """What no interpolation resolves is refused, not missed."""
     problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))

@@ -13,6 +13,11 @@ import rankone as ro
 from tests.reference.published import KINDS, PUBLISHED
 
 POINTS, TIMES = 8, 12
+FIRST = {entry.kind: name for name, entry in reversed(PUBLISHED.items())}.values()
+"""The first of each kind: the others are slow together."""
+each = pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in FIRST else pytest.mark.slow) for n in PUBLISHED]
+)
 
 
 @cache
@@ -47,7 +52,7 @@ def test_the_suite_is_large_and_varied():
     assert all(1 <= len(entry.parameters) <= 6 for entry in PUBLISHED.values())
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@each
 def test_trajectories_reach_the_end(name):
     _, _, states = _run(name)
     system = PUBLISHED[name].independent
@@ -57,7 +62,7 @@ def test_trajectories_reach_the_end(name):
     assert np.all((largest > least) & (largest < 10.0)), largest
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@each
 def test_the_statement_by_hand_is_the_symbolic_one(name):
     entry = PUBLISHED[name]
     first = ro.first_order(entry.problem())

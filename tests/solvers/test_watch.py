@@ -26,7 +26,7 @@ def compiled(rate, box=None, start="0", end=3):
     return ro.compile(ro.Problem.from_strings({"x": rate}, {"x": start}, box or {}, (0, end)))
 
 
-@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-7])
+@pytest.mark.parametrize("width", [1e-2, 1e-7])
 @pytest.mark.parametrize(("shape", "area"), SHAPES.values(), ids=SHAPES)
 def test_nothing_narrow_is_stepped_over(shape, area, width):
     rates = {"x": "1", "y": shape.replace("Z", f"((x - 0.5)*{1 / width:.0f})") + f"/{width}"}
@@ -81,7 +81,7 @@ def test_surfaces_are_those_of_several_parameters():
     assert on_kink.sum() >= 8
 
 
-@pytest.mark.parametrize("d", [2, 4, 6])
+@pytest.mark.parametrize("d", [2, 6])
 @pytest.mark.parametrize(
     "shape",
     [
@@ -107,10 +107,12 @@ def test_an_island_in_the_box_is_seen(d, shape):
 @pytest.mark.parametrize(
     "rate",
     [
-        "1/cosh((t - k)/1e-6)**2/1e-6",
+        pytest.param("1/cosh((t - k)/1e-6)**2/1e-6", marks=pytest.mark.slow),
         "Piecewise((2*t/1e-4, (t**2 > k) & (t**2 < k + 1e-4)), (0, True))",
-        "exp(-((t - k)/1e-6)**4)/1e-6",
-        "(tanh((t - k)/1e-6) - tanh((t - k - 3e-6)/1e-6))/1e-6",
+        pytest.param("exp(-((t - k)/1e-6)**4)/1e-6", marks=pytest.mark.slow),
+        pytest.param(
+            "(tanh((t - k)/1e-6) - tanh((t - k - 3e-6)/1e-6))/1e-6", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_pulses_that_move_are_seen_at_any_time(rate):

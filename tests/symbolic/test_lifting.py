@@ -148,7 +148,9 @@ def test_train_agrees_with_cross(name):
     assert np.all(np.abs(one - two).max(axis=(1, 2)) <= 1.2 * (lifted.error + sampled.error) * size)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "Michaelis-Menten", "cos(w*t)"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("pendulum", marks=pytest.mark.slow), "Michaelis-Menten", "cos(w*t)"]
+)
 def test_greedy_solves_lifted_systems(name):
     problem = compiled(name)
     solution = problem.solve(1e-3, method="greedy")

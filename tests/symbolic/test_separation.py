@@ -356,7 +356,7 @@ EXPRESSIONS = st.recursive(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(f=EXPRESSIONS, g=EXPRESSIONS, seed=st.integers(0, 100))
 def test_sum_of_separated_terms_is_the_integrand(f, g, seed):
     problem = Problem(

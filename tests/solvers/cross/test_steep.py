@@ -140,6 +140,7 @@ def test_a_front_at_one_end_of_another_parameter():
         ),
     ],
 )
+@pytest.mark.slow
 def test_failures_name_the_parameter_and_the_place(rates, initial, box, end, said):
     solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3, max_seconds=100)
     assert not solution.success
@@ -186,6 +187,7 @@ def test_a_blow_up_that_only_a_sample_meets():
     assert caught.value.solution.time[1] < caught.value.time < 0.1
 
 
+@pytest.mark.slow
 def test_a_fast_state_that_follows_a_high_power():
     pulses = problem(
         {"u": "-1000*lam*(u - 200*c**41)", "c": "-w*s", "s": "w*c"},
