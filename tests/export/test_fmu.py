@@ -534,7 +534,7 @@ def test_simulations_beyond_the_horizon(fmi, archive):
     with pytest.raises(FMICallException) as caught:
         fmpy.simulate_fmu(str(path), start_values={"k": 9.0})
     assert caught.value.status == 2
-    beyond = {"stop_time": 3.0, "output_interval": 0.8, "set_stop_time": False, "timeout": 10}
+    beyond = {"stop_time": 3.0, "output_interval": 0.8, "set_stop_time": False, "timeout": 600}
     if fmi == "3.0":
         with pytest.raises(FMICallException) as caught:
             fmpy.simulate_fmu(str(path), **beyond)

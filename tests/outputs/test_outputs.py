@@ -55,6 +55,13 @@ def crossing(function, direction):
     return scipy.optimize.brentq(function, times[first], times[first + 1], xtol=1e-14)
 
 
+def positive(function):
+    """How long it is positive, taken as linear within the cells of a dense grid."""
+    values = function(np.linspace(0, 6, 20001))
+    above, size = np.maximum(values, 0), np.abs(values)
+    return 6 * np.mean((above[1:] + above[:-1]) / (size[1:] + size[:-1]))
+
+
 CONSTANT = {
     "integral": (sp.Integral(x * y, (t, 0, 6)), lambda s: s(6.0)[2]),
     "part": (sp.Integral(x, (t, 1, 2.5)), lambda s: s(2.5)[3] - s(1.0)[3]),
@@ -64,7 +71,7 @@ CONSTANT = {
     "upwards": (ro.first_crossing(x, 2, 1), lambda s: crossing(lambda r: s(r)[0] - 2, 1)),
     "duration": (
         ro.duration(x - 5),
-        lambda s: np.mean(s(np.linspace(0, 6, 2_000_001))[0] > 5) * 6,
+        lambda s: positive(lambda r: s(r)[0] - 5),
     ),
     "both": (
         ro.maximum(y) * x0 / sp.Integral(x, (t, 0, 6)),
