@@ -6,6 +6,7 @@ Every import counts, also those inside functions and those for type checkers alo
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import rankone
@@ -22,15 +23,17 @@ def module_name(path):
 PATHS = {module_name(path): path for path in sorted(SOURCE.rglob("*.py"))}
 
 
+@cache
 def imported(name):
     """What a module imports; ``from package import name`` is the submodule if there is one."""
+    names = set()
     for node in ast.walk(ast.parse(PATHS[name].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                yield inner if inner in PATHS else node.module
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            names.update(other if other in PATHS else node.module for other in inner)
+    return names
 
 
 GRAPH = {name: {other for other in imported(name) if other in PATHS} for name in PATHS}
