@@ -176,13 +176,12 @@ def test_a_pulse_of_few_floating_point_numbers_is_refused(start, width):
         ro.solve(problem, 1e-5)
 
 
-def test_a_default_limit_is_named(monkeypatch):
-    monkeypatch.setattr("rankone.solvers.task._LONGEST", 0.2)
+def test_a_spent_budget_is_named():
     rate = "-x + abs(a + b + c - 1.5)"
     problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, dict.fromkeys("abc", (0, 1)), (0, 2))
-    solution = ro.solve(problem, 1e-8)
-    assert solution.status is ro.Status.TIME_LIMIT
-    assert "the default time limit of 0.2 s was reached" in solution.message
+    solution = ro.solve(problem, 1e-8, effort=0.01)
+    assert solution.status is ro.Status.WORK_LIMIT
+    assert "the budget of work was reached" in solution.message
 
 
 def test_what_ends_a_solve_is_named_though_an_earlier_attempt_is_better():

@@ -33,6 +33,7 @@ from typing import Any, Literal
 import sympy as sp
 from threadpoolctl import ThreadpoolController
 
+from rankone.budget import preparing
 from rankone.codegen import (
     equation_texts,
     general_equation_texts,
@@ -40,7 +41,6 @@ from rankone.codegen import (
     generate_source,
 )
 from rankone.codegen.recipe import Recipe
-from rankone.deadline import preparing
 from rankone.errors import ConvergenceError, OptionError, SeparationError, check_kind
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
@@ -199,6 +199,7 @@ class CompiledProblem:
         progress: bool | Report = False,
         check: bool | int = True,
         cover: Literal["interior", "box"] | None = None,
+        effort: str | float = "normal",
         max_seconds: float | None = None,
         unknowns: Sequence[Any] | None = None,
         on_failure: Literal["return", "raise"] = "return",
@@ -230,9 +231,13 @@ class CompiledProblem:
         cover : {"interior", "box"}, optional
             What success covers: points of the interior, or corners of the box as well. By
             default "box" up to three parameters; beyond, corners are measured and stated.
+        effort : {"low", "normal", "high"} or float
+            Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or
+            another factor; ten times as much where functions of the user are called. When it is
+            spent, the best solution so far is returned, with ``success`` False. It is counted, not
+            measured, so the result does not depend on how busy the machine is.
         max_seconds : float, optional
-            Time limit; the best solution so far is returned, with ``success`` False. Without one it
-            is 25 seconds, or 250 where functions of the user are called.
+            Time limit on the clock besides; the result then depends on the machine.
         unknowns : sequence, optional
             The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
             derivatives or names. By default all count, derivatives that are states too.
@@ -265,7 +270,9 @@ class CompiledProblem:
         engines = engines_for(method, options, count, separated=separated)
         form = self.form_for(str(method))
         check_points(check)
-        asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options, unknowns)
+        asked = Asked(
+            rtol, parameters, t_final, check, cover, max_seconds, options, unknowns, effort
+        )
         task = Task.of(engines, form.system, asked, "method", "progress", "on_failure")
         if form is not self:
             task = replace(task, truth=self.system)

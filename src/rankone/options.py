@@ -101,6 +101,8 @@ class Options:
 
     renamed: ClassVar[Mapping[str, str]] = {}
     """New names of options by old ones."""
+    usual_attempts: ClassVar[int] = 10
+    """Attempts of a solve, unless ``max_attempts`` is given; more are made while they pay."""
 
     def __post_init__(self) -> None:
         for option in fields(self):
@@ -110,7 +112,7 @@ class Options:
                 object.__setattr__(self, option.name, value)
 
     @property
-    def max_attempts(self) -> int:
+    def max_attempts(self) -> int | None:
         """How often a solve may be tried; a field of engines that try again."""
         return 1
 

@@ -74,6 +74,11 @@ class Solution(DistributionOverBox, EstimationFromData):
         return dict(self.outcome.timings)
 
     @property
+    def work(self) -> dict[str, float]:
+        """Operations counted by stage: what of the budget that ``effort`` sets each one took."""
+        return dict(self.outcome.work)
+
+    @property
     def nbytes(self) -> int:
         """Bytes of the tensor trains."""
         return sum(core.nbytes for slab in self.outcome.slabs for core in slab.cores)
@@ -281,7 +286,8 @@ class Solution(DistributionOverBox, EstimationFromData):
         quantities: Mapping[str, Any],
         *,
         rtol: float | None = None,
-        max_seconds: float = 25.0,
+        effort: str | float = "normal",
+        max_seconds: float | None = None,
         units: Mapping[str, str] | None = None,
     ) -> Solution:
         """Quantities of interest as a solution of their own.
@@ -297,8 +303,11 @@ class Solution(DistributionOverBox, EstimationFromData):
         rtol : float, optional
             Tolerance, relative to the largest value of each quantity. By default 1.5 times what
             errors of the solution's tolerance in every unknown would bring, or that tolerance.
-        max_seconds : float
-            Time limit; the best is returned.
+        effort : {"low", "normal", "high"} or float
+            Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or
+            another factor. When it is spent, the best so far is returned.
+        max_seconds : float, optional
+            Time limit on the clock besides.
         units : mapping of str to str, optional
             Units of quantities.
 
@@ -316,13 +325,13 @@ class Solution(DistributionOverBox, EstimationFromData):
         EvaluationError
             If a quantity is not finite somewhere in the box, or a level is not crossed.
         ConvergenceError
-            If the time limit is reached before there is anything.
+            If the budget is spent, or the time limit reached, before there is anything.
         RankoneError
             If SymPy is not installed.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
         asked = _expressions().quantities_of(quantities, self.metadata, self.time)
-        return Solution(*with_outputs(self, asked, rtol, max_seconds, units or {}))
+        return Solution(*with_outputs(self, asked, rtol, effort, max_seconds, units or {}))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.

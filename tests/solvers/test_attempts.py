@@ -13,7 +13,7 @@ from rankone.domain import Domain
 from rankone.errors import RankoneError
 from rankone.options import Options, integer
 from rankone.progress import quiet
-from rankone.solvers.attempts import Attempt, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.engine import Report, Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Outcome, SlabRecord, Status
@@ -24,7 +24,7 @@ from tests.problems import REFERENCE
 
 @dataclass(frozen=True)
 class FakeOptions(Options):
-    max_attempts: int = integer(6)
+    max_attempts: int | None = integer(None)
 
 
 @dataclass
@@ -47,8 +47,8 @@ class Fake:
         record = SlabRecord(index, 0.0, 2.0, True, factor, (), (), ())
         return MarchResult(slabs, [record], set(self.limits))
 
-    def refine(self, attempt: Attempt, stalls: int) -> bool:
-        self.seen.append(stalls)
+    def refine(self, attempt: Attempt, progress: Progress) -> bool:
+        self.seen.append(progress.stalls)
         return len(self.seen) < self.patience
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
@@ -65,7 +65,9 @@ def slabs() -> tuple[SlabTrain, ...]:
     return ro.solve(REFERENCE["decay"](), rtol=1e-9).outcome.slabs
 
 
-def run(system: Any, fake: Fake, rtol: float = 1e-3, check: int = 5, most: int = 6) -> Outcome:
+def run(
+    system: Any, fake: Fake, rtol: float = 1e-3, check: int = 5, most: int | None = 6
+) -> Outcome:
     def prepared(request: Request[FakeOptions], yardstick: Yardstick) -> Fake:
         return fake
 
@@ -81,18 +83,26 @@ def test_attempts_end_with_the_first_that_fits(system: Any, slabs: Any) -> None:
     assert max(outcome.measured.interior) == pytest.approx(1e-4, rel=1e-3)
     assert [record.attempt for record in outcome.history] == [0, 1, 2]
     assert fake.seen == [0, 0]
-    assert list(outcome.timings) == ["reference", "march", "check"]
+    assert list(outcome.timings) == list(outcome.work) == ["reference", "march", "check"]
 
 
 def test_stalls_are_counted_and_the_best_attempt_is_kept(system: Any, slabs: Any) -> None:
     fake = Fake(slabs, [1e-1, 2e-2, 3e-2, 1.9e-2, 1e-2, 0.5])
     outcome = run(system, fake)
-    assert fake.seen == [0, 0, 1, 2, 0, 1]
+    assert fake.seen == [0, 0, 1, 2, 0]
     assert outcome.status is Status.TOLERANCE
     assert outcome.measured is not None
     assert max(outcome.measured.interior) == pytest.approx(1e-2, rel=1e-3)
     assert outcome.message.startswith(Status.TOLERANCE.value)
     assert outcome.message.endswith("asked 1.0e-03; be patient")
+
+
+def test_attempts_go_on_while_one_of_three_pays(system: Any, slabs: Any) -> None:
+    stalled = [1e-1] * FakeOptions.usual_attempts
+    assert len(run(system, Fake(slabs, stalled, patience=99), most=None).history) == len(stalled)
+    falling = [0.5 * 0.8**k for k in range(9)] + [0.04, 0.039, 0.038, 0.02, 0.0199, 0.0199, 0.0199]
+    outcome = run(system, Fake(slabs, falling, patience=99), most=None)
+    assert len(outcome.history) == len(falling)
 
 
 def test_an_engine_may_have_nothing_left_to_try(system: Any, slabs: Any) -> None:

@@ -1,14 +1,11 @@
-"""``method="auto"``, the time limit, and how a solve that will not come to an end ends."""
+"""``method="auto"``, the limits of a solve, and how one that will not come to an end ends."""
 
 from __future__ import annotations
 
-import time
-
-import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.deadline import OutOfTimeError, check_time, seconds_left, time_limit
+from rankone.budget import NORMAL
 from tests.problems import EXAMPLES
 
 LORENZ = ro.Problem.from_strings(
@@ -45,11 +42,19 @@ def test_the_next_engine_is_tried_where_the_first_one_fails():
 
 
 @pytest.mark.parametrize("method", ["auto", "cross", "train", "greedy"])
-def test_a_time_limit_holds(method):
-    began = time.perf_counter()
-    solution = ro.solve(LORENZ, rtol=1e-5, method=method, max_seconds=1.5)
-    assert time.perf_counter() - began < 15.0  # far less where the machine is not busy
+def test_a_budget_of_work_holds(method):
+    effort = 0.03
+    solution = ro.solve(LORENZ, rtol=1e-5, method=method, effort=effort)
     assert not solution.success
+    assert solution.status is ro.Status.WORK_LIMIT
+    assert "the budget of work was reached" in solution.message
+    assert "raise effort" in solution.message
+    assert list(solution.work) == ["reference", "march", "check"]
+    assert sum(solution.work.values()) < 1.2 * effort * NORMAL
+
+
+def test_a_time_limit_holds():
+    solution = ro.solve(LORENZ, rtol=1e-5, max_seconds=0.5)
     assert solution.status is ro.Status.TIME_LIMIT
     assert "max_seconds" in solution.message
 
@@ -67,11 +72,7 @@ def test_wrong_limits(wrong):
         ro.solve(EXAMPLES["decay"].problem, max_seconds=wrong)
 
 
-def test_limits_inside_of_limits():
-    assert np.isinf(seconds_left())
-    with time_limit(100.0), time_limit(0.0):
-        with pytest.raises(OutOfTimeError):
-            check_time()
-        with time_limit(50.0):
-            assert seconds_left() <= 0.0
-    check_time()
+@pytest.mark.parametrize("wrong", [0, -1, "huge", float("nan"), True])
+def test_wrong_efforts(wrong):
+    with pytest.raises(ro.OptionError, match="effort"):
+        ro.solve(EXAMPLES["decay"].problem, effort=wrong)

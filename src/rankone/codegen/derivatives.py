@@ -9,7 +9,7 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import ArgumentIndexError
 
-from rankone.deadline import check_time
+from rankone.budget import check_time
 from rankone.errors import ProblemError
 from rankone.wording import quote
 

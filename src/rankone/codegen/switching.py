@@ -22,8 +22,8 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from rankone.arrays import Array
+from rankone.budget import check_time
 from rankone.codegen.narrow import peaks, steps
-from rankone.deadline import check_time
 from rankone.functions import Table
 from rankone.ir import Coordinate
 

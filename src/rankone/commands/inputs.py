@@ -63,7 +63,7 @@ def solution_of(path: Path, rtol: float | None, method: str | None = None) -> So
         If there is no such file, or it holds something else.
     """
     import rankone
-    from rankone.deadline import preparing
+    from rankone.budget import preparing
     from rankone.errors import OptionError, ProblemError
     from rankone.problem_files import load_problem
 

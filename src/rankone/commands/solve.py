@@ -8,13 +8,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from rankone.budget import EFFORT_HELP, effort_of
 from rankone.commands.inputs import FAILURE, PROBLEM_HELP, SUCCESS, complain, layout
 
 __all__ = ["ARGUMENTS", "register", "run"]
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final"),
-    *("check", "cover", "max_seconds", "unknowns", "progress", "on_failure"),
+    *("check", "cover", "effort", "max_seconds", "unknowns", "progress", "on_failure"),
 )
 """What ``solve`` takes beside options of the engine."""
 _EXIT_HELP = """\
@@ -77,11 +78,12 @@ def register(commands: Any) -> None:
         choices=("interior", "box"),
         help="whether success covers the corners of the box; by default up to three parameters",
     )
+    solve.add_argument("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
     solve.add_argument(
         "--max-seconds",
         metavar="S",
         type=float,
-        help="time limit, 25 by default; the best so far is kept",
+        help="time limit on the clock; the best so far is kept",
     )
     solve.add_argument(
         "--unknowns",
@@ -110,8 +112,8 @@ def _count(text: str) -> int:
 def run(arguments: argparse.Namespace) -> int:
     """Solve, save and print the summary."""
     import rankone
+    from rankone.budget import preparing
     from rankone.commands.summary import summary
-    from rankone.deadline import preparing
     from rankone.errors import ConvergenceError
     from rankone.export.program import box_of, options_of
     from rankone.problem_files import load_problem
@@ -133,6 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
             t_final=arguments.t_final,
             check=check,
             cover=arguments.cover,
+            effort=arguments.effort,
             max_seconds=arguments.max_seconds,
             unknowns=arguments.unknowns,
             progress=bar,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import EFFORT_HELP, effort_of
 from rankone.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.files import npz, write_files
 from rankone.metadata import SolutionMetadata
@@ -67,9 +68,10 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
     """
     parser = _parser(about)
     given = parser.parse_args()
-    asked = given.rtol, given.box, given.t_final, given.max_seconds, given.options
+    limits = given.effort, given.max_seconds
+    asked = given.rtol, given.box, given.t_final, *limits, given.options
     if given.load is not None and any(value is not None for value in asked):
-        refused = "--rtol, --box, --t-final, --max-seconds or --options"
+        refused = "--rtol, --box, --t-final, --effort, --max-seconds or --options"
         parser.error(f"--load takes a solution as it is: no {refused}")
     if given.grid is not None and given.save is None:
         parser.error("--grid needs --save")
@@ -105,6 +107,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
     add("--rtol", type=float, help="relative tolerance (default: 1e-6)")
     add("--box", nargs="+", action="extend", metavar=_SPAN, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
+    add("--effort", metavar="E", type=effort_of, help=EFFORT_HELP)
     add("--max-seconds", type=float, metavar="S", help="time limit; the best so far is kept")
     add("--options", nargs="+", action="extend", metavar=_PAIR, help="options of the engine")
     add("--at", nargs="+", action="extend", metavar=_PAIR, help="evaluate at one point")
@@ -120,7 +123,8 @@ def _parser(description: str) -> argparse.ArgumentParser:
 def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> SolutionCore:
     """Solve as the command line asks; after a blow-up take the part before it."""
     box, options = box_of(given.box), options_of(given.options, Asked.keywords())
-    limits = {"t_final": given.t_final, "max_seconds": given.max_seconds}
+    effort = "normal" if given.effort is None else given.effort
+    limits = {"t_final": given.t_final, "effort": effort, "max_seconds": given.max_seconds}
     rtol = 1e-6 if given.rtol is None else given.rtol
     try:
         return solve(rtol, parameters=box, **limits, **options)

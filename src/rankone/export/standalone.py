@@ -244,6 +244,7 @@ def solve(
     t_final: float | None = None,
     check: bool | int = True,
     cover: str | None = None,
+    effort: str | float = "normal",
     max_seconds: float | None = None,
     unknowns: Sequence[str] | None = None,
     **options: Any,
@@ -263,8 +264,11 @@ def solve(
         Number of check points in the interior, 96 for True; without any the error is not known.
     cover : {{"interior", "box"}}, optional
         Whether success covers the corners of the box too; by default up to three parameters.
+    effort : {{"low", "normal", "high"}} or float
+        Budget of counted work, 0.2, 1 or 10 times what a core does in about 25 seconds, or another
+        factor; the best solution so far is returned.
     max_seconds : float, optional
-        Time limit; the best solution so far is returned.
+        Time limit on the clock besides.
     unknowns : sequence of str, optional
         The unknowns whose error has to be within the tolerance; by default all.
     **options
@@ -277,7 +281,8 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    asked = Asked(rtol, parameters, t_final, check, cover, max_seconds, options, unknowns)
+    given = rtol, parameters, t_final, check, cover, max_seconds, options, unknowns, effort
+    asked = Asked(*given)
     return solve_system(ENGINE, SYSTEM, METADATA, asked)
 
 

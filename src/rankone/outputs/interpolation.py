@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError, time_limit
+from rankone.budget import OutOfBudgetError, OutOfTimeError, limited
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError
@@ -53,7 +53,11 @@ _LARGEST = 0.1
 
 
 def solved_quantities(
-    solution: SolutionCore, quantities: Quantities, rtol: float | None, max_seconds: float
+    solution: SolutionCore,
+    quantities: Quantities,
+    rtol: float | None,
+    operations: float,
+    max_seconds: float,
 ) -> tuple[Outcome, float]:
     """Quantities as an outcome over the box and the time that the solution holds.
 
@@ -73,7 +77,7 @@ def solved_quantities(
     domain, options = Domain(solution.time, solution.metadata.box), CrossOptions()
     slabs, names = solution.outcome.slabs, solution.metadata.parameters
     points = CheckPoints.of(domain, quantities)
-    with _limited(max_seconds):
+    with _limited(operations, max_seconds):
         level = _AIM * (rtol or solution.rtol)
         grid = _resolving_grid(solution, quantities, domain, options, level, points)
         sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
@@ -100,15 +104,18 @@ def solved_quantities(
 
 
 @contextmanager
-def _limited(seconds: float) -> Iterator[None]:
+def _limited(operations: float, seconds: float) -> Iterator[None]:
     """Limit what is done inside, with an error of ours."""
     try:
-        with time_limit(seconds):
+        with limited(operations, seconds):
             yield
-    except OutOfTimeError:
+    except OutOfBudgetError as out:
+        more = (
+            "give more time by max_seconds" if isinstance(out, OutOfTimeError) else "raise effort"
+        )
         raise ConvergenceError(
-            "the time limit was reached before anything was interpolated",
-            remedy="give more time by max_seconds, or restrict the solution",
+            f"{Status.of_limit(out).value} before anything was interpolated",
+            remedy=f"{more}, or restrict the solution",
         ) from None
 
 
@@ -186,7 +193,7 @@ def _interpolated(
             else:
                 bases = divided(bases, function, domain, inner, options, worst)
             slabs, spectra = _one(function, bases, left_count, inner, options, worst)
-        except OutOfTimeError:
+        except OutOfBudgetError:
             if best is None:
                 raise
             break

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import CALL
 from rankone.errors import EvaluationError
 from rankone.outputs.over_time import Polynomials
 from rankone.outputs.quantities import Kind, Quantities, Reduction
@@ -20,6 +21,9 @@ _NUMBERS = 1 << 21
 """Numbers of a chunk of trajectories."""
 _MIDDLES = 4
 """Most places of something narrow on each trajectory that are looked at."""
+_FUNCTIONS, _RANK, _SUMMED, _SEARCHED = 20.0, 0.2, 15.0, 200.0
+"""Operations for each number of a function of time: to evaluate functions of the sources, for each
+rank of a source, to integrate it, to look for extremes or zeros."""
 _CHANGING = (Kind.MAXIMUM, Kind.MINIMUM, Kind.CROSSING, Kind.DURATION)
 _SIGNS, _LEAST = 10.0, 1e-9
 """What has a sign at all, relative to the largest value: over the tolerance, and at least."""
@@ -97,6 +101,7 @@ class Sampler:
                 values = np.broadcast_to(
                     integrands[reduction.integrand], (given[0].size, len(points))
                 )
+                charge(CALL + _SEARCHED * values.size)
                 functions = Polynomials(self.grid, np.nan_to_num(values))
                 margins = np.minimum(margins, functions.margins(reduction.kind))
         return margins
@@ -162,7 +167,6 @@ class Sampler:
         return found
 
     def _chunk(self, points: Array, shifts: Array | None) -> Array:
-        check_time()
         times, sources = self.grid.times[:, None], self.sources(points)
         if shifts is not None:
             sources = sources + shifts[:, None, None]
@@ -188,6 +192,8 @@ class Sampler:
         if not np.isfinite(values).all():
             wrong = ~np.isfinite(values).all(axis=0)
             raise self._not_finite(reduction.text, points[wrong])
+        searched = reduction.kind in _CHANGING
+        charge(100.0 * CALL + (_SEARCHED if searched else _SUMMED) * values.size)
         functions = Polynomials(self.grid, values)
         match reduction.kind:
             case Kind.INTEGRAL:
@@ -230,6 +236,10 @@ class Sampler:
 
     def _sources(self, times: Array, points: Array) -> Array:
         """Sources at times (T,) in any order and points (m, d): shape (sources, T, m)."""
+        size = times.size * len(points)
+        ranks = sum(max(slab.ranks, default=1) for slab in self.slabs) / len(self.slabs)
+        each = _FUNCTIONS + len(self.quantities.sources) * _RANK * ranks
+        charge(len(self.slabs) * 20.0 * CALL + size * each)
         starts = np.array([slab.start for slab in self.slabs[1:]])
         owner = np.searchsorted(starts, times, side="right")
         found = np.empty((len(self.quantities.sources), times.size, len(points)))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from rankone.budget import operations_for
 from rankone.errors import OptionError
 from rankone.metadata import Role, SolutionMetadata
 from rankone.options import checked_number
@@ -21,15 +23,19 @@ def with_outputs(
     solution: SolutionCore,
     quantities: Quantities,
     rtol: float | None,
-    max_seconds: float,
+    effort: str | float,
+    max_seconds: float | None,
     units: Mapping[str, str],
 ) -> tuple[Outcome, SolutionMetadata]:
     """Quantities of interest; see :meth:`rankone.Solution.output`."""
     if rtol is not None:
         rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
-    max_seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
+    seconds = math.inf
+    if max_seconds is not None:
+        seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
+    limits = operations_for(effort), seconds
     _check_units(units, quantities)
-    outcome, rtol = solved_quantities(solution, quantities, rtol, max_seconds)
+    outcome, rtol = solved_quantities(solution, quantities, rtol, *limits)
     metadata = solution.metadata
     if solution.time[1] < metadata.horizon[1]:
         outcome = replace(outcome, status=solution.status, message=_partial(solution, outcome))

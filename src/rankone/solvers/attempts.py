@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
@@ -12,8 +13,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError, seconds_left, time_limit
+from rankone.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
 from rankone.domain import Domain
+from rankone.options import Options
 from rankone.progress import Report
 from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
@@ -22,17 +24,26 @@ from rankone.solvers.residual import doubtful_points
 from rankone.solvers.verification import Yardstick
 from rankone.system import System
 
-__all__ = ["Attempt", "Marcher", "solve_in_attempts"]
+__all__ = ["Attempt", "Marcher", "Progress", "solve_in_attempts"]
 
-_EXPLAINING, _SHARE = 5.0, 0.15
-"""Seconds kept for saying why a solve failed, and their largest share of all."""
+_EXPLAINING, _LONGEST, _SHARE = 5e9, 5.0, 0.15
+"""Operations, and seconds of a time limit, that are kept for saying why a solve failed, and their
+largest share of all."""
 _LESS = "narrow the box, loosen rtol or take another method"
-_MORE_TIME = "give more time by max_seconds"
+_MORE_TIME, _MORE_WORK = "give more time by max_seconds", "raise effort"
 _STALLED = 0.7
 """An attempt that leaves more of the error of the best one before has stalled."""
+_PAYS, _RECENT = 1.5, 3
+"""Factor by which one of so many attempts, the last, must have lowered the error to go on at all
+events."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 """Limits in the order in which they explain a failure."""
-_OF_ALL = (Status.TIME_LIMIT, Status.TRAJECTORY_LIMIT, Status.MEMORY_LIMIT)
+_REMEDIES = {
+    Status.WORK_LIMIT: _MORE_WORK,
+    Status.TIME_LIMIT: _MORE_TIME,
+    Status.MEMORY_LIMIT: _LESS,
+}
+_OF_ALL = (Status.WORK_LIMIT, Status.TIME_LIMIT, Status.TRAJECTORY_LIMIT, Status.MEMORY_LIMIT)
 """Limits that a later attempt may meet, although an earlier one is the best."""
 
 
@@ -90,6 +101,49 @@ class Attempt:
         return text
 
 
+@dataclass
+class Progress:
+    """How the error fell from attempt to attempt.
+
+    Attributes
+    ----------
+    stalls : int
+        Attempts in a row, the last ones, that hardly lowered the error.
+    """
+
+    stalls: int = 0
+    _recent: tuple[bool, ...] = ()
+
+    def add(self, error: float, best: float) -> None:
+        """Take notice of an attempt; ``best`` is the least error before it."""
+        self.stalls = self.stalls + 1 if error > _STALLED * best else 0
+        lowered = best < math.inf and _PAYS * error <= best
+        self._recent = (*self._recent, lowered)[-_RECENT:]
+
+    @property
+    def pays(self) -> bool:
+        """Whether another attempt is worth its work at all events."""
+        return any(self._recent)
+
+
+class Stages:
+    """Seconds and operations by stage."""
+
+    def __init__(self) -> None:
+        self.timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
+        self.work = dict.fromkeys(self.timings, 0.0)
+
+    @contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        """Add what is spent inside to a stage."""
+        began, done = clock.perf_counter(), work_done()
+        try:
+            yield
+        finally:
+            self.timings[stage] += clock.perf_counter() - began
+            self.work[stage] += work_done() - done
+
+
 class Marcher(Protocol):
     """What an engine supplies: marches over the horizon, each finer than the one before."""
 
@@ -101,11 +155,8 @@ class Marcher(Protocol):
     def march(self, index: int, report: Report) -> MarchResult:
         """Solve the horizon; ``index`` counts the attempts from 0."""
 
-    def refine(self, attempt: Attempt, stalls: int) -> bool:
-        """Ask more of the next march; False when there is nothing left to try.
-
-        ``stalls`` is the number of attempts in a row that hardly lowered the error.
-        """
+    def refine(self, attempt: Attempt, progress: Progress) -> bool:
+        """Ask more of the next march; False when there is nothing left to try."""
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
         """The status, or one that says more, and why it ended so."""
@@ -124,87 +175,102 @@ def solve_in_attempts(
     ``prepared`` makes the marcher from the request and its yardstick. A part of the time is kept
     for saying why it failed.
     """
-    timings = {"reference": 0.0, "march": 0.0, "check": 0.0}
-    left = seconds_left()
-    with time_limit(left - min(_EXPLAINING, _SHARE * left)):
+    stages = Stages()
+    with _keeping_some():
         try:
-            with _timed(timings, "reference"):
+            with stages.of("reference"):
                 asked = request.rtol, request.points, request.cover, request.counted
                 yardstick = Yardstick.of(system, domain, *asked)
                 marcher = prepared(request, yardstick)
                 marcher.yardstick = yardstick
-        except OutOfTimeError as out:
-            message = f"{Status.TIME_LIMIT.value} by the reference trajectories"
+        except OutOfBudgetError as out:
+            status = Status.of_limit(out)
+            message = f"{status.value} by the reference trajectories"
             if out.args:
                 message += ", at t = {:.6g} after {} steps".format(*out.args)
-            return Outcome((), Status.TIME_LIMIT, f"{message}; {_MORE_TIME}", None, (), timings)
-        best, records, met = _attempts(marcher, request, report, timings)
+            message += f"; {_REMEDIES[status]}"
+            return Outcome((), status, message, None, (), stages.timings, stages.work)
+        best, records, met = _attempts(marcher, request, report, stages)
     yardstick = marcher.yardstick
     status = best.status(yardstick, request.rtol)
     if met is not None and status is not Status.CONVERGED:
         status = met
-    with _timed(timings, "check"):
-        status, cause = marcher.explained(status, best)
+    with stages.of("check"):
+        try:
+            status, cause = marcher.explained(status, best)
+        except OutOfBudgetError:
+            cause = status.value
     message = best.message(status, request.rtol, cause)
-    remedies = {Status.TIME_LIMIT: _MORE_TIME, Status.MEMORY_LIMIT: _LESS, **marcher.remedies}
+    remedies = {**_REMEDIES, **marcher.remedies}
     if status in remedies:
         message += f"; {remedies[status]}"
     slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
-    return Outcome(slabs, status, message, best.measured, tuple(records), timings, blow_up)
+    spent = stages.timings, stages.work
+    return Outcome(slabs, status, message, best.measured, tuple(records), *spent, blow_up)
 
 
 def _attempts(
-    marcher: Marcher, request: Request[Any], report: Report, timings: dict[str, float]
+    marcher: Marcher, request: Request[Any], report: Report, stages: Stages
 ) -> tuple[Attempt, list[SlabRecord], Status | None]:
     """The best attempt, the records of all, and the limit of the whole solve that ended them."""
     records: list[SlabRecord] = []
     best: Attempt | None = None
-    stalls, met = 0, None
-    for index in range(request.options.max_attempts):
-        with _timed(timings, "march"):
+    progress, met = Progress(), None
+    for index in itertools.count():
+        with stages.of("march"):
             try:
                 result = marcher.march(index, report)
             except MemoryError:
                 result = MarchResult(stopped=Status.MEMORY_LIMIT)
+            except OutOfBudgetError as out:
+                result = MarchResult(stopped=Status.of_limit(out))
         records += result.records
         before = marcher.yardstick
-        with _timed(timings, "check"):
+        with stages.of("check"):
             attempt = Attempt(result, before.measured(result.slabs))
-            further = _further_points(before, attempt, request.rtol, index)
-            if further is not None:
-                try:
+            try:
+                further = _further_points(before, attempt, request.rtol, index)
+                if further is not None:
                     marcher.yardstick = before.with_points(further)
-                except OutOfTimeError:  # not measured where it must be
-                    result.stopped = Status.TIME_LIMIT
+            except OutOfBudgetError as out:  # not measured where it must be
+                result.stopped = Status.of_limit(out)
+            if marcher.yardstick is not before:
                 attempt = Attempt(result, marcher.yardstick.measured(result.slabs))
                 if best is not None:
                     best = Attempt(best.result, marcher.yardstick.measured(best.result.slabs))
         if marcher.yardstick.end < before.end:  # a trajectory ends earlier than was known
             best = None
             continue
-        stalls = stalls + 1 if best and attempt.error > _STALLED * best.error else 0
+        progress.add(attempt.error, best.error if best else math.inf)
         best = attempt if attempt.better_than(best) else best
         met = result.stopped if result.stopped in _OF_ALL else None
         done = result.stopped or not before.checked or attempt.error <= request.rtol
-        if done or not marcher.refine(attempt, stalls):
+        if done or _enough(index + 1, request.options, progress):
+            break
+        if not marcher.refine(attempt, progress):
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
     return _restated(best, marcher.yardstick, request.rtol), records, met
 
 
+def _enough(count: int, options: Options, progress: Progress) -> bool:
+    """Whether there were as many attempts as asked for, or as usual and more do not pay."""
+    if options.max_attempts is not None:
+        return count >= options.max_attempts
+    return count >= options.usual_attempts and not progress.pays
+
+
 def _restated(best: Attempt, yardstick: Yardstick, rtol: float) -> Attempt:
     """A failure with the error that it has where it is worst, as far as that is easily found."""
     if not best.result.slabs or not rtol < best.error < math.inf:
         return best
-    doubtful = doubtful_points(yardstick, best.result.slabs, best.error / rtol, rtol, -1)
-    if doubtful is None:
-        return best
     try:
-        stricter = yardstick.with_points(doubtful)
-    except OutOfTimeError:
+        doubtful = doubtful_points(yardstick, best.result.slabs, best.error / rtol, rtol, -1)
+        stricter = yardstick if doubtful is None else yardstick.with_points(doubtful)
+    except OutOfBudgetError:
         return best
-    if stricter.end < yardstick.end:
+    if stricter is yardstick or stricter.end < yardstick.end:
         return best
     return Attempt(best.result, stricter.measured(best.result.slabs))
 
@@ -225,7 +291,10 @@ def _further_points(
 
 
 @contextmanager
-def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
-    began = clock.perf_counter()
-    yield
-    timings[stage] += clock.perf_counter() - began
+def _keeping_some() -> Iterator[None]:
+    """Limit what is done inside, so that something is left to say why it failed."""
+    work, seconds = work_left(), seconds_left()
+    work -= min(_EXPLAINING, _SHARE * work)
+    seconds -= min(_LONGEST, _SHARE * seconds)
+    with limited(work, seconds):
+        yield

@@ -16,7 +16,8 @@ from functools import lru_cache
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import Cost
 from rankone.discretization import ChebyshevBasis
 from rankone.domain import Domain, KnownFactors
 from rankone.errors import OptionError
@@ -32,6 +33,8 @@ _TOLERANCE = 1e-7
 _NARROW = 1.0 / 64.0
 _EXTRA = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
 """Places beside the samples, so that small pieces are looked at too."""
+_LOOK = Cost(80e3, 3.0)
+"""Operations of an interpolation on a piece, and for each sample there."""
 _RARE = 0.25
 """Narrow pieces count if they make up less than this part of the interval."""
 _DEEPEST = 13
@@ -285,6 +288,7 @@ class _Finder:
     def error(self, a: float, b: float) -> float:
         """Largest interpolation error on [a, b], at the fine samples and a few more points."""
         inside = slice(*np.searchsorted(self.points, [a, b]))
+        charge(_LOOK(self.values[:, inside].size))
         places = (self.points[inside] - a) / (b - a)
         few = self.function(a + (b - a) * np.concatenate([_unit(self.nodes).nodes, _EXTRA]))
         if _even(places):
@@ -296,7 +300,6 @@ class _Finder:
 
     def pieces(self, a: float, b: float, depth: int = 0) -> list[tuple[float, float, bool]]:
         """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
-        check_time()
         if self.error(a, b) <= self.tolerance:
             return [(a, b, True)]
         if depth == _DEEPEST or b - a < 4.0 * self.closest:

@@ -9,18 +9,19 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import Cost, eigenvalues, in_pieces, rates_cost
 from rankone.discretization.radau import inset
 from rankone.solvers.jumps import jump_kind
 from rankone.solvers.steppers import StackedDOP853, StackedRadau
 from rankone.solvers.watch import Watch
-from rankone.system import Recipe, System
+from rankone.system import System
 
 __all__ = ["NUMBERS_LEFT", "Recorder", "Stack", "initial_values", "quickest"]
 
@@ -38,6 +39,9 @@ _IMPLICIT = 1.7
 """Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
 _LOW_DEGREE = 4
 """Degree of rates, in the unknowns, up to which nothing is narrower than the unknowns change."""
+_STAGE, _STEP = Cost(15e3, 8.0), Cost(40e3, 5.0)
+"""What an integrator does for each evaluation of the rates, and for each step besides: operations
+for a stack, and for each number of its state."""
 
 
 class Recorder(Protocol):
@@ -70,6 +74,13 @@ class Stack:
     def shape(self) -> tuple[int, int]:
         """Number of states, number of points."""
         return self.system.N_DIFFERENTIAL, len(self.points)
+
+    @cached_property
+    def costs(self) -> tuple[float, float]:
+        """Operations of an evaluation of the rates in a step, and of their Jacobians."""
+        n, m = self.shape
+        rates, jacobian = rates_cost(self.system), rates_cost(self.system, "jacobian")
+        return rates(m) + _STAGE(n * m), jacobian(m) + n * n * m
 
     @property
     def polynomial(self) -> bool:
@@ -155,8 +166,8 @@ class Stack:
                 return state, 0.0
             solver = method(self._right_hand_side(a, b), a, state.ravel(), b)
             while solver.status == "running":
+                charge(_STEP(state.size))
                 solver.step()
-                check_time()
                 if solver.status == "failed":
                     if b - solver.t <= NUMBERS_LEFT * np.spacing(abs(b)):
                         break  # SciPy makes no step of so few floating-point numbers
@@ -189,15 +200,12 @@ class Stack:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""
         rhs, shape = self.system.rhs, self.shape
         parameters = np.ascontiguousarray(self.points.T)
-        recipe: Recipe | None = getattr(self.system, "RECIPE", None)
-        slow = recipe is not None and bool(recipe.namespace)
-        if len(self.edges) == 2 and not slow:
-            return lambda t, y: rhs(t, y.reshape(shape), parameters).ravel()
         near = inset(a, b) if len(self.edges) > 2 else 0.0
         least, most = a + near, b - near
+        cost, _ = self.costs
 
         def rates(t: float, y: Array) -> Array:
-            check_time()  # a function of the user may be slow
+            charge(cost)
             return rhs(min(max(t, least), most), y.reshape(shape), parameters).ravel()
 
         return rates
@@ -210,17 +218,32 @@ class Stack:
         if count not in _FIRST_PROBES and count % _PROBE_STEPS:
             return 0.0
         left = (self.edges[-1] - solver.t) / solver.step_size
-        blocks = self.jacobians(solver.t, solver.y)
-        if left <= bearable or not np.isfinite(blocks).all():
+        if left <= bearable:
             return 0.0
-        decay = float(-np.linalg.eigvals(blocks).real.min())
-        return left if decay * solver.step_size > _STIFF_PRODUCT else 0.0
+        blocks = self.jacobians(solver.t, solver.y)
+        if not np.isfinite(blocks).all():
+            return 0.0
+        return left if _decays_faster(blocks, _STIFF_PRODUCT / solver.step_size) else 0.0
 
     def jacobians(self, t: float, y: Array) -> Array:
         """Jacobian of each trajectory at the states (n m,) or (n, m): shape (m, n, n)."""
         n, m = self.shape
+        charge(self.costs[1])
         jacobian = self.system.jacobian(t, y.reshape(n, m), self.points.T)
         return np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
+
+
+def _decays_faster(blocks: Array, rate: float) -> bool:
+    """Whether some matrix (n, n) of a stack has an eigenvalue with a real part below ``-rate``."""
+    size = blocks.shape[-1]
+    bounds = np.abs(blocks).sum(axis=2).max(axis=1)  # no eigenvalue is larger
+    suspicious = blocks[bounds > rate]
+    cost = eigenvalues(size)
+    for some in in_pieces(suspicious, cost):
+        charge(cost * len(some))
+        if -np.linalg.eigvals(some).real.min() > rate:
+            return True
+    return False
 
 
 def quickest(system: System, time: float, state: Array, points: Array, floor: Any) -> int:

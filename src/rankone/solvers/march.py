@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError
+from rankone.budget import OutOfBudgetError
 from rankone.progress import ProgressEvent, Report
 from rankone.solvers.outcome import SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
@@ -104,8 +104,8 @@ class March:
                 trial = self.solver.solve(span)
                 kept = self.lengths.adapt(span, trial)
                 trains = self.solver.accept(span, trial) if kept else []
-            except OutOfTimeError:
-                result.stopped = Status.TIME_LIMIT
+            except OutOfBudgetError as out:
+                result.stopped = Status.of_limit(out)
                 break
             result.records.append(replace(trial.record, accepted=kept))
             result.limits |= trial.limits

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
+from rankone.budget import OutOfBudgetError, OutOfWorkError
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Measured", "Outcome", "SlabRecord", "Status"]
@@ -21,12 +22,18 @@ class Status(Enum):
     NODE_LIMIT = "the limit of parameter nodes was reached"
     SLAB_LIMIT = "the limit of time slabs was reached"
     MEMORY_LIMIT = "the memory limit was reached"
+    WORK_LIMIT = "the budget of work was reached"
     TIME_LIMIT = "the time limit was reached"
     TRAJECTORY_LIMIT = "the limit of trajectories was reached"
     NO_CONVERGENCE = "the sweeps did not converge on any slab length"
     STEEP = "the solution depends steeply on a parameter"
     BLOW_UP = "a trajectory blows up inside the horizon"
     LEAVES = "a trajectory comes to where its right-hand side is not finite"
+
+    @classmethod
+    def of_limit(cls, error: OutOfBudgetError) -> Status:
+        """How a solve ended that ran out of its budget."""
+        return cls.WORK_LIMIT if isinstance(error, OutOfWorkError) else cls.TIME_LIMIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +134,8 @@ class Outcome:
         None when no check was made.
     timings : dict of str to float
         Seconds by stage: ``reference``, ``march``, ``check``.
+    work : dict of str to float
+        Operations counted in the same stages: shares of the budget that ``effort`` sets.
     blow_up : tuple or None
         Time and parameter values near which a trajectory blows up.
     """
@@ -137,6 +146,7 @@ class Outcome:
     measured: Measured | None
     history: tuple[SlabRecord, ...]
     timings: dict[str, float] = field(default_factory=dict)
+    work: dict[str, float] = field(default_factory=dict)
     blow_up: tuple[float, tuple[float, ...]] | None = None
 
     @property

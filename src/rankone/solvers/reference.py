@@ -11,7 +11,8 @@ import numpy as np
 import scipy.integrate
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError
+from rankone.budget import OutOfBudgetError, charge
+from rankone.costs import Cost
 from rankone.errors import ConvergenceError
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
@@ -51,6 +52,8 @@ then that is resolved instead."""
 _LOOKED, _AMPLIFIED = 8, 5.0
 """Times at which the growth of small values is looked at, and the growth over the horizon, as a
 power of e, from which it counts."""
+_DENSE = Cost(50e3, 15.0)
+"""Operations of an evaluation of dense output, and for each number that it gives."""
 _INTEGRATIONS = 4
 """Integrations at most, where states that start from zero turn out to be small."""
 
@@ -135,6 +138,7 @@ class Reference:
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
+        charge(len(self.batches) * _DENSE(times.size * self.states * len(self.points)))
         parts = [dense(times).reshape(self.states, count, -1) for count, dense in self.batches]
         return np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
 
@@ -173,7 +177,7 @@ def integrate_reference(
     ------
     ConvergenceError
         If not a single step can be made.
-    OutOfTimeError
+    OutOfBudgetError
         With the time reached and the number of steps.
     """
     between = _with_moving(system, points, start, end, cuts)
@@ -191,8 +195,8 @@ def integrate_reference(
             state, avoided = stack.run(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
             )
-        except OutOfTimeError as out:
-            raise OutOfTimeError(steps.times[-1], len(steps.pieces)) from out
+        except OutOfBudgetError as out:
+            raise type(out)(steps.times[-1], len(steps.pieces)) from out
         if not steps.pieces:
             break
         largest, early = (

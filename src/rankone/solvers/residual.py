@@ -13,6 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import charge
+from rankone.costs import rates_cost
 from rankone.discretization import Basis1D
 from rankone.solvers.jumps import jump_kind
 from rankone.solvers.verification import Yardstick
@@ -115,6 +117,7 @@ def _at_jumps(
         def missed(
             some: Array, kind: int = kind, sides: tuple[SlabTrain, ...] = (before, after)
         ) -> Array:
+            charge(rates_cost(system, "jumped")(len(some)))
             carry = sides[0].over_parameters(some.T)
             time = np.array([sides[0].end])
             start = sides[0].on_grid(time, carry)[:, :, 0]
@@ -169,6 +172,7 @@ def _residuals(yardstick: Yardstick, slab: SlabTrain, points: Array, carry: Arra
     times = slab.start + (slab.end - slab.start) * _TIMES
     values, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
     units = yardstick.states[:, None]
+    charge(len(times) * (rates_cost(yardstick.system)(len(points)) + 2.0 * values[:, :, 0].size))
     with np.errstate(all="ignore"):
         found = [
             np.abs(rates[:, :, j] - yardstick.system.rhs(time, values[:, :, j], points.T)) / units

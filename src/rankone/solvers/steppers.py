@@ -15,7 +15,8 @@ import scipy.integrate
 import scipy.sparse
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import CALL, in_pieces, inverse
 from rankone.solvers.watch import Watch
 
 __all__ = ["StackedDOP853", "StackedRadau"]
@@ -26,6 +27,8 @@ _BETWEEN = (0.4, 0.85)
 """Where between the nodes of Radau, in steps, its interpolant is looked at."""
 _INTERPOLATED = 10.0
 """Largest error of the interpolant, in units of the tolerance."""
+_ENTRIES = 0.5
+"""Operations for each entry of a matrix that a vector is multiplied by."""
 _SHORTER = 0.2
 """Length of a step that is made again because something was overlooked."""
 
@@ -58,7 +61,6 @@ class _Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
             shorter = self._shorter(before["y"])
             if shorter >= 1.0 or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
                 return done, message
-            check_time()
             for name, value in before.items():
                 setattr(self, name, value)
             self._restart(h * shorter)
@@ -151,10 +153,17 @@ class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def _inverted(self, matrix: Any) -> Any:
         """Inverses; those of the real matrix of the Newton iteration are kept for the check."""
-        inverse = np.asarray(np.linalg.inv(matrix))
-        if np.isrealobj(inverse):
-            self._newton = inverse
-        return inverse
+        real = np.isrealobj(matrix)
+        cost = inverse(matrix.shape[-1], real)
+        inverses = np.empty_like(matrix)
+        first = 0
+        for some in in_pieces(matrix, cost):
+            charge(cost * len(some))
+            inverses[first : first + len(some)] = np.linalg.inv(some)
+            first += len(some)
+        if real:
+            self._newton = inverses
+        return inverses
 
     def _validate_jac(self, *_: Any) -> Any:
         """The Jacobian as a function; what stands in for its first value is not used."""
@@ -205,5 +214,6 @@ class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     @staticmethod
     def _solve(inverses: Array, right: Array) -> Array:
         m, n, _ = inverses.shape
+        charge(5.0 * CALL + m * (_ENTRIES * n * n + 40.0))
         solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
         return np.ascontiguousarray(solved.T).ravel()

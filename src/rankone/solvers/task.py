@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from rankone.budget import (
+    OutOfBudgetError,
+    limited,
+    operations_for,
+    seconds_left,
+    unlimited,
+    work_left,
+)
 from rankone.coordinates import name_of
-from rankone.deadline import OutOfTimeError, seconds_left, time_limit
 from rankone.domain import Domain, check_factors
 from rankone.errors import EvaluationError, OptionError
 from rankone.metadata import SolutionMetadata
@@ -27,14 +35,13 @@ __all__ = ["Asked", "Task", "counted_states"]
 
 _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.BLOW_UP, Status.LEAVES, Status.STEEP)
 """How a solve ends that no other engine is tried after."""
-_LONGEST, _SLOW = 25.0, 10.0
-"""Seconds for a solve if no time limit was asked for; longer by that factor where functions of the
-user are called, which may be slow."""
-_BRIEF, _BRIEFLY = 2.0, 0.4
-"""Seconds for train where cross follows, and their largest share of the time."""
+_SLOW = 10.0
+"""Factor on the budget of work where functions of the user are called, which may be slow."""
+_BRIEF, _BRIEFLY = 2e9, 0.4
+"""Operations for train where cross follows, and their largest share of the budget."""
 _AS_WRITTEN = "method='cross', the default, takes the system as it was written"
 _FIRST = 0.7
-"""Share of the time for cross where train follows."""
+"""Share of the budget for cross where train follows."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,7 @@ class Asked:
     max_seconds: float | None
     options: Mapping[str, Any]
     unknowns: Sequence[Any] | None = None
+    effort: str | float = "normal"
 
     @classmethod
     def keywords(cls) -> tuple[str, ...]:
@@ -97,10 +105,10 @@ class Task:
         Tried one after the other until the error is within the tolerance.
     requests : sequence of Request
         One for each engine.
+    operations : float
+        Budget of work for all of them together.
     max_seconds : float
-        For all of them together.
-    by_default : bool
-        Whether nobody asked for that limit.
+        The same on the clock; infinite unless somebody asked for it.
     truth : System, optional
         The system as it was before functions of its states were lifted: what is found is measured
         against its trajectories.
@@ -110,8 +118,8 @@ class Task:
     requests: Sequence[Request[Any]]
     system: System
     domain: Domain
-    max_seconds: float
-    by_default: bool = False
+    operations: float
+    max_seconds: float = math.inf
     truth: System | None = None
 
     @classmethod
@@ -130,13 +138,13 @@ class Task:
         counted = counted_states(system, asked.unknowns)
         requests = [replace(request, counted=counted) for request in requests]
         domain = Domain.of(system).moved(system.PARAMETERS, asked.parameters, asked.t_final)
-        if asked.max_seconds is None:
-            recipe: Recipe | None = getattr(system, "RECIPE", None)
-            slow = recipe is not None and recipe.namespace
-            seconds = _LONGEST * (_SLOW if slow else 1.0)
-        else:
+        recipe: Recipe | None = getattr(system, "RECIPE", None)
+        slow = recipe is not None and recipe.namespace
+        operations = operations_for(asked.effort) * (_SLOW if slow else 1.0)
+        seconds = math.inf
+        if asked.max_seconds is not None:
             seconds = checked_number("max_seconds", asked.max_seconds, 0.0, kind=float)
-        return cls(engines, requests, system, domain, seconds, asked.max_seconds is None)
+        return cls(engines, requests, system, domain, operations, seconds)
 
     def run(
         self, metadata: SolutionMetadata, report: Report = quiet
@@ -150,13 +158,10 @@ class Task:
         """
         check_factors(self.system, self.domain)
         warn_of_last(self.system, *self.domain.horizon)
-        with time_limit(self.max_seconds), np.errstate(all="ignore"):  # results are checked
+        limits = limited(self.operations, self.max_seconds)
+        with limits, np.errstate(all="ignore"):  # results are checked
             outcome, method = self._outcome(report)
             outcome = self._without_lifted(outcome)
-        if self.by_default and outcome.status is Status.TIME_LIMIT:
-            said = f"the default time limit of {self.max_seconds:g} s was reached"
-            message = outcome.message.replace(Status.TIME_LIMIT.value, said)
-            outcome = replace(outcome, message=message)
         box, horizon, rtol = self.domain.box, self.domain.horizon, self.requests[0].rtol
         return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
 
@@ -166,7 +171,8 @@ class Task:
         if not lifted or not outcome.slabs:
             return outcome
         seen = self.system.N_DIFFERENTIAL - lifted
-        drifted = drift(self.system, self.domain, outcome.slabs)
+        with unlimited():
+            drifted = drift(self.system, self.domain, outcome.slabs)
         slabs = tuple(slab.first_states(seen) for slab in outcome.slabs)
         known = outcome.measured and replace(outcome.measured, drift=drifted)
         outcome = replace(outcome, slabs=slabs, measured=known)
@@ -178,8 +184,9 @@ class Task:
         given = request.rtol, request.points, request.cover, request.counted
         try:
             measured = Yardstick.of(self.truth, self.domain, *given).measured(outcome.slabs)
-        except OutOfTimeError:
-            return replace(outcome, status=Status.TIME_LIMIT, message=Status.TIME_LIMIT.value)
+        except OutOfBudgetError as out:
+            status = Status.of_limit(out)
+            return replace(outcome, status=status, message=status.value)
         assert measured is not None
         measured, error = replace(measured, drift=drifted), measured.error
         if error <= request.rtol:
@@ -190,14 +197,14 @@ class Task:
         message += f"; {_AS_WRITTEN}"
         return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)
 
-    def _seconds(self, tried: int) -> float:
-        """What the next engine is given: train before cross no more than a try."""
-        left = seconds_left()
+    def _limits(self, tried: int) -> tuple[float, float]:
+        """Operations and seconds for the next engine: train before cross no more than a try."""
+        work, seconds = work_left(), seconds_left()
         if tried == len(self.engines) - 1:
-            return left
+            return work, seconds
         if self.engines[tried].name == "train":
-            return min(_BRIEF, _BRIEFLY * left)
-        return _FIRST * left
+            return min(_BRIEF, _BRIEFLY * work), _BRIEFLY * seconds
+        return _FIRST * work, _FIRST * seconds
 
     def _rank(self, outcome: Outcome) -> tuple[bool, bool, float]:
         """The best outcome has the least: it is final, or gets to the end, or errs least."""
@@ -208,9 +215,9 @@ class Task:
         """The best outcome, and the name of its engine."""
         found: list[tuple[Outcome, str]] = []
         for engine, request in zip(self.engines, self.requests, strict=True):
-            if found and seconds_left() <= 0.0:
+            if found and min(work_left(), seconds_left()) <= 0.0:
                 break
-            with time_limit(self._seconds(len(found))):
+            with limited(*self._limits(len(found))):
                 outcome = engine.solve(self.system, self.domain, request, report)
             found.append((outcome, engine.name))
             if outcome.status in _FINAL:
@@ -219,5 +226,7 @@ class Task:
         if len(found) == 1:
             return best, method
         timings = {stage: sum(o.timings[stage] for o, _ in found) for stage in best.timings}
+        work = {stage: sum(o.work[stage] for o, _ in found) for stage in best.work}
         others = "".join(f". Tried too, {n}: {o.message}" for o, n in found if o is not best)
-        return replace(best, timings=timings, message=f"{method}: {best.message}{others}"), method
+        message = f"{method}: {best.message}{others}"
+        return replace(best, timings=timings, work=work, message=message), method

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import unlimited
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError
 from rankone.solvers.breakpoints import Breakpoints, system_breakpoints
@@ -158,7 +159,8 @@ class Yardstick:
             return None
         seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
         counts = self.corners, self.whole_box, seen, self.counted
-        return measure(slabs, self.reference, self.states, *counts)
+        with unlimited():
+            return measure(slabs, self.reference, self.states, *counts)
 
     @property
     def blow_up(self) -> tuple[float, tuple[float, ...]] | None:

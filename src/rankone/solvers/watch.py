@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import charge
+from rankone.costs import Cost, rates_cost
 from rankone.system import System
 
 __all__ = ["Watch"]
@@ -26,6 +28,8 @@ _NARROWED, _EXACT = 30, 1e-14
 """Iterations for the time of a crossing, and its accuracy, in steps."""
 _LEAST, _PLACES = 2, 512
 """Random places on each trajectory at least, and on all together, in every step."""
+_LOOKED = Cost(150e3, 25.0)
+"""Operations of a look at an interpolant, and for each number looked at."""
 
 
 class Watch:
@@ -45,6 +49,7 @@ class Watch:
         self.parameters = np.ascontiguousarray(points.T)
         self.each = max(_LEAST, _PLACES // len(points)) if anywhere else 0
         self.generator = np.random.default_rng(20142)
+        self.cost_of_rates, self.cost_of_events = rates_cost(system), rates_cost(system, "events")
 
     def missed(self, solver: Any, y_before: Array) -> bool:
         """Whether a step, of a StackedDOP853 or StackedRadau, missed something.
@@ -64,6 +69,7 @@ class Watch:
         """Largest error that a defect at random places comes to, in units of the tolerance."""
         m, h = self.parameters.shape[1], solver.t - solver.t_old
         columns = np.tile(np.arange(m), self.each)
+        charge(self.cost_of_rates(columns.size) + _LOOKED(solver.y.size // m * columns.size))
         shares = self.generator.random(columns.size)
         states, slopes = solver.interpolant(columns)(shares, slopes=True)
         rates = self.rates(solver.t_old + h * shares, states, self.parameters[:, columns])
@@ -87,6 +93,7 @@ class Watch:
         m, before, h = self.parameters.shape[1], solver.t_old, solver.t - solver.t_old
         events = self.events
         assert events is not None
+        charge(2.0 * self.cost_of_events(m))
         start = events(before, y_before.reshape(-1, m), self.parameters)
         end = events(solver.t, solver.y.reshape(-1, m), self.parameters)
         columns, which = np.nonzero((start * end < 0.0).T)
@@ -94,12 +101,15 @@ class Watch:
             return 0.0
         interpolant, p = solver.interpolant(columns), self.parameters[:, columns]
         tolerated = self._tolerated(solver, solver.y.reshape(-1, m))
+        look = _LOOKED(len(tolerated) * columns.size)
 
         def event(shares: Array) -> Array:
+            charge(self.cost_of_events(columns.size) + look)
             values = events(before + h * shares, interpolant(shares), p)
             return np.asarray(values[which, np.arange(columns.size)])
 
         def largest(shares: Array, narrow: Any, kink: Any) -> float:
+            charge(self.cost_of_rates(columns.size) + 2.0 * look)
             states, slopes = interpolant(shares, slopes=True)
             rates = h * self.rates(before + h * shares, states, p)
             defect = np.abs(rates - slopes)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import check_time
 from rankone.discretization import Basis1D
 from rankone.errors import warn
 from rankone.statistics.copula import Copula

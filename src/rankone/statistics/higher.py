@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import check_time
 from rankone.discretization import Basis1D
 from rankone.errors import warn
 from rankone.statistics.measures import Measure

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import sympy as sp
 from sympy.core.relational import Relational
 
-from rankone.deadline import check_time
+from rankone.budget import check_time
 from rankone.ir import Jump, Role, State
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.notation import text_of

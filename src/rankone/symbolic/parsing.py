@@ -18,7 +18,7 @@ from typing import Any
 
 import sympy as sp
 
-from rankone.deadline import check_time
+from rankone.budget import check_time
 from rankone.errors import ProblemError
 from rankone.wording import did_you_mean, quote
 

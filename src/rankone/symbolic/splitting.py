@@ -14,7 +14,7 @@ from functools import reduce
 
 import sympy as sp
 
-from rankone.deadline import check_time
+from rankone.budget import check_time
 from rankone.ir import Coordinate
 from rankone.symbolic.admissible import sign
 from rankone.symbolic.monomials import Monomial, MonomialSum

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import product, qr
 
 __all__ = ["RankOneSum"]
 
@@ -99,7 +100,8 @@ class RankOneSum:
         """Inner products of the products, (R, R of the other), a block of columns at a time."""
         step = max(_BLOCK // max(self.rank, 1), 1)
         for first in range(0, other.rank, step):
-            check_time()
+            width = min(step, other.rank - first)
+            charge(sum(product(self.rank, len(factor), width) for factor in self.factors))
             gram = np.ones((self.rank, min(step, other.rank - first)))
             for a, b in zip(self.factors, other.factors, strict=True):
                 gram *= a.T @ b[:, first : first + step]
@@ -121,6 +123,7 @@ class RankOneSum:
         carry = np.ones((1, self.rank))
         for factor in self.factors[:-1]:
             block = (carry[:, None, :] * factor).reshape(-1, self.rank)
+            charge(qr(*block.shape))
             if len(block) > self.rank:
                 block = np.asarray(np.linalg.qr(block, mode="r"))
             carry = block

@@ -8,9 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import charge
+from rankone.costs import CALL, Cost, product
 from rankone.discretization import Basis1D, legendre_derivative, legendre_values
 
 __all__ = ["SlabTrain", "sharing"]
+
+_CORE, _MODE = Cost(10.0 * CALL, 0.1), 15.0
+"""Operations for each core, for each of its numbers at a point, and for the value of a mode."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class SlabTrain:
 
     def over_parameters(self, points: Array) -> Array:
         """Product of the cores of the parameters at points (d, M): shape (r_1, M)."""
+        charge(sum(_CORE(points.shape[1] * core.size) for core in self.cores[1:]))
+        charge(_MODE * points.shape[1] * sum(core.shape[1] for core in self.cores[1:]))
         modes = [basis.modal_values(row) for basis, row in zip(self.bases, points, strict=True)]
         carry = np.ones((1, points.shape[1]))
         for core, values in zip(reversed(self.cores[1:]), reversed(modes), strict=True):
@@ -61,6 +68,8 @@ class SlabTrain:
 
     def on_grid(self, times: Array, carry: Array) -> Array:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
+        states, rank = len(self.cores[0]), len(carry)
+        charge(50.0 * CALL + product(states * times.size, rank, carry.shape[1]))
         return np.asarray(np.einsum("ntr,rm->nmt", self.in_time(times), carry, optimize=True))
 
     def in_time(self, times: Array) -> Array:

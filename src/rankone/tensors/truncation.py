@@ -6,7 +6,8 @@ import numpy as np
 import scipy.linalg
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import product, qr, svd
 
 __all__ = ["independent", "truncated_svd"]
 
@@ -14,9 +15,6 @@ _DIRECT = 48
 """Smaller sides than this are decomposed directly."""
 _EXTRA = 12
 """Random directions added to the expected row space."""
-_SVD_SECONDS, _PRODUCT_SECONDS = 5e-10, 3e-10
-"""Of a singular value decomposition, for each m n min(m, n), and of a few products of matrices, for
-each m n r: about."""
 
 
 def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
@@ -26,6 +24,7 @@ def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
     direction: it would be one of rounding, and no two machines round alike. With ``negligible``
     zero all are kept.
     """
+    charge(qr(*columns.shape))
     if not negligible:
         return np.linalg.qr(columns)
     q, r, order = scipy.linalg.qr(columns, mode="economic", pivoting=True, check_finite=False)
@@ -84,7 +83,8 @@ def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, 
     extra = generator.standard_normal((matrix.shape[1], _EXTRA))
     sample = matrix @ np.hstack([rows.T, extra])
     while True:
-        check_time(_PRODUCT_SECONDS * matrix.size * sample.shape[1])
+        width = sample.shape[1]
+        charge(4.0 * product(len(matrix), matrix.shape[1], width) + 2.0 * qr(len(matrix), width))
         for _ in range(2 if basis.size else 1):  # once more against cancellation
             sample, _ = np.linalg.qr(sample - basis @ (basis.T @ sample))
         basis = np.hstack([basis, sample])
@@ -102,15 +102,17 @@ def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
     """Thin SVD; a QR first where the matrix is far from square."""
     m, n = matrix.shape
-    check_time(_SVD_SECONDS * max(m, n) * min(m, n) ** 2)
     if n > 2 * m:
+        charge(qr(n, m))
         q, r = np.linalg.qr(matrix.T)
         left, values, right = _svd(r.T)
         return left, values, right @ q.T
     if m > 2 * n:
+        charge(qr(m, n))
         q, r = np.linalg.qr(matrix)
         left, values, right = _svd(r)
         return q @ left, values, right
+    charge(svd(m, n))
     try:
         left, values, right = scipy.linalg.svd(
             matrix, full_matrices=False, check_finite=False, lapack_driver="gesdd"

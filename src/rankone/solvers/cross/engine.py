@@ -9,11 +9,11 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import OutOfTimeError
+from rankone.budget import OutOfBudgetError, unlimited
 from rankone.discretization import BASES, Basis1D
 from rankone.domain import Domain
 from rankone.progress import ProgressEvent
-from rankone.solvers.attempts import Attempt, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.record import CrossRecord
@@ -66,6 +66,7 @@ _UNRESOLVED = (
     Status.RANK_LIMIT,
     Status.NODE_LIMIT,
     Status.TRAJECTORY_LIMIT,
+    Status.WORK_LIMIT,
     Status.TIME_LIMIT,
 )
 """Failures for which a steep dependence on a parameter may be the reason."""
@@ -113,11 +114,11 @@ class CrossMarcher:
         given = grid, _INTEGRATION * level, self.tightness, most, self.workers
         self.trajectories = trajectories = Trajectories(self.yardstick, *given)
         try:
-            found, bases = self._interpolated(trajectories, level)
+            return self._marched(trajectories, level, number, report)
         except TooManyTrajectories:
             return self._stopped(Status.TRAJECTORY_LIMIT, grid)
-        except OutOfTimeError:
-            return self._stopped(Status.TIME_LIMIT, grid)
+        except OutOfBudgetError as out:
+            return self._stopped(Status.of_limit(out), grid)
         except TrajectoryEnds as ends:
             result.stopped, result.points = Status.NO_CONVERGENCE, ends.point[None, :]
             self.ends = ends.time
@@ -125,6 +126,13 @@ class CrossMarcher:
         finally:
             self.integrated += trajectories.count
             self.tightness = trajectories.tightness
+
+    def _marched(
+        self, trajectories: Trajectories, level: float, number: int, report: Report
+    ) -> MarchResult:
+        """The interpolation of trajectories, and what it came to."""
+        result, grid = MarchResult(), trajectories.grid
+        found, bases = self._interpolated(trajectories, level)
         self.bases = bases
         if found.limited:
             result.limits.add(Status.RANK_LIMIT)
@@ -150,7 +158,8 @@ class CrossMarcher:
         yardstick, kind = self.yardstick, BASES[self.options.basis]
         bases = tuple(kind(lower, upper, _LEAST_NODES) for lower, upper in yardstick.domain.box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
-        centre = yardstick.reference(grid.times)[:, 0, :, None]
+        with unlimited():
+            centre = yardstick.reference(grid.times)[:, 0, :, None]
         modal = apply_to_modes([centre, *constant], [basis.to_modal for basis in bases])
         return MarchResult(grid.trains(centre, modal[1:], bases), stopped=status, whole=True)
 
@@ -192,7 +201,7 @@ class CrossMarcher:
         tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
         return interpolate(samples, bases, left, tolerance, self.options.max_rank), bases
 
-    def refine(self, attempt: Attempt, stalls: int) -> bool:
+    def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
         if attempt.result.stopped or self.bases is None:
             return False
@@ -207,7 +216,7 @@ class CrossMarcher:
             self.steep = np.concatenate([self.doubtful, *known])
         finer = self._finer(self.bases)
         grown = sum(basis.elements for basis in finer) > sum(b.elements for b in self.bases)
-        patient = self._patient(attempt, stalls, grown)
+        patient = progress.pays or self._patient(attempt, progress.stalls, grown)
         self.error = attempt.error
         if not patient:
             return False
@@ -215,7 +224,7 @@ class CrossMarcher:
             new.size <= _SETTLED * b.size for new, b in zip(finer, self.bases, strict=True)
         )
         close = attempt.error < _FAR * self.rtol
-        if settled or close or (stalls and not grown):
+        if settled or close or (progress.stalls and not grown):
             self.share *= min(max((self.rtol / attempt.error) ** _TIGHTENED, 0.1), 0.7)
             finer = self._finer(self.bases)
         self.left = -(-3 * self.left // 2)
@@ -253,11 +262,11 @@ class CrossMarcher:
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
         lines = [domain.bounds.mean(axis=1)]
-        if attempt.result.slabs:
-            lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
         try:
+            if attempt.result.slabs:
+                lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
             front = steepest_front(trajectories.values, domain, lines)
-        except (OutOfTimeError, TrajectoryEnds):
+        except (OutOfBudgetError, TrajectoryEnds):
             front = None
         if front is None:
             return status, cause

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import eigenvalues, product, qr
 
 __all__ = ["GrowingBasis"]
 
@@ -31,6 +32,8 @@ class GrowingBasis:
 
         The basis grows where it misses more.
         """
+        length, rank = self.vectors.shape
+        charge(2.0 * product(length, rank, columns.shape[1]) + 4.0 * columns.size)
         found = self.vectors.T @ columns
         if self.vectors.shape[1] == len(self.vectors):
             return found
@@ -42,6 +45,7 @@ class GrowingBasis:
         if not large.any():  # so far all are negligible
             large = sizes == sizes.max(initial=0.0)
         new = _span(rest[:, large], _LOST * lost)
+        charge(2.0 * product(len(new), new.shape[1], rank) + qr(*new.shape) + self.vectors.size)
         new, _ = np.linalg.qr(new - self.vectors @ (self.vectors.T @ new))
         self.vectors = np.concatenate([self.vectors, new], axis=1)
         return np.concatenate([found, new.T @ rest])
@@ -59,7 +63,8 @@ def _span(columns: Array, tolerance: float) -> Array:
     """
     found = np.zeros((len(columns), 0))
     while True:
-        check_time()
+        smaller, larger = sorted(columns.shape)
+        charge(2.0 * product(smaller, larger, smaller) + eigenvalues(smaller) + columns.size)
         wide = columns.shape[1] > columns.shape[0]
         values, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
         values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
@@ -70,6 +75,7 @@ def _span(columns: Array, tolerance: float) -> Array:
             if wide
             else columns @ (vectors[:, :keep] / np.maximum(values[:keep], 1e-300))
         )
+        charge(2.0 * product(len(new), new.shape[1], found.shape[1]) + qr(*new.shape))
         new, _ = np.linalg.qr(new - found @ (found.T @ new))
         found = np.concatenate([found, new], axis=1)
         if seen == tolerance or found.shape[1] >= len(found):

@@ -47,8 +47,9 @@ class CrossOptions(Options):
         Largest number of slabs on which the reference is resolved.
     max_trajectories : int
         Largest number of trajectories integrated in all.
-    max_attempts : int
-        How often the interpolation may be repeated with more nodes or points.
+    max_attempts : int or None
+        How often the interpolation may be repeated with more nodes or points;
+        None: 10 times, and more while that pays.
     executor : concurrent.futures.Executor, int or None
         What integrates trajectories: an executor, which is left running, or so many processes.
         The results are the same to the bit.
@@ -60,7 +61,7 @@ class CrossOptions(Options):
     max_nodes: int = integer(500, 4)
     max_slabs: int = integer(2000)
     max_trajectories: int = integer(400_000)
-    max_attempts: int = integer(10)
+    max_attempts: int | None = integer(None)
     executor: Executor | int | None = field(default=None, metadata={"check": _check_executor})
 
     def nodes_in_time(self, rtol: float) -> int:

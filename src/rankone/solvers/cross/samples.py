@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
+from rankone.budget import charge
 from rankone.discretization import Basis1D
 
 __all__ = ["Samples"]
 
 Integers = NDArray[np.int64]
+_LOOKUP, _TAKEN = 250.0, 3.0
+"""Operations to look a node up, and to take one of its coefficients."""
 
 
 class Samples:
@@ -36,11 +39,13 @@ class Samples:
 
     def __call__(self, indices: Integers) -> Array:
         """Coefficients of the columns at nodes (m, d): shape (rank of the basis, m)."""
+        charge(_LOOKUP * len(indices) + 0.5 * self._values.size)
         codes, inverse = np.unique(indices @ self._strides, return_inverse=True)
         new = np.setdiff1d(codes, self._codes, assume_unique=True)
         if new.size:
             self._add(new)
         columns = self._places[np.searchsorted(self._codes, codes)]
+        charge(_TAKEN * len(self._values) * len(indices))
         return self._values[:, columns[inverse]]
 
     def _add(self, codes: Integers) -> None:

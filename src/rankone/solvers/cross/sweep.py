@@ -17,7 +17,8 @@ import numpy as np
 import scipy.linalg
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import product, qr, svd
 from rankone.solvers.cross.samples import Integers
 from rankone.tensors.train import right_orthonormal
 from rankone.tensors.truncation import truncated_svd
@@ -28,6 +29,8 @@ _FULL_GRID = 1600
 """Number of nodes of the grid up to which all of them are sampled."""
 _EXCHANGES, _VOLUME = 100, 1.1
 """Most exchanges of columns of a skeleton, and the factor on its volume that is worth one."""
+_EXCHANGE = 3.0
+"""Operations of an exchange for each coefficient."""
 _CORNERS = 0.45
 """Corners among the left points, over the random ones."""
 _CORNER_WEIGHT = 0.5
@@ -140,7 +143,6 @@ def interpolate(
     cores: list[Array] = []
     limited = False
     for b in range(len(bases) - 1, -1, -1):
-        check_time()
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
         block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))
@@ -148,6 +150,7 @@ def interpolate(
         matrix = (block * weights[:, None]).reshape(-1, len(columns))
         allowed = tolerance * math.sqrt(np.sum(weights**2) * len(columns))
         guess = generator.standard_normal((2 * len(right) + _EXTRA, len(columns)))
+        charge(20.0 * guess.size + 4.0 * matrix.size)
         _, values, rows = truncated_svd(matrix, allowed, max_rank, guess)
         limited |= values.size == max_rank
         skeleton, core = _skeleton(rows)
@@ -174,6 +177,7 @@ def _skeleton(rows: Array) -> tuple[Integers, Array]:
         ``rows = rows[:, skeleton] @ coefficients``.
     """
     rank = len(rows)
+    charge(3.0 * qr(*rows.shape) + product(rank, rank, rows.shape[1]))
     _, _, pivots = scipy.linalg.qr(rows, mode="economic", pivoting=True, check_finite=False)
     skeleton = pivots[:rank].astype(np.int64)
     coefficients = np.asarray(np.linalg.solve(rows[:, skeleton], rows))
@@ -181,6 +185,7 @@ def _skeleton(rows: Array) -> tuple[Integers, Array]:
         i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
         if abs(coefficients[i, j]) < _VOLUME:
             break
+        charge(_EXCHANGE * coefficients.size)
         change = coefficients[:, j].copy()
         change[i] -= 1.0
         coefficients -= np.outer(change / coefficients[i, j], coefficients[i])
@@ -207,6 +212,7 @@ def rounded(cores: Sequence[Array], tolerance: float) -> list[Array]:
     share = tolerance / math.sqrt(max(len(result) - 1, 1))
     for j in range(len(result) - 1):
         core = result[j]
+        charge(svd(core.size / core.shape[-1], core.shape[-1]))
         left, values, right = scipy.linalg.svd(
             core.reshape(-1, core.shape[-1]), full_matrices=False, check_finite=False
         )

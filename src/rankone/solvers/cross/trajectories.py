@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import charge
+from rankone.costs import Cost
 from rankone.solvers.cross.growing_basis import GrowingBasis
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.solvers.cross.workers import Workers
@@ -28,6 +30,8 @@ _STIFF = 1.5
 _BEARABLE = 400
 """So many explicit steps cost less than the implicit ones that would replace them."""
 _TIGHTEST = 1e-13
+_READ = Cost(60e3, 12.0)
+"""Operations of reading states off a step, and for each number."""
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
 
@@ -217,6 +221,7 @@ class _AtNodes:
         self.time = solver.t
         end = int(np.searchsorted(self.times, solver.t, side="right"))
         if end > self.reached:
+            charge(_READ((end - self.reached) * self.values[0].size))
             at = self.times[self.reached : end]
             self.values[self.reached : end] = solver.dense_output()(at).T.reshape(
                 at.size, *self.values.shape[1:]

@@ -9,11 +9,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from contextvars import Context
+from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-from rankone.deadline import OutOfTimeError, check_time, seconds_left, time_limit
+from rankone.budget import (
+    OutOfBudgetError,
+    OutOfTimeError,
+    charge,
+    limited,
+    seconds_left,
+    work_left,
+)
 from rankone.errors import OptionError, RankoneError
 from rankone.system import Recipe, System
 
@@ -71,19 +80,20 @@ class Workers:
         """The results of ``function(system, *task)`` in order.
 
         A single task is run here. Tasks of a worker that died are submitted once more. Failures
-        of the function are raised as they are, other errors as a RankoneError.
+        of the function are raised as they are, other errors as a RankoneError. The work of the
+        tasks is charged, and a failure raised, in their order: it does not matter who was first.
         """
         if self._executor is None or len(tasks) < 2:
             return [function(self.system, *task) for task in tasks]
-        end = time.time() + seconds_left()
+        limits = work_left(), time.time() + seconds_left()
         results: dict[int, Any] = {}
-        lost = self._round(function, tasks, range(len(tasks)), end, results, failures)
+        lost = self._round(function, tasks, range(len(tasks)), limits, results, failures)
         if lost is not None:
             if isinstance(self._asked, int):
                 self.close()
                 self._open()
             left = [k for k in range(len(tasks)) if k not in results]
-            lost = self._round(function, tasks, left, end, results, failures)
+            lost = self._round(function, tasks, left, limits, results, failures)
         if lost is not None:
             raise RankoneError(
                 f"a worker of the executor died, and once more when it was tried again: {lost}",
@@ -131,41 +141,28 @@ class Workers:
         function: Callable[..., Any],
         tasks: Sequence[tuple[Any, ...]],
         chosen: Sequence[int],
-        end: float,
+        limits: tuple[float, float],
         results: dict[int, Any],
         failures: tuple[type[Exception], ...],
     ) -> BaseException | None:
         """Add results of the tasks chosen; how a worker was lost, if one was."""
-        futures: dict[int, Future[Any]] = {}
+        futures: dict[int, Future[_Result]] = {}
         lost: BaseException | None = None
         try:
             for k in chosen:
-                futures[k] = self._submit(_call, self._recipe, end, function, tasks[k])
-            left = None if end == math.inf else max(end - time.time(), 0.0)
-            concurrent.futures.wait(
-                futures.values(), left, return_when=concurrent.futures.FIRST_EXCEPTION
-            )
-            check_time()
+                task = _Task(function, tasks[k], failures, *limits)
+                futures[k] = self._submit(_call, self._recipe, task)
         except _DEATHS as error:
             lost = error
+        try:
+            for k, future in futures.items():
+                try:
+                    results[k] = _taken(future, limits[1])
+                except _DEATHS as error:
+                    lost = error
         finally:
             for future in futures.values():
                 future.cancel()
-        for k, future in futures.items():
-            if not future.done() or future.cancelled():
-                continue
-            raised = future.exception()
-            if raised is None:
-                results[k] = future.result()
-            elif isinstance(raised, _DEATHS):
-                lost = raised
-            elif isinstance(raised, (RankoneError, OutOfTimeError, *failures)):
-                raise raised
-            else:
-                raise RankoneError(
-                    f"a worker of the executor failed: {type(raised).__name__}: {raised}",
-                    remedy="solve without executor= to see whether the worker is the reason",
-                ) from raised
         return lost
 
 
@@ -179,13 +176,68 @@ def open_workers(system: System, executor: Executor | int | None) -> Iterator[Wo
         workers.close()
 
 
-def _call(recipe: Any, end: float, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
-    """What a worker runs; ``end`` is a time of the clock on the wall."""
+@dataclass(frozen=True)
+class _Task:
+    """A call for a worker, the failures it may have, and its limits.
+
+    ``operations`` are those that all tasks together have left, ``end`` is a time of the clock on
+    the wall.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    failures: tuple[type[Exception], ...]
+    operations: float
+    end: float
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What a call gave, or how it failed, and the work that was counted."""
+
+    work: float
+    value: Any = None
+    failure: Exception | None = None
+
+
+def _call(recipe: Any, task: _Task) -> _Result:
+    """What a worker runs; an executor may run it in the thread of the solve, so it counts anew."""
     if isinstance(recipe, bytes):
         recipe = _unpickled(recipe)
-    with time_limit(None if end == math.inf else end - time.time()):
-        check_time()
-        return recipe.call(function, *task)
+    return Context().run(_counted, recipe, task)
+
+
+def _counted(recipe: Any, task: _Task) -> _Result:
+    seconds = math.inf if task.end == math.inf else task.end - time.time()
+    with limited(task.operations, seconds) as account:
+        try:
+            value = recipe.call(task.function, *task.arguments)
+        except Exception as failure:
+            if isinstance(failure, (OutOfBudgetError, *task.failures)):
+                return _Result(account.done, failure=failure)
+            raise
+        return _Result(account.done, value)
+
+
+def _taken(future: Future[_Result], end: float) -> Any:
+    """The value of a task when it is done, or its failure; its work is charged."""
+    left = None if end == math.inf else max(end - time.time(), 0.0)
+    concurrent.futures.wait([future], left)
+    if not future.done():
+        raise OutOfTimeError
+    try:
+        result = future.result()
+    except (*_DEATHS, RankoneError):
+        raise
+    except Exception as error:
+        raise RankoneError(
+            f"a worker of the executor failed: {type(error).__name__}: {error}",
+            remedy="solve without executor= to see whether the worker is the reason",
+        ) from error
+    charge(result.work)
+    if result.failure is not None:
+        raise result.failure
+    return result.value
 
 
 def _pickled(recipe: Recipe) -> bytes:

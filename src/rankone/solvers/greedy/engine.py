@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.progress import Report
-from rankone.solvers.attempts import Attempt, Marcher, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import Coupling
@@ -69,9 +69,10 @@ class GreedyMarcher(Marcher):
         self.tails = slabs.tails
         return result
 
-    def refine(self, attempt: Attempt, stalls: int) -> bool:
+    def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """More nodes where the highest modes are not small, else a tighter tolerance."""
         nodes, limits = self.nodes, attempt.result.limits
+        stalls = 0 if progress.pays else progress.stalls
         self.nodes = nodes.finer(self.tails > _TAIL * self.rtol, self.options)
         same = self.nodes == nodes
         stuck = stalls or limits or self.options.tolerance is not None

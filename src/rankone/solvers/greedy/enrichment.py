@@ -23,7 +23,8 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import CALL, product
 from rankone.solvers.greedy.history import ModeRecord
 from rankone.solvers.greedy.operators import Equation
 from rankone.solvers.greedy.options import GreedyOptions
@@ -39,6 +40,11 @@ _PROXIMAL = 1e-12
 """Weight, relative to the largest diagonal entry, that ties an update to the modes it replaces."""
 _LARGEST_DENSE = 1200
 """Largest system of coupled modes that is solved densely whatever its bandwidth."""
+
+_PASS = 100.0 * CALL
+"""Operations of a pass over a dimension, besides those with large arrays."""
+_SPARSE = 5e3
+"""Operations for each unknown of a sparse system."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +130,6 @@ class Enrichment:
         best = residual, self.factors.copy(), self.amplitudes
         stalled, patience = 0, _STALLED[self.options.update]
         while residual > limit and self.rank < self.options.max_modes and stalled < patience:
-            check_time()
             mode, amplitude, differences = self._fixed_point()
             if mode is None:
                 break
@@ -162,6 +167,7 @@ class Enrichment:
         for _ in range(self.options.max_fixed_point):
             before, previous = mode.copy(), amplitude
             for j in self._dimensions:
+                charge(self._cost_of_pass(j))
                 right = self.loads.factors[j] @ _product(onto_loads, j)
                 if self.rank:
                     weights = self.amplitudes * _product(onto_modes, j)
@@ -182,6 +188,12 @@ class Enrichment:
             if differences[-1] < self.options.fixed_point_tolerance:
                 break
         return mode, amplitude, tuple(differences)
+
+    def _cost_of_pass(self, j: int) -> float:
+        """Operations of finding the function of a dimension for one mode."""
+        count, size = self.equation.matrices[j].shape[:2]
+        onto = 4.0 * self.loads.factors[j].size + 2.0 * count * size * self.rank
+        return float(_PASS + onto + 3.0 * count * size**2 + _solving(size))
 
     def _against_modes(self, j: int, r: Array) -> Array:
         """``r^T D_j^i U_k`` for all terms i and modes k, (terms, rank)."""
@@ -241,6 +253,9 @@ class Enrichment:
     def _solve_dimension(self, j: int) -> None:
         """All functions of dimension j at once, those of the others fixed."""
         equation = self.equation
+        count, size = equation.matrices[j].shape[:2]
+        charge(_PASS + self.rank**2 * 4.0 * equation.terms * len(self._grams))
+        charge(_solving(size * self.rank if count > 1 else max(size, self.rank)))
         grams = _collected(self._other_grams(j), equation.index[j])
         right = self.loads.factors[j] @ _product(self._load_products, j)
         held = _PROXIMAL * float(np.abs(np.diagonal(grams[0])).max())
@@ -269,7 +284,8 @@ class Enrichment:
 
     def _refresh(self, j: int) -> None:
         """Products that the functions of dimension j are part of."""
-        factor = self.factors[j]
+        factor, count = self.factors[j], len(self.equation.matrices[j])
+        charge(2.0 * count * product(len(factor), *factor.shape))
         self._images[j] = self.equation.matrices[j] @ factor
         self._grams[j] = factor.T @ self._images[j]
         self._load_products[j] = self.loads.factors[j].T @ factor
@@ -302,6 +318,12 @@ class Enrichment:
         square = self.functional - 2.0 * self.amplitudes @ right
         square += self.amplitudes @ matrix @ self.amplitudes
         return math.sqrt(max(float(square), 1e-15 * self.functional))
+
+
+def _solving(size: int) -> float:
+    """Operations of a solve with a matrix of this size, full or with few bands."""
+    dense = 0.05 * size**3 + size**2
+    return 10.0 * CALL + (dense if size <= _LARGEST_DENSE else _SPARSE * size)
 
 
 def _product(arrays: list[Array], j: int) -> Array:

@@ -66,10 +66,12 @@ class GreedyOptions(Options):
         it from ``rtol`` and the growth of errors.
     max_slabs : int
         Most slabs tried in one attempt.
-    max_attempts : int
-        How often the solve may be repeated with a tighter tolerance or more nodes.
+    max_attempts : int or None
+        How often the solve may be repeated with a tighter tolerance or more nodes;
+        None: 4 times, and more while that pays.
     """
 
+    usual_attempts: ClassVar[int] = 4
     renamed: ClassVar[Mapping[str, str]] = {"weak_form": "formulation"}
 
     formulation: str = choice("volterra", ("derivative", "volterra"))
@@ -86,7 +88,7 @@ class GreedyOptions(Options):
     max_iterations: int = integer(30)
     tolerance: float | None = number(None, 1e-16, 1.0)
     max_slabs: int = integer(400)
-    max_attempts: int = integer(4)
+    max_attempts: int | None = integer(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

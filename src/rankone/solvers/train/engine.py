@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from rankone.discretization import RadauCollocation
 from rankone.progress import Report
-from rankone.solvers.attempts import Attempt, Marcher, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.march import March, MarchResult
 from rankone.solvers.outcome import SlabRecord, Status
@@ -63,13 +63,14 @@ class TrainMarcher(Marcher):
         self.guesses = iteration.guesses
         return result
 
-    def refine(self, attempt: Attempt, stalls: int) -> bool:
+    def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """Tighten the inner tolerance, unless a limit was met or two attempts have stalled.
 
         After one, slabs are halved as well: they may be too long for what is not smooth in time,
         such as a spline, although the highest modes are small.
         """
-        if attempt.result.limits or stalls == 2:
+        stalls = progress.stalls
+        if attempt.result.limits or (stalls >= 2 and not progress.pays):
             return False
         most = 0.03 if stalls else 0.4
         self.inner *= min(max(0.4 * self.rtol / attempt.error, 1e-3), most)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from rankone.discretization import BASES
 from rankone.options import Options, choice, integer, number
@@ -31,11 +32,14 @@ class TrainOptions(Options):
         Largest number of accepted and rejected slabs in one attempt.
     max_sweeps : int
         Largest number of sweeps on one slab.
-    max_attempts : int
-        How often the solve may be repeated with a tighter inner tolerance.
+    max_attempts : int or None
+        How often the solve may be repeated with a tighter inner tolerance;
+        None: 5 times, and more while that pays.
     max_memory : float
         Largest estimated working memory in bytes.
     """
+
+    usual_attempts: ClassVar[int] = 5
 
     basis: str = choice("chebyshev", BASES)
     time_nodes: int | None = integer(None, 2, 32)
@@ -44,7 +48,7 @@ class TrainOptions(Options):
     max_nodes: int = integer(400, 4)
     max_slabs: int = integer(2000)
     max_sweeps: int = integer(14, 3)
-    max_attempts: int = integer(5)
+    max_attempts: int | None = integer(None)
     max_memory: float = number(4e9, 1)
 
     def nodes_in_time(self, rtol: float) -> int:

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import CALL, Cost, product
 from rankone.solvers.train.groups import (
     CONSTANT,
     LINEAR,
@@ -32,6 +33,9 @@ from rankone.solvers.train.symmetric import left_products, multiplicity, right_p
 from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]
+
+_GROUP = Cost(20.0 * CALL, 3.0)
+"""Operations of the kernel of a group, and for each number that it gives."""
 
 
 @dataclass
@@ -122,6 +126,7 @@ class Sweeper:
         repeat = 1 if bond == 1 else x.shape[2]
         flat = x.reshape(n, count * repeat, -1)
         rank = flat.shape[2]
+        charge(self._cost_of_first(count * repeat, x.shape[-1]))
         phi = self.operator.tiled(repeat)
         total = self.operator.minus_jacobian(flat, repeat)
         for group in self.groups:
@@ -146,6 +151,19 @@ class Sweeper:
             start = self.initial.reshape(n * count, -1) @ self._source_right_half(1)
         return np.asarray(total.reshape(x.shape) + start.reshape(x.shape))
 
+    def _cost_of_first(self, points: int, rank: int) -> float:
+        """Operations of the right-hand side on the first core, at points of time and parameter."""
+        n, count = self.operator.shape
+        size = n * points * rank
+        total = 2.0 * product(n * count, n * count, points // count * rank)
+        total += _GROUP.once + 4.0 * size
+        for group in self.groups:
+            total += _GROUP(size) + product(n * points, rank, rank)
+            if group.degree == QUADRATIC:
+                total += product(len(group.paired) * points, rank, rank * rank)
+                total += 0.5 * len(group.paired) * points * rank * rank
+        return total
+
     # -- contractions from the right: parameters b, ..., d --------------------------------------
 
     def _contract_right(self, b: int) -> None:
@@ -159,7 +177,9 @@ class Sweeper:
             if degree == LINEAR and rows[0] == 0 and self._right[b + 1][(degree, rows[1:])] is None:
                 self._right[b][key] = None
                 continue
-            env = self._right_half(b, key) @ flat.T
+            half = self._right_half(b, key)
+            charge(2.0 * CALL + product(len(half), half.shape[1], r))
+            env = half @ flat.T
             if degree == CONSTANT:
                 env = env[0]
             elif degree == QUADRATIC:
@@ -233,6 +253,7 @@ class Sweeper:
         self._left[b] = {}
         self._left_halves[b] = {}
         if b == 1:
+            charge(self._cost_of_first(core.shape[1], core.shape[2]))
             weighted = self.operator.adjoint(core)
             for group in self.groups:
                 self._left[1][group.key] = self.operator.left(group, weighted, core)
@@ -244,6 +265,7 @@ class Sweeper:
         s = core.shape[2]
         flat = core.reshape(-1, s)
         for key, half in self._left_half(b - 1).items():
+            charge(2.0 * CALL + product(s, flat.shape[0], half.size / flat.shape[0]))
             env = flat.T @ half.reshape(flat.shape[0], -1)
             if key[0] == CONSTANT:
                 env = env[:, 0]
@@ -272,7 +294,9 @@ class Sweeper:
         present = core.reshape(r * size, s) @ neighbour.reshape(s, width)
         new = self._source_left_half(b) @ self._source_right_half(b + 1)
         for key, half in self._left_half(b).items():
-            new += half @ self._right_half(b + 1, key)
+            other_half = self._right_half(b + 1, key)
+            charge(2.0 * CALL + product(len(half), half.shape[1], other_half.shape[1]))
+            new += half @ other_half
         return new, present
 
     def iterate(self, tolerance: float) -> tuple[float, list[Array]]:
@@ -287,11 +311,9 @@ class Sweeper:
         largest = 0.0
         spectra = [np.zeros(0)] * self.dimensions
         for b in range(self.dimensions - 1):
-            check_time()
             self._shift_right(b, 1e-3 * tolerance)
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
-            check_time()
             with np.errstate(over="ignore", invalid="ignore"):
                 new, present = self._pair_block(b)
                 change = float(np.linalg.norm(new - present))

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.arrays import Array
-from rankone.deadline import check_time
+from rankone.budget import charge
+from rankone.costs import product
 
 __all__ = ["left_products", "multiplicity", "right_products", "unpack"]
 
 _WORK = 5e9
-"""Multiplications after which the time is looked at."""
+"""Multiplications between two looks at the budget."""
 _BLOCKS = 4
 
 
@@ -74,7 +75,8 @@ def right_products(env: Array, core: Array, vector: Array) -> Array:
     packed = np.empty((r * (r + 1) // 2, size, s))
     row = 0
     for first, last in _blocks(r, size * s**3):
-        check_time()
+        charge(product((last - first) * size, s, s * s))
+        charge(size * product((last - first) * s, s, r - first))
         block = np.ascontiguousarray(weighted[:, first:last]).reshape(-1, s)
         once = (block @ square).reshape(size, (last - first) * s, s)
         twice = np.matmul(once, nodes[:, first:].swapaxes(1, 2))
@@ -106,13 +108,14 @@ def left_products(env: Array, core: Array, vector: Array) -> Array:
     tests = env.shape[0]
     r, size, s = core.shape
     nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
+    charge(product(tests * r, r, size * s))
     once = (env.reshape(tests * r, r) @ core.reshape(r, size * s)).reshape(tests, r, size, s)
     once = once * vector[:, None]
     packed = np.empty((s * (s + 1) // 2, tests, size))
     row = 0
     for first, last in _blocks(s, size * tests * r**2):
-        check_time()
         width = last - first
+        charge(size * product(tests * width, r, s - first))
         rows = np.ascontiguousarray(once[..., first:last].transpose(2, 0, 3, 1))
         twice = np.matmul(rows.reshape(size, tests * width, r), nodes[:, :, first:])
         twice = twice.reshape(size, tests, width, s - first)
