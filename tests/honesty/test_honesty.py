@@ -1,5 +1,6 @@
 """A fixed part of the honesty suite: nothing wrong and marked successful, nothing unexpected."""
 
+import numpy as np
 import pytest
 
 from tests.honesty.cases import KINDS
@@ -49,6 +50,6 @@ def test_every_kind_is_tried():
     [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in CASES],
 )
 def test_the_statement_holds(kind, seed):
-    verdict = judged(make(kind, seed), max_seconds=5)
+    verdict = judged(make(kind, seed), longest=np.inf, effort="low")
     allowed = ("ok",) if kind in SOLVED else ("ok", "refused", "unknown")
     assert verdict.verdict in allowed, verdict

@@ -179,7 +179,7 @@ def test_integrals_and_crossings_see_jumps():
 
 
 def test_an_output_that_is_not_resolved_says_so():
-    output = prey().output({"kink": abs(x0 + 0.3 * y0 - 11.12345)}, rtol=1e-9, max_seconds=2)
+    output = prey().output({"kink": abs(x0 + 0.3 * y0 - 11.12345)}, rtol=1e-9, effort=0.05)
     assert not output.success
     assert output.error > 1e-9
 
@@ -233,20 +233,22 @@ def decaying():
 
 
 @pytest.mark.parametrize(
-    "narrow",
+    ("narrow", "effort"),
     [
-        sp.exp(-(((k - 1.2345) / 1e-5) ** 2)),
-        1 / (1 + ((a - 0.98765) / 1e-6) ** 2),
-        u * sp.exp(-(((t - 0.7777) / 1e-5) ** 2)),
-        sp.exp(-(((k - a) / 1e-4) ** 2)),
-        pytest.param(sp.exp(-(((t - k) / 1e-4) ** 2)), marks=pytest.mark.slow),
-        pytest.param(sp.exp(-(((u - 0.6123) / 1e-4) ** 2)), marks=pytest.mark.slow),
-        pytest.param(ro.maximum(sp.exp(-(((u - 0.6123) / 1e-4) ** 2))), marks=pytest.mark.slow),
+        (sp.exp(-(((k - 1.2345) / 1e-5) ** 2)), 0.05),
+        (1 / (1 + ((a - 0.98765) / 1e-6) ** 2), 0.05),
+        (u * sp.exp(-(((t - 0.7777) / 1e-5) ** 2)), 0.05),
+        (sp.exp(-(((k - a) / 1e-4) ** 2)), 0.05),
+        (sp.exp(-(((t - k) / 1e-4) ** 2)), 0.05),
+        (sp.exp(-(((u - 0.6123) / 1e-4) ** 2)), 0.05),
+        pytest.param(
+            ro.maximum(sp.exp(-(((u - 0.6123) / 1e-4) ** 2))), 0.5, marks=pytest.mark.slow
+        ),
     ],
     ids=str,
 )
-def test_what_is_narrow_is_not_missed(narrow):
-    output = decaying().output({"q": narrow}, max_seconds=10)
+def test_what_is_narrow_is_not_missed(narrow, effort):
+    output = decaying().output({"q": narrow}, effort=effort)
     assert not output.success
     assert output.error > output.rtol
 
@@ -306,7 +308,7 @@ def two_peaks(second, box):
 def test_islands_where_another_peak_is_the_largest_are_found(quantity):
     p, r = sp.symbols("p r")
     solution = two_peaks(1.05 * (p + r) / 2, {p: (0, 1), r: (0, 1)})
-    output = solution.output({"q": quantity}, max_seconds=5)
+    output = solution.output({"q": quantity}, effort=0.1)
     assert not output.success
     assert output.error > 1e-4
 

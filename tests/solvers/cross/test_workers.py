@@ -84,7 +84,7 @@ def bits(solution):
 
 def processes_have_ended():
     """Whether none are left after a moment: another thread may be just about to reap them."""
-    end = time.perf_counter() + 5.0
+    end = time.perf_counter() + 60.0
     while multiprocessing.active_children() and time.perf_counter() < end:
         time.sleep(0.05)
     return not multiprocessing.active_children()
