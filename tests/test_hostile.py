@@ -117,7 +117,6 @@ def test_a_pipe_is_not_replaced(solution, tmp_path):
 ODD = [3, "x", b"x", np.zeros((2, 2)), object(), {1: 2}, "\ud800", 10**400, float("nan"), sp.I]
 
 
-@pytest.mark.parametrize("value", ODD, ids=lambda value: type(value).__name__)
 @pytest.mark.parametrize(
     "call",
     [
@@ -135,9 +134,15 @@ ODD = [3, "x", b"x", np.zeros((2, 2)), object(), {1: 2}, "\ud800", 10**400, floa
         lambda value: ro.load(value),
     ],
 )
-def test_odd_values_are_named(call, value):
-    with pytest.raises(ro.RankoneError):
-        call(value)
+def test_odd_values_are_named(call):
+    taken = []
+    for value in ODD:
+        try:
+            call(value)
+        except ro.RankoneError:
+            continue
+        taken.append(value)
+    assert not taken
 
 
 @pytest.mark.parametrize(

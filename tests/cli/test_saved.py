@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,21 +31,34 @@ AT = {"t": 1.2, "x0": 0.5, "y0": 2.5}
 Run = Callable[..., tuple[int, str, str]]
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with solutions and a problem, to be copied."""
+    folder = tmp_path_factory.mktemp("files")
+    UNITS.save(folder / "u.npz")
+    UNITS.save(folder / "u.nc")
+    FAILED.save(folder / "failed.npz")
+    (folder / "decay.toml").write_text(
+        'time = [0, 2]\n[rhs]\nu = "-k*u"\n[initial]\nu = 1\n[parameters]\nk = [0.5, 5]\n'
+    )
+    return folder
+
+
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(
+    files: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Run:
     """Run a command in a directory of its own: exit status and streams."""
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
 
     def command(*arguments: str) -> tuple[int, str, str]:
         status = main(arguments)
         return status, *capsys.readouterr()
 
-    UNITS.save("u.npz")
-    UNITS.save("u.nc")
-    FAILED.save("failed.npz")
-    Path("decay.toml").write_text(
-        'time = [0, 2]\n[rhs]\nu = "-k*u"\n[initial]\nu = 1\n[parameters]\nk = [0.5, 5]\n'
-    )
     return command
 
 

@@ -37,6 +37,13 @@ SUMMARY = re.compile(r"^  (?:success|error|train|timings) .*(?:\n {12}.*)*", re.
 CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.M | re.S)
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)")
 
+LONG = {ROOT / "docs" / name for name in ("cross.md", "classic-method.md")}
+COMMANDS = {
+    path: path.name not in ("c-model.md", "solved-model.md")
+    for path in sorted((ROOT / "docs" / "export").glob("*.md"))
+}
+"""The guides with commands, and whether these take long."""
+
 FREE, RTOL, ATOL, MEASURED_FACTOR = "#", 1e-4, 5e-6, 100.0
 
 
@@ -80,6 +87,13 @@ def _parts(text: str) -> list[tuple[str, bool]]:
     return [part for pair in pairs for part in pair if part is not None]
 
 
+def _each(files: dict[Path, bool]) -> pytest.MarkDecorator:
+    """A test for each file, slow if it says so."""
+    slow = pytest.mark.slow
+    params = [pytest.param(path, marks=slow if long else ()) for path, long in files.items()]
+    return pytest.mark.parametrize("path", params, ids=_name)
+
+
 def _skip_without_tools(path: Path) -> None:
     """An FMU is run by FMPy, and has a binary only where there is a compiler."""
     if path.name == "fmu.md":
@@ -88,7 +102,7 @@ def _skip_without_tools(path: Path) -> None:
             pytest.skip("no C compiler")
 
 
-@pytest.mark.parametrize("path", FILES, ids=_name)
+@_each({path: path in LONG for path in FILES})
 def test_blocks(path, tmp_path, monkeypatch, request):
     _skip_without_tools(path)
     monkeypatch.chdir(tmp_path)
@@ -120,7 +134,7 @@ def _versioned(text: str) -> str:
     return text.replace("(rankone 0+unknown)", "(rankone 0.1.0)")
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "export").glob("*.md")), ids=_name)
+@_each(COMMANDS)
 def test_commands(path, tmp_path):
     """The guides of what is exported: other languages and commands run as well, after Python."""
     _skip_without_tools(path)
@@ -165,10 +179,14 @@ def test_commands(path, tmp_path):
         assert float(run.stdout) == pytest.approx(math.exp(-2.0), rel=1e-5)
 
 
-@pytest.mark.parametrize("path", FILES, ids=_name)
-def test_links(path):
-    for target in LINK.findall(CODE.sub("", path.read_text())):
-        assert (path.parent / target).exists(), target
+def test_links():
+    missing = [
+        (_name(path), target)
+        for path in FILES
+        for target in LINK.findall(CODE.sub("", path.read_text()))
+        if not (path.parent / target).exists()
+    ]
+    assert not missing
 
 
 def test_the_reference_names_everything_public():

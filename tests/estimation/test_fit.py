@@ -126,6 +126,7 @@ def test_missing_data_and_derivative_states():
     assert fit.x["k"] == pytest.approx(2.5, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_coverage_of_free_fall():
     """C_D and m are never identified alone; the interval of C_D/m holds it as often as it says."""
     ratio, inside = FALL["C_D"] / FALL["m"], 0
@@ -139,6 +140,7 @@ def test_coverage_of_free_fall():
     assert 90 <= inside <= 99
 
 
+@pytest.mark.slow
 def test_coverage_of_doses():
     """Of 300: in a single hundred one of four counts is easily 100 (tests/benchmarks/fit.py)."""
     inside = dict.fromkeys(PERSON, 0)

@@ -103,6 +103,7 @@ def test_the_page_at_ends_of_the_box(solution, page, tmp_path):
     assert "2.40" in texts.values()
 
 
+@pytest.mark.slow
 def test_picture(solution, tmp_path):
     pytest.importorskip("matplotlib")
     falling_card.picture(solution, tmp_path / "card.png")

@@ -18,7 +18,7 @@ needs_node = pytest.mark.skipif(NODE is None, reason="no Node.js (node)")
 
 
 def run_node(*arguments):
-    run = subprocess.run([NODE, *map(str, arguments)], capture_output=True, text=True, timeout=60)
+    run = subprocess.run([NODE, *map(str, arguments)], capture_output=True, text=True, timeout=600)
     assert run.returncode == 0, run.stderr
     return run.stdout
 

@@ -47,6 +47,7 @@ def test_figures_are_small_and_shown(path):
     assert any(f"{path.name})" in page.read_text() for page in PAGES)
 
 
+@pytest.mark.slow
 def test_linear_model(script):
     module = script("linear_model")
     found = module.compute(nodes=(21, 41))
@@ -66,6 +67,7 @@ def test_free_fall(script):
     module.draw(found)
 
 
+@pytest.mark.slow
 def test_coupled(script):
     module = script("coupled")
     found = module.compute(updates=(1, 4), variants=("defaults, 8 modes",))
@@ -76,6 +78,7 @@ def test_coupled(script):
     module.draw(found)
 
 
+@pytest.mark.slow
 def test_coupled_scaling(script):
     module = script("coupled_scaling")
     found = module.compute(nodes=(5, 6, 7), repeats=1, variants=("PGD, defaults",))
@@ -85,6 +88,7 @@ def test_coupled_scaling(script):
     module.draw(found)
 
 
+@pytest.mark.slow
 def test_lotka_volterra(script):
     module = script("lotka_volterra")
     runs = module.compute(rtol=1e-2, tight=1e-3)
@@ -95,6 +99,7 @@ def test_lotka_volterra(script):
     module.draw(runs)
 
 
+@pytest.mark.slow
 def test_rigid_body(script):
     module = script("rigid_body")
     runs = module.compute(rtol=1e-2, tight=1e-3)

@@ -54,8 +54,8 @@ def tried(seed: int, kind: str, method: str) -> tuple[int, str, Verdict]:
     return seed, made.name, judged(made, method=method)
 
 
-def judged(case: Case, **options: object) -> Verdict:
-    """Solve a case and judge the result."""
+def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
+    """Solve a case and judge the result; beyond so many seconds it is slow."""
     began = time.perf_counter()
     solution = None
     try:
@@ -69,7 +69,7 @@ def judged(case: Case, **options: object) -> Verdict:
         return Verdict("error", np.inf, time.perf_counter() - began, f"{error!r}")
     seconds = time.perf_counter() - began
     if solution is None or not solution.success:
-        return Verdict("slow" if seconds > LONGEST else "refused", np.nan, seconds, message)
+        return Verdict("slow" if seconds > longest else "refused", np.nan, seconds, message)
     points = sampled(case)
     times = np.linspace(0.0, case.end, TIMES)
     try:
@@ -81,7 +81,7 @@ def judged(case: Case, **options: object) -> Verdict:
     size = np.abs(exact).max(axis=(1, 2))
     errors = np.abs(found - exact).max(axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
     kept = float(np.nan_to_num(errors, nan=np.inf).max()) / case.rtol
-    verdict = "wrong" if kept > WITHIN else "slow" if seconds > LONGEST else "ok"
+    verdict = "wrong" if kept > WITHIN else "slow" if seconds > longest else "ok"
     return Verdict(verdict, kept, seconds, message)
 
 

@@ -17,7 +17,7 @@ from tests.problems import EXAMPLES, GENERAL
 @functools.cache
 def solved(name, rtol, **options):
     example = (EXAMPLES | GENERAL)[name]
-    return ro.solve(example.problem, rtol, max_seconds=60)
+    return ro.solve(example.problem, rtol)
 
 
 def sensitivities(rhs, by_state, by_parameter, start, slopes, end):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import math
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -169,18 +167,3 @@ def test_warnings_are_at_the_line_of_the_user() -> None:
         with pytest.warns(RankoneWarning, match="canonical form of x: 1 terms") as caught:
             call()
         assert {warning.filename for warning in caught} == {__file__}
-
-
-def test_numerics_do_not_import_sympy() -> None:
-    """The modules are imported beside the package, whose ``__init__`` offers the front end."""
-    code = """
-import sys, types
-import importlib.util
-spec = importlib.util.find_spec("rankone")
-package = types.ModuleType("rankone")
-package.__path__ = list(spec.submodule_search_locations)
-sys.modules["rankone"] = package
-import rankone.solution, rankone.storage, rankone.tensors.canonical, rankone.progress
-assert "sympy" not in sys.modules
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)

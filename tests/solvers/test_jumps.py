@@ -184,7 +184,7 @@ def decaying(jumps, box=None, time=(0, 4), **initial):
 )
 def test_what_is_narrow_in_a_jump_is_solved_or_refused(method, value, where, change):
     rtol = 1e-4 if method == "auto" else 1e-3
-    solution = ro.solve(decaying({2: {"x": value}}), rtol, method=method, max_seconds=10)
+    solution = ro.solve(decaying({2: {"x": value}}), rtol, method=method, effort="low")
     if solution.success:
         after = np.exp(-2 * where) + change
         assert solution(t=2.0, k=where)[0] == pytest.approx(after, abs=5 * rtol)
@@ -192,7 +192,7 @@ def test_what_is_narrow_in_a_jump_is_solved_or_refused(method, value, where, cha
 
 def test_a_ridge_over_two_parameters_in_a_jump():
     jump = {2: {"x": "x + exp(-((a*k - 1.1)/0.001)**2)"}}
-    solution = ro.solve(decaying(jump, {"a": (0.5, 1.5)}), 1e-4, max_seconds=10)
+    solution = ro.solve(decaying(jump, {"a": (0.5, 1.5)}), 1e-4, effort="low")
     value = solution(t=2.0, k=1.0, a=1.1)[0]
     assert not solution.success or value == pytest.approx(np.exp(-2) + 1, abs=5e-4)
 

@@ -27,7 +27,7 @@ def compiled(rate, box=None, start="0", end=3):
     return ro.compile(ro.Problem.from_strings({"x": rate}, {"x": start}, box or {}, (0, end)))
 
 
-@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-7])
+@pytest.mark.parametrize("width", [1e-2, 1e-7])
 @pytest.mark.parametrize(("shape", "area"), SHAPES.values(), ids=SHAPES)
 def test_nothing_narrow_is_stepped_over(shape, area, width):
     rates = {"x": "1", "y": shape.replace("Z", f"((x - 0.5)*{1 / width:.0f})") + f"/{width}"}
@@ -47,7 +47,7 @@ def test_what_no_event_tells_is_met_at_random_places():
     delay = 50 * points[:, 0] * np.sqrt(np.pi / (50000 * np.pi**2 / 16))
     ends = reference(np.array([3.0]))[0, :, 0]
     assert np.abs(ends - (3.0 - delay)).min() < 1e-3
-    solution = problem.solve(1e-3, max_seconds=5)
+    solution = problem.solve(1e-3, effort="low")
     assert not solution.success or solution(t=3, k=1)[0] == pytest.approx(
         3.0 - 50 * np.sqrt(16 / (50000 * np.pi)), abs=5e-3
     )
@@ -82,7 +82,7 @@ def test_surfaces_are_those_of_several_parameters():
     assert on_kink.sum() >= 8
 
 
-@pytest.mark.parametrize("d", [2, 4, 6])
+@pytest.mark.parametrize("d", [2, 6])
 @pytest.mark.parametrize(
     "shape",
     [
@@ -99,7 +99,7 @@ def test_an_island_in_the_box_is_seen(d, shape):
     ball = " + ".join(f"({n} - {c})**2" for n, c in zip(names, centre, strict=True))
     sides = " & ".join(f"(Abs({n} - {c}) < 0.05)" for n, c in zip(names, centre, strict=True))
     rate = "-x + 1 + " + shape.replace("R", f"({ball})").replace("B", sides).format(w=0.05)
-    solution = compiled(rate, dict.fromkeys(names, (0, 1)), end=1).solve(1e-3, max_seconds=4)
+    solution = compiled(rate, dict.fromkeys(names, (0, 1)), end=1).solve(1e-3, effort="low")
     there = solution(t=1, **dict(zip(names, centre, strict=True)))[0]
     exact = 2 * (1 - np.exp(-1))
     assert not solution.success or there == pytest.approx(exact, rel=5e-3)
@@ -115,7 +115,7 @@ def test_an_island_in_the_box_is_seen(d, shape):
     ],
 )
 def test_pulses_that_move_are_seen_at_any_time(rate):
-    solution = compiled(rate, {"k": (2, 6)}, start="1", end=10).solve(1e-3, max_seconds=3)
+    solution = compiled(rate, {"k": (2, 6)}, start="1", end=10).solve(1e-3, effort=0.05)
     assert not solution.success
     assert not solution.outcome.slabs or solution.error > 0.1
 
@@ -124,7 +124,7 @@ def test_a_parameter_carried_by_a_state_is_seen():
     rates = {"y": "0*x", "x": "-x + 1 + Piecewise((1, Abs(y - 0.612) < 1e-3), (0, True))"}
     starts = {"x": "0", "y": "k"}
     problem = ro.Problem.from_strings(rates, starts, {"k": (0, 1)}, (0, 1))
-    solution = ro.solve(problem, 1e-3, max_seconds=5)
+    solution = ro.solve(problem, 1e-3, effort="low")
     exact = 2 * (1 - np.exp(-1))
     assert not solution.success or solution(t=1, k=0.612)[1] == pytest.approx(exact, rel=5e-3)
 
@@ -143,7 +143,7 @@ def test_a_tiny_source_that_an_instability_amplifies():
 def test_a_ridge_is_refused_or_right():
     rate = "-x*(1 + 1/(1 + ((a*b - 0.41)/1e-4)**2)) + 1"
     problem = compiled(rate, {"a": (0, 1), "b": (0, 1)}, end=5)
-    solution = problem.solve(1e-3, max_seconds=5)
+    solution = problem.solve(1e-3, effort="low")
     a = np.linspace(0.5, 1.0, 11)
     exact = (1 - np.exp(-10.0)) / 2  # on the ridge
     assert not solution.success or np.abs(solution(t=5, a=a, b=0.41 / a)[0] - exact).max() < 5e-3

@@ -362,10 +362,18 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
         (lambda _, arrays: arrays.update(core_0_0=np.ones((2, 14, 3), "i8")), "do not fit"),
     ],
 )
-def test_damaged_file(edit: Any, message: str, name: str, tmp_path: Path) -> None:
-    path = SOLUTION.save(tmp_path / name)
+def test_damaged_file(edit: Any, message: str, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "u.npz")
     edited(path, edit)
-    with pytest.raises(StorageError, match=rf"{name}`.*{message}"):
+    with pytest.raises(StorageError, match=rf"u\.npz`.*{message}"):
+        load(path)
+
+
+def test_a_damaged_header_of_netcdf(tmp_path: Path) -> None:
+    """Both kinds of files have the same header, read by the same code."""
+    path = SOLUTION.save(tmp_path / "u.nc")
+    edited(path, lambda header, _: header["history"][0].pop("ranks"))
+    with pytest.raises(StorageError, match=r"u\.nc`.*damaged .*ranks"):
         load(path)
 
 

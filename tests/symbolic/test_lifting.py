@@ -148,7 +148,9 @@ def test_train_agrees_with_cross(name):
     assert np.all(np.abs(one - two).max(axis=(1, 2)) <= 1.2 * (lifted.error + sampled.error) * size)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "Michaelis-Menten", "cos(w*t)"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("pendulum", marks=pytest.mark.slow), "Michaelis-Menten", "cos(w*t)"]
+)
 def test_greedy_solves_lifted_systems(name):
     problem = compiled(name)
     solution = problem.solve(1e-3, method="greedy")
@@ -210,26 +212,6 @@ def test_the_exported_solver_has_the_lifted_form(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "within the tolerance" in done.stdout
-
-
-def test_the_same_text_under_another_hash_seed():
-    code = (
-        "import rankone as ro\n"
-        "p = ro.Problem.from_strings({'x': 'a*K**n/(K**n + x**n) - x*sin(y)', 'y': '-exp(-b*x)/y'},"
-        " {'x': 'a', 'y': 'b'}, {'a': (1, 2), 'b': (1, 2), 'K': (1, 2), 'n': (2, 3)}, (0, 1))\n"
-        "print(ro.compile(p).lifted.source)"
-    )
-    texts = {
-        subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(filter(None, sys.path))},
-        ).stdout
-        for seed in ("1", "2")
-    }
-    assert len(texts) == 1
 
 
 def test_lifted_states_are_followed_along_the_solve(tmp_path):

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import pickle
 import random
-import subprocess
-import sys
-import textwrap
 from fractions import Fraction
 
 import pytest
@@ -360,7 +356,7 @@ EXPRESSIONS = st.recursive(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(f=EXPRESSIONS, g=EXPRESSIONS, seed=st.integers(0, 100))
 def test_sum_of_separated_terms_is_the_integrand(f, g, seed):
     problem = Problem(
@@ -414,39 +410,6 @@ def test_1200_raw_terms_group_correctly():
         if e.equation == 0 and not e.derivative
     }
     assert found == {key: number for key, number in expected.items() if number}
-
-
-# -- determinism --------------------------------------------------------------------------------
-
-SCRIPT = """
-import sympy as sp
-from rankone.symbolic import Problem, separate, weak_form
-t = sp.Symbol("t")
-p = sp.symbols("p0:4")
-u = [sp.Function(n)(t) for n in "abc"]
-q = sum(p)
-eqs = [u[0].diff(t) - sp.exp(-q) * (1 + sum(u))**2 * sp.cos(q + t),
-       u[1].diff(t) + 2*u[2].diff(t) - q * u[0] * u[1],
-       u[1].diff(t) - p[0] * u[2].diff(t) - sp.sqrt(p[0] * p[1]) / (p[2] * p[3] + p[2])]
-problem = Problem(eqs, (t, 0, 1), {s: (1, 2) for s in p}, {v: q for v in u})
-form = separate(problem)
-print(problem, weak_form(problem), form.terms, form.initial, form.factors, form._repr_latex_())
-"""
-
-
-def test_the_form_does_not_depend_on_hashes():
-    outputs = {
-        subprocess.run(
-            [sys.executable, "-c", textwrap.dedent(SCRIPT)],
-            env={**os.environ, "PYTHONHASHSEED": str(seed)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in (0, 1, 2, 12345)
-    }
-    assert len(outputs) == 1
-    assert "Term" in outputs.pop()
 
 
 def test_pickling(reference_problem):

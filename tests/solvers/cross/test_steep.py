@@ -140,8 +140,9 @@ def test_a_front_at_one_end_of_another_parameter():
         ),
     ],
 )
+@pytest.mark.slow
 def test_failures_name_the_parameter_and_the_place(rates, initial, box, end, said):
-    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3, max_seconds=100)
+    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3, effort=4)
     assert not solution.success
     assert solution.status.name == "STEEP"
     assert solution.method == "cross"
@@ -186,6 +187,7 @@ def test_a_blow_up_that_only_a_sample_meets():
     assert caught.value.solution.time[1] < caught.value.time < 0.1
 
 
+@pytest.mark.slow
 def test_a_fast_state_that_follows_a_high_power():
     pulses = problem(
         {"u": "-1000*lam*(u - 200*c**41)", "c": "-w*s", "s": "w*c"},
@@ -193,7 +195,7 @@ def test_a_fast_state_that_follows_a_high_power():
         {"lam": (1, 2), "w": (1, 2)},
         6,
     )
-    solution = ro.solve(pulses, rtol=1e-3, max_seconds=80)
+    solution = ro.solve(pulses, rtol=1e-3, effort=4)
     times = np.linspace(0.5, 6, 301)
     exact = 200 * np.cos(1.7 * times) ** 41  # but for the lag of a few thousandths
     lag = np.abs(np.gradient(exact, times)).max() / 1500

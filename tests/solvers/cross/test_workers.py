@@ -84,7 +84,7 @@ def bits(solution):
 
 def processes_have_ended():
     """Whether none are left after a moment: another thread may be just about to reap them."""
-    end = time.perf_counter() + 5.0
+    end = time.perf_counter() + 60.0
     while multiprocessing.active_children() and time.perf_counter() < end:
         time.sleep(0.05)
     return not multiprocessing.active_children()
@@ -195,7 +195,10 @@ def test_a_function_that_cannot_be_pickled():
 
 @pytest.mark.parametrize(
     ("value", "message"),
-    [(raising, "raised ValueError: not today"), (shapeless, r"returned shape \(3,\)")],
+    [
+        (raising, "raised ValueError: not today"),
+        pytest.param(shapeless, r"returned shape \(3,\)", marks=pytest.mark.slow),
+    ],
 )
 def test_a_function_that_fails_in_a_worker(value, message):
     with pytest.raises(ro.RankoneError, match=message):
@@ -212,6 +215,7 @@ def test_a_worker_that_dies_once(tmp_path, monkeypatch):
     assert bits(solution) == bits(expected)
 
 
+@pytest.mark.slow
 def test_a_worker_that_always_dies():
     with pytest.raises(ro.RankoneError, match="died, and once more"):
         ro.solve(problem(dying), rtol=1e-6, executor=2)
@@ -223,6 +227,7 @@ def test_a_worker_that_always_dies():
         ro.solve(problem(dying), rtol=1e-6, executor=executor)
 
 
+@pytest.mark.slow
 def test_the_time_limit_holds_for_workers():
     began = time.perf_counter()
     solution = ro.solve(problem(slow), rtol=1e-6, executor=2, max_seconds=4.0)

@@ -206,7 +206,7 @@ def test_without_a_check_nothing_is_claimed() -> None:
 
 
 def test_a_blow_up_is_found() -> None:
-    outcome = solve(until(REFERENCE["coupled"](), 3.0), 1e-2)
+    outcome = solve(until(REFERENCE["coupled"](), 1.2), 1e-2)
     assert outcome.status is Status.BLOW_UP
     assert outcome.blow_up is not None
 

@@ -171,15 +171,14 @@ def test_history_tells_every_slab():
     ],
 )
 def test_limits_are_reported_never_hidden(options, status):
-    solution = solve(REFERENCE["lotka_volterra"](), rtol=1e-8, **options)
+    with pytest.raises(ro.ConvergenceError, match=status.value) as caught:
+        solve(REFERENCE["lotka_volterra"](), rtol=1e-6, on_failure="raise", **options)
+    solution = caught.value.solution
     assert not solution.success
     assert solution.status is status
     assert status.value in solution.message
     if solution.outcome.slabs:
-        assert solution.error > 1e-8 or solution.time[1] < 6.0
-    with pytest.raises(ro.ConvergenceError, match=status.value) as caught:
-        solve(REFERENCE["lotka_volterra"](), rtol=1e-8, on_failure="raise", **options)
-    assert isinstance(caught.value.solution, ro.Solution)
+        assert solution.error > 1e-6 or solution.time[1] < 6.0
 
 
 def test_a_partial_solution_ends_where_it_was_solved():
@@ -284,6 +283,7 @@ np.save(sys.argv[1], slab(np.linspace(slab.start, slab.end, 500), points))
 """
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_nothing_but_rounding(tmp_path):
     """Frames hold no directions that come from rounding errors."""
     root = Path(__file__).parents[3]
