@@ -40,7 +40,7 @@ def plain(equation=None, **more):
         (lambda: plain(time=(t, 0, 5e-324)), "too short"),
         (lambda: plain(parameters={k: (0, 5e-324)}), "too narrow"),
         (lambda: text(f"max({','.join(f'x - {i}*k' for i in range(200))})"), "200 arguments"),
-        (lambda: text("Piecewise((1, t > 1))"), "the last branch"),
+        (lambda: text("Piecewise()"), "`Piecewise` has no branch"),
         (lambda: text("Piecewise((1, t), (2, True))"), "`t` is no condition"),
         (lambda: text("Piecewise(1, 2)"), "no branch of a Piecewise"),
         (lambda: text("(t > 1)*x"), "not understood"),

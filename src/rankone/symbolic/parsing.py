@@ -261,8 +261,8 @@ class _Translator(ast.NodeVisitor):
                 )
             value, condition = branch.elts
             pairs.append((self.visit(value), self._condition(condition)))
-        if not pairs or pairs[-1][1] != sp.true:
-            raise self.error("the last branch of `Piecewise` has no condition `True`")
+        if not pairs:
+            raise self.error("`Piecewise` has no branch")
         return sp.Piecewise(*pairs)
 
     def _condition(self, node: ast.expr) -> sp.Basic:

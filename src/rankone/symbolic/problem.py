@@ -16,6 +16,7 @@ from rankone.display import aligned_equations
 from rankone.errors import ProblemError, warn
 from rankone.functions import check_distinct
 from rankone.ir import Coordinate, Jump
+from rankone.lowering.branches import closed
 from rankone.symbolic.box import check_correlation, check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
@@ -133,12 +134,17 @@ class Problem:
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
         equations, residuals = check_equations(self.equations, time[0])
+        residuals = [closed(residual) for residual in residuals]
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
         check_names([(name_of(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
-        jumps = check_jumps(self.jumps, states, unknowns, box, time)
+        initial = {state: closed(value) for state, value in initial.items()}
+        jumps = {
+            at: {state: closed(value) for state, value in reset.items()}
+            for at, reset in check_jumps(self.jumps, states, unknowns, box, time).items()
+        }
         values = [value for reset in jumps.values() for value in reset.values()]
         known = [*residuals, *initial.values(), *values]
         check_distinct(known)
