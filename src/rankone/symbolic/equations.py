@@ -9,8 +9,9 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
+from rankone.naming import name_defect
 from rankone.symbolic.numbers import rejoined
-from rankone.wording import count, did_you_mean, is_text, listing, quote
+from rankone.wording import count, did_you_mean, listing, quote
 
 __all__ = [
     "as_expression",
@@ -223,24 +224,13 @@ def check_names(
     states: Iterable[tuple[str, sp.Expr]], parameters: Iterable[sp.Symbol], time: sp.Symbol
 ) -> None:
     """Raise unless all names differ and can be printed: results are labelled by name."""
-    taken: dict[str, str] = {}
     named = [(time.name, "the time")]
     named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]
-    for name, what in named:
-        if not is_text(name) or not str.isprintable(name) or not str.strip(name):
-            raise ProblemError(
-                f"the name {name!r} is no text that can be printed in one line",
-                term=name,
-                remedy="rename it",
-            )
-        if name in taken:
-            raise ProblemError(
-                f"the name {quote(name)} belongs both to {taken[name]} and to {what}",
-                term=name,
-                remedy="rename one of them",
-            )
-        taken[name] = what
+    defect = name_defect(named)
+    if defect is not None:
+        name, message = defect
+        raise ProblemError(message, term=name, remedy="rename it")
 
 
 def check_symbols(

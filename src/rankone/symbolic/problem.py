@@ -17,6 +17,7 @@ from rankone.errors import ProblemError, warn
 from rankone.functions import check_distinct
 from rankone.ir import Coordinate, Jump
 from rankone.lowering.branches import closed
+from rankone.naming import is_line
 from rankone.symbolic.box import check_correlation, check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
@@ -32,7 +33,7 @@ from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, te
 from rankone.symbolic.parsing import parse_expression
 from rankone.symbolic.units import check_units
 from rankone.units import with_unit
-from rankone.wording import count, did_you_mean, is_text, listing, quote, shown
+from rankone.wording import count, did_you_mean, listing, quote, shown
 
 __all__ = ["Problem"]
 
@@ -125,7 +126,7 @@ class Problem:
     mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.name is not None and not (is_text(self.name) and str.isprintable(self.name)):
+        if self.name is not None and not is_line(self.name):
             raise ProblemError(
                 f"the name is {shown(self.name)}, not text in one line",
                 term=self.name,
