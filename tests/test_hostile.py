@@ -1,13 +1,17 @@
 """Hostile input: the right answer or a clear error, soon."""
 
+import errno
 import os
+import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
 
 import rankone as ro
+from rankone.problem_files import load_problem
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)
@@ -222,3 +226,53 @@ def test_the_time_limit_is_looked_at_in_every_call_of_a_slow_function():
     solution = ro.solve(plain(sp.Eq(x.diff(t), -k * slow(x))), 1e-3, max_seconds=1)
     assert not solution.success
     assert len(calls) < 40  # a first step alone takes a dozen, and an integration hundreds
+
+
+def test_counts_that_no_memory_holds():
+    solution = ro.solve(text("-k*x"), 1e-3)
+    for ask in (
+        lambda: solution.sample(10**12),
+        lambda: solution.quantile(0.5, 1.0, count=10**9),
+        lambda: solution.density(1.0, count=10**30),
+        lambda: solution.probability(1.0, above=0.5, count=10**9),
+        lambda: solution.main_effects(1.0, count=10**9),
+    ):
+        with pytest.raises(ro.errors.OptionError, match="choose an integer from"):
+            ask()
+    with pytest.raises(ro.errors.OptionError, match="choose an integer from"):
+        ro.GreedyOptions(parameter_nodes=10**30)
+
+
+@pytest.mark.parametrize("length", [243, 244, 250, 255, 256, 260, 5000])
+def test_names_of_files_of_any_length(length, tmp_path):
+    """Written, or refused as too long, and nothing beside is left."""
+    solution = ro.solve(text("-k*x"), 1e-3)
+    for suffix in (".npz", ".nc", ".c", ".html"):
+        path = tmp_path / ("a" * (length - len(suffix)) + suffix)
+        write = solution.save if suffix in (".npz", ".nc") else solution.export
+        if length > 255:
+            with pytest.raises((ro.errors.StorageError, ro.errors.ExportError), match="too long"):
+                write(path)
+        else:
+            write(path)
+            path.with_suffix(".h").unlink(missing_ok=True)
+            path.unlink()
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ro.errors.StorageError, match=r"there is no file|cannot be read"):
+        ro.load(tmp_path / ("a" * length))
+    with pytest.raises(ro.ProblemError, match=r"there is no file|cannot be read"):
+        load_problem(tmp_path / ("a" * (length - 5) + ".toml"))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
+@pytest.mark.parametrize("full", ["write_text", "fsync"])
+def test_an_fmu_on_a_full_disk(full, tmp_path, monkeypatch):
+    solution = ro.solve(text("-k*x"), 1e-3)
+
+    def refuse(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(*((os, full) if full == "fsync" else (Path, full)), refuse)
+    with pytest.raises(ro.errors.ExportError, match="No space left"):
+        solution.export(tmp_path / "model.fmu")
+    assert not list(tmp_path.iterdir())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -18,6 +19,8 @@ __all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
 
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
+_KEPT = 48
+"""Characters of a name that the file beside it keeps: file systems limit names to 255 bytes."""
 _OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
 
 
@@ -62,7 +65,7 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
     if len({*places.values()}) < len(places):
         raise error(f"{' and '.join(f'`{path}`' for path in files)} are one file")
     beside = {
-        path: place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
+        path: place.with_name(f".{place.name[:_KEPT]}.{secrets.token_hex(4)}.partial")
         for path, place in places.items()
     }
     moved: dict[Path, bytes | None] = {}
@@ -89,7 +92,8 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
         raise error(f"`{path}` cannot be written: {why}", term=path) from reason
     finally:
         for left in beside.values():
-            left.unlink(missing_ok=True)
+            with suppress(OSError):
+                left.unlink(missing_ok=True)
 
 
 def npz(arrays: Mapping[str, Any]) -> Callable[[IO[bytes]], None]:

@@ -69,9 +69,9 @@ _NEAR = 1e-9
 def reading(path: str | PathLike[str]) -> Iterator[Path]:
     """The path of a file to read; whatever goes wrong with it there is a StorageError."""
     given = as_path(path, StorageError)
-    if given.exists() and not given.is_file():
-        raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
     try:
+        if given.exists() and not given.is_file():
+            raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
         yield given
     except StorageError:
         raise
