@@ -4,6 +4,7 @@ import errno
 import os
 import shutil
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -276,3 +277,42 @@ def test_an_fmu_on_a_full_disk(full, tmp_path, monkeypatch):
     with pytest.raises(ro.errors.ExportError, match="No space left"):
         solution.export(tmp_path / "model.fmu")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("where", ["rate", "initial", "state"])
+def test_the_absolute_value_of_a_remainder(where):
+    """SymPy differentiates it without end where symbols may be complex."""
+    given = f"exp(Abs(Mod({'x' if where == 'state' else 'k'}-246.043,2.48))/2.71)"
+    problem = text("-k*x", initial=given) if where == "initial" else text(f"{given} - x")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        compiled = ro.compile(problem)
+    p, u = np.array([0.3]), np.array([0.7])
+    factor = np.exp(np.mod((0.7 if where == "state" else 0.3) - 246.043, 2.48) / 2.71)
+    if where == "initial":
+        values = compiled.system.parameter_factors(0, p)
+        assert np.isclose(values, factor, rtol=1e-12).any()
+    else:
+        assert compiled.system.rhs(0.0, u, p)[0] == pytest.approx(factor - 0.7, rel=1e-12)
+
+
+def test_long_sums_of_text():
+    """Like terms gather; sums of others are compiled up to a length that is named."""
+    compiled = ro.compile(text("+".join("k*x" for _ in range(25_000))))
+    assert compiled.system.rhs(0.0, np.array([2.0]), np.array([0.5]))[0] == 25_000.0
+    signs = "".join(f"{'-' if i % 3 else '+'}{i}e-1*x" for i in range(1, 1200))
+    exact = sum((-i if i % 3 else i) for i in range(1, 1200)) / 10
+    rate = ro.compile(text(f"k{signs}")).system.rhs(0.0, np.array([1.0]), np.array([0.5]))[0]
+    assert rate == pytest.approx(0.5 + exact, rel=1e-12)
+    rates = "+".join(f"{i}*k**{i}" for i in range(1, 251))
+    value = ro.compile(text(rates)).system.rhs(0.0, np.array([1.0]), np.array([0.5]))[0]
+    assert value == pytest.approx(2.0, rel=1e-12)
+
+
+def test_sums_that_are_too_long():
+    with pytest.raises(ro.ProblemError, match="equation 1: a sum has 6000 terms; at most 5000"):
+        text("+".join(f"k**{i}" for i in range(1, 6001)))
+    with pytest.raises(ro.ProblemError, match="a sum of more than 500 terms"):
+        text(f"x*({'+'.join(f'k**{i}' for i in range(1, 6001))})")
+    with pytest.raises(ro.ProblemError, match="nested too deep"):
+        text("x" + "**k" * 400)

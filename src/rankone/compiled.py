@@ -48,6 +48,7 @@ from rankone.errors import (
     OptionError,
     ProblemError,
     SeparationError,
+    bounded_depth,
     check_kind,
 )
 from rankone.functions import namespace_of
@@ -391,6 +392,12 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     if isinstance(problem, CompiledProblem):
         remedy = "this one is compiled already; call its .solve(...)"
     check_kind("compile", problem, Problem, remedy=remedy)
+    with bounded_depth():
+        return _compiled(problem)
+
+
+def _compiled(problem: Problem) -> CompiledProblem:
+    """Every stage up to the generated module."""
     timings: dict[str, float] = {}
     with _timed(timings, "first order"):
         system = first_order(problem)

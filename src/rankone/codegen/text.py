@@ -30,6 +30,8 @@ __all__ = [
 ]
 
 WIDTH = 100
+_TOGETHER = 400
+"""Terms of a sum in one statement at most: Python compiles long sums by recursion."""
 INDENT = "    "
 
 Nested: TypeAlias = "str | Sequence[Nested]"
@@ -56,7 +58,9 @@ def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str
     >>> assignment("y", ["a * b", "- c"], "x'")
     ["    y = a * b - c  # x'"]
     """
-    lines = statement(f"{target} =", terms)
+    lines = statement(f"{target} =", terms[:_TOGETHER])
+    for k in range(_TOGETHER, len(terms), _TOGETHER):
+        lines += statement(f"{target} =", [target, *terms[k : k + _TOGETHER]])
     return [commented(lines[0], meaning)] if meaning and len(lines) == 1 else lines
 
 

@@ -16,6 +16,7 @@ from rankone.wording import count, did_you_mean, listing, quote
 __all__ = [
     "as_expression",
     "check_equations",
+    "check_lengths",
     "check_names",
     "check_symbols",
     "check_unknowns",
@@ -24,6 +25,8 @@ __all__ = [
     "state_expressions",
 ]
 
+_MOST_TERMS = 5000
+"""Terms of a sum: each takes some milliseconds to compile."""
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
@@ -50,6 +53,7 @@ def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ..
         raise ProblemError(
             "the list of equations is empty", remedy="give one equation for each unknown"
         )
+    check_lengths((each for each in given if isinstance(each, sp.Basic)), len(given))
     return given, [_residual(equation, i, time) for i, equation in enumerate(given, 1)]
 
 
@@ -166,6 +170,18 @@ def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, i
     for number, residual in enumerate(residuals):
         for derivative in _in_order(residual.atoms(sp.Derivative)):
             yield number, derivative.expr, int(derivative.derivative_count)
+
+
+def check_lengths(expressions: Iterable[sp.Expr], equations: int) -> None:
+    """Raise if a sum is longer than can be compiled; the first expressions are the equations."""
+    for number, expression in enumerate(expressions, 1):
+        longest = max((len(part.args) for part in expression.atoms(sp.Add)), default=0)
+        if longest > _MOST_TERMS:
+            raise ProblemError(
+                f"a sum has {longest} terms; at most {_MOST_TERMS} are compiled",
+                equation=number if number <= equations else None,
+                remedy="gather like terms, or give what they add up to as a table (rankone.table)",
+            )
 
 
 def check_unknowns(residuals: list[sp.Expr], initial: Any, time: sp.Symbol) -> tuple[sp.Expr, ...]:

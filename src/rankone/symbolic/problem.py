@@ -13,7 +13,7 @@ import sympy as sp
 
 from rankone.coordinates import name_of
 from rankone.display import aligned_equations
-from rankone.errors import ProblemError, warn
+from rankone.errors import ProblemError, bounded_depth, warn
 from rankone.functions import check_distinct
 from rankone.ir import Coordinate, Jump
 from rankone.lowering.branches import closed
@@ -21,6 +21,7 @@ from rankone.naming import is_line
 from rankone.symbolic.box import check_correlation, check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
+    check_lengths,
     check_names,
     check_symbols,
     check_unknowns,
@@ -126,6 +127,11 @@ class Problem:
     mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
+        with bounded_depth():
+            self._check()
+
+    def _check(self) -> None:
+        """Validate what was given, and set what follows from it."""
         if self.name is not None and not is_line(self.name):
             raise ProblemError(
                 f"the name is {shown(self.name)}, not text in one line",
@@ -147,6 +153,7 @@ class Problem:
             for at, reset in check_jumps(self.jumps, states, unknowns, box, time).items()
         }
         values = [value for reset in jumps.values() for value in reset.values()]
+        check_lengths([*initial.values(), *values], 0)
         known = [*residuals, *initial.values(), *values]
         check_distinct(known)
         used = sp.Tuple(*known).free_symbols
