@@ -387,6 +387,10 @@ def test_damaged_file(edit: Any, message: str, name: str, tmp_path: Path) -> Non
         ({"equations": ["x' = 1\r*/"]}, "an equation is"),
         ({"name": "title\nmore"}, "the title is"),
         ({"version": "1\0"}, "the version is"),
+        ({"distributions": [["x0", "__import__('os')"]]}, "is not the name of a distribution"),
+        ({"distributions": [["k", "norm(1, 1)"]]}, "something else than a parameter"),
+        ({"correlations": [["x0", "y0", 2.0]]}, "damaged"),
+        ({"fixed": [["k", "nan"]]}, "a fixed coordinate is not finite"),
     ],
 )
 def test_doctored_texts_are_refused(

@@ -297,6 +297,14 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         for text in texts:
             if not is_line(text):
                 raise ValueError(f"{what} is {text!r}, no text that can be printed in one line")
+    spread = {
+        *dict(metadata.distributions),
+        *(n for *pair, _ in metadata.correlations for n in pair),
+    }
+    if not spread <= {*metadata.parameters}:
+        raise ValueError("a distribution or a correlation is of something else than a parameter")
+    if not all(math.isfinite(value) for _, value in metadata.fixed):
+        raise ValueError("a fixed coordinate is not finite")
 
 
 def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None:
