@@ -1,13 +1,18 @@
 """Hostile input: the right answer or a clear error, soon."""
 
+import errno
 import os
+import shutil
 import time
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
 
 import rankone as ro
+from rankone.problem_files import load_problem
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)
@@ -40,7 +45,7 @@ def plain(equation=None, **more):
         (lambda: plain(time=(t, 0, 5e-324)), "too short"),
         (lambda: plain(parameters={k: (0, 5e-324)}), "too narrow"),
         (lambda: text(f"max({','.join(f'x - {i}*k' for i in range(200))})"), "200 arguments"),
-        (lambda: text("Piecewise((1, t > 1))"), "the last branch"),
+        (lambda: text("Piecewise()"), "`Piecewise` has no branch"),
         (lambda: text("Piecewise((1, t), (2, True))"), "`t` is no condition"),
         (lambda: text("Piecewise(1, 2)"), "no branch of a Piecewise"),
         (lambda: text("(t > 1)*x"), "not understood"),
@@ -226,3 +231,92 @@ def test_the_time_limit_is_looked_at_in_every_call_of_a_slow_function():
     solution = ro.solve(plain(sp.Eq(x.diff(t), -k * slow(x))), 1e-3, max_seconds=1)
     assert not solution.success
     assert len(calls) < 40  # a first step alone takes a dozen, and an integration hundreds
+
+
+def test_counts_that_no_memory_holds():
+    solution = ro.solve(text("-k*x"), 1e-3)
+    for ask in (
+        lambda: solution.sample(10**12),
+        lambda: solution.quantile(0.5, 1.0, count=10**9),
+        lambda: solution.density(1.0, count=10**30),
+        lambda: solution.probability(1.0, above=0.5, count=10**9),
+        lambda: solution.main_effects(1.0, count=10**9),
+    ):
+        with pytest.raises(ro.errors.OptionError, match="choose an integer from"):
+            ask()
+    with pytest.raises(ro.errors.OptionError, match="choose an integer from"):
+        ro.GreedyOptions(parameter_nodes=10**30)
+
+
+@pytest.mark.parametrize("length", [243, 244, 250, 255, 256, 260, 5000])
+def test_names_of_files_of_any_length(length, tmp_path):
+    """Written, or refused as too long, and nothing beside is left."""
+    solution = ro.solve(text("-k*x"), 1e-3)
+    for suffix in (".npz", ".nc", ".c", ".html"):
+        path = tmp_path / ("a" * (length - len(suffix)) + suffix)
+        write = solution.save if suffix in (".npz", ".nc") else solution.export
+        if length > 255:
+            with pytest.raises((ro.errors.StorageError, ro.errors.ExportError), match="too long"):
+                write(path)
+        else:
+            write(path)
+            path.with_suffix(".h").unlink(missing_ok=True)
+            path.unlink()
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ro.errors.StorageError, match=r"there is no file|cannot be read"):
+        ro.load(tmp_path / ("a" * length))
+    with pytest.raises(ro.ProblemError, match=r"there is no file|cannot be read"):
+        load_problem(tmp_path / ("a" * (length - 5) + ".toml"))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
+@pytest.mark.parametrize("full", ["write_text", "fsync"])
+def test_an_fmu_on_a_full_disk(full, tmp_path, monkeypatch):
+    solution = ro.solve(text("-k*x"), 1e-3)
+
+    def refuse(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(*((os, full) if full == "fsync" else (Path, full)), refuse)
+    with pytest.raises(ro.errors.ExportError, match="No space left"):
+        solution.export(tmp_path / "model.fmu")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("where", ["rate", "initial", "state"])
+def test_the_absolute_value_of_a_remainder(where):
+    """SymPy differentiates it without end where symbols may be complex."""
+    given = f"exp(Abs(Mod({'x' if where == 'state' else 'k'}-246.043,2.48))/2.71)"
+    problem = text("-k*x", initial=given) if where == "initial" else text(f"{given} - x")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ro.RankoneWarning)
+        compiled = ro.compile(problem)
+    p, u = np.array([0.3]), np.array([0.7])
+    factor = np.exp(np.mod((0.7 if where == "state" else 0.3) - 246.043, 2.48) / 2.71)
+    if where == "initial":
+        values = compiled.system.parameter_factors(0, p)
+        assert np.isclose(values, factor, rtol=1e-12).any()
+    else:
+        assert compiled.system.rhs(0.0, u, p)[0] == pytest.approx(factor - 0.7, rel=1e-12)
+
+
+def test_long_sums_of_text():
+    """Like terms gather; sums of others are compiled up to a length that is named."""
+    compiled = ro.compile(text("+".join("k*x" for _ in range(25_000))))
+    assert compiled.system.rhs(0.0, np.array([2.0]), np.array([0.5]))[0] == 25_000.0
+    signs = "".join(f"{'-' if i % 3 else '+'}{i}e-1*x" for i in range(1, 1200))
+    exact = sum((-i if i % 3 else i) for i in range(1, 1200)) / 10
+    rate = ro.compile(text(f"k{signs}")).system.rhs(0.0, np.array([1.0]), np.array([0.5]))[0]
+    assert rate == pytest.approx(0.5 + exact, rel=1e-12)
+    rates = "+".join(f"{i}*k**{i}" for i in range(1, 251))
+    value = ro.compile(text(rates)).system.rhs(0.0, np.array([1.0]), np.array([0.5]))[0]
+    assert value == pytest.approx(2.0, rel=1e-12)
+
+
+def test_sums_that_are_too_long():
+    with pytest.raises(ro.ProblemError, match="equation 1: a sum has 6000 terms; at most 5000"):
+        text("+".join(f"k**{i}" for i in range(1, 6001)))
+    with pytest.raises(ro.ProblemError, match="a sum of more than 500 terms"):
+        text(f"x*({'+'.join(f'k**{i}' for i in range(1, 6001))})")
+    with pytest.raises(ro.ProblemError, match="nested too deep"):
+        text("x" + "**k" * 400)

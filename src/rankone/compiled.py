@@ -42,8 +42,17 @@ from rankone.codegen import (
     generate_source,
     switching_term,
 )
+from rankone.codegen.gaps import check_gaps
 from rankone.codegen.recipe import Recipe
-from rankone.errors import ConvergenceError, OptionError, SeparationError, check_kind
+from rankone.domain import Domain
+from rankone.errors import (
+    ConvergenceError,
+    OptionError,
+    ProblemError,
+    SeparationError,
+    bounded_depth,
+    check_kind,
+)
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lifted import LiftedProblem, lifted_problem
@@ -280,6 +289,7 @@ class CompiledProblem:
         if form is not self:
             task = replace(task, truth=self.system)
         if parameters or t_final is not None:
+            self._check_gaps(task.domain)
             check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
         began = time.perf_counter()
         with resolve_progress(progress) as report, _one_blas_thread():
@@ -302,6 +312,15 @@ class CompiledProblem:
         if on_failure == "raise" and not solution.success:
             raise ConvergenceError(message, solution=solution)
         return solution
+
+    def _check_gaps(self, domain: Domain) -> None:
+        """Raise an OptionError if a piecewise function has a gap on another domain."""
+        intervals = zip(self.separated.coordinates, (domain.horizon, *domain.box), strict=True)
+        moved = [replace(c, lower=lower, upper=upper) for c, (lower, upper) in intervals]
+        try:
+            check_gaps(self.first_order.named_expressions(), moved)
+        except ProblemError as error:
+            raise OptionError(str(error), term=error.term) from error
 
     def export(
         self,
@@ -393,10 +412,17 @@ def compile_problem(problem: Problem) -> CompiledProblem:
     if isinstance(problem, CompiledProblem):
         remedy = "this one is compiled already; call its .solve(...)"
     check_kind("compile", problem, Problem, remedy=remedy)
+    with bounded_depth():
+        return _compiled(problem)
+
+
+def _compiled(problem: Problem) -> CompiledProblem:
+    """Every stage up to the generated module."""
     timings: dict[str, float] = {}
     with _timed(timings, "first order"):
         system = first_order(problem)
         check_tables(system, system.coordinates)
+        check_gaps(system.named_expressions(), system.coordinates)
     with _timed(timings, "weak form"):
         weak = weak_form(system)
     with _timed(timings, "separation"):

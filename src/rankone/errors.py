@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "RankoneWarning",
     "SeparationError",
     "StorageError",
+    "bounded_depth",
     "check_kind",
     "warn",
 ]
@@ -67,6 +69,18 @@ class ProblemError(RankoneError, ValueError):
 
 class SeparationError(ProblemError):
     """A term does not factor into functions of one coordinate and a monomial of the unknowns."""
+
+
+@contextmanager
+def bounded_depth() -> Iterator[None]:
+    """A ProblemError for expressions so deep that Python's recursion does not reach their end."""
+    try:
+        yield
+    except RecursionError:
+        raise ProblemError(
+            "an expression is nested too deep for Python's recursion limit",
+            remedy="give parts of it names of their own, as unknowns with equations",
+        ) from None
 
 
 class OptionError(RankoneError, ValueError):

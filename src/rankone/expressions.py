@@ -15,6 +15,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.agreement.outputs import check_outputs
 from rankone.arrays import Array
+from rankone.codegen.gaps import check_gaps, gap_text
 from rankone.codegen.narrow import peaks, steps
 from rankone.codegen.printer import numpy_text
 from rankone.codegen.switching import boundaries, switches
@@ -23,6 +24,7 @@ from rankone.decimals import plain_text
 from rankone.errors import OptionError, ProblemError, RankoneError
 from rankone.functions import known_applied
 from rankone.ir import Coordinate
+from rankone.lowering.branches import closed, gaps
 from rankone.metadata import SolutionMetadata
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.stable import stable
@@ -88,6 +90,7 @@ def quantities_of(
         **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
     }
     parts = [*translator.integrands, *values]
+    found = _gaps(parts, translator, metadata, horizon)
     moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
     timeless = metadata.timeless or not any(value.free_symbols & moving for value in values)
     quantities = Quantities(
@@ -101,6 +104,8 @@ def quantities_of(
         ridges=_function("p", _ridges(parts, {*known}), written),
         breaks=_breaks(parts, metadata, horizon),
         values=_function("t, s, p, r", values, written),
+        gaps=_function("t, s, p", [sp.Piecewise((1, r), (0, True)) for _, r in found], written),
+        gap_texts=tuple(text for text, _ in found),
     )
     _check(quantities, translator, dict(zip(expressions, values, strict=True)), samples)
     return quantities
@@ -140,6 +145,36 @@ def _check(
             known,
             lambda k: quantities.values(*at(k), [r[k : k + 1] for r in made_up]),
         )
+
+
+def _gaps(
+    parts: Sequence[sp.Expr],
+    translator: _Translator,
+    metadata: SolutionMetadata,
+    horizon: tuple[float, float],
+) -> list[tuple[str, Any]]:
+    """Where piecewise functions of the states have no branch: what to say, and the region.
+
+    An OptionError if there are such gaps in time and parameters alone.
+    """
+    known = (metadata.time, *metadata.parameters)
+    intervals = zip(known, (horizon, *metadata.box), strict=True)
+    coordinates = [Coordinate(name, sp.Symbol(name), *ends) for name, ends in intervals]
+    time = sp.Symbol(metadata.time)
+    names = {
+        symbol: sp.Function(metadata.states[source.row])(time).diff(time, source.order)
+        for source, symbol in translator.sources.items()
+    }
+    try:
+        check_gaps([("an output", None, part.xreplace(names)) for part in parts], coordinates)
+    except ProblemError as error:
+        raise OptionError(str(error), term=error.term) from error
+    return [
+        (gap_text("an output", function.xreplace(names), region.xreplace(names)), region)
+        for part in parts
+        for function, region in gaps(part)
+        if region.free_symbols & set(names) and not region.free_symbols & {*translator.reduced}
+    ]
 
 
 def _middles(parts: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
@@ -364,7 +399,7 @@ class _Translator:
                 f"the output {quote(name)}, {quote(expression)}, is not real and finite",
                 term=expression,
             )
-        return plain
+        return closed(plain)
 
     def _source(self, name: str, part: sp.Expr) -> sp.Dummy:
         """The symbol of a state or a derivative of one."""

@@ -20,6 +20,8 @@ __all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
 
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
+_KEPT = 48
+"""Characters of a name that the file beside it keeps: file systems limit names to 255 bytes."""
 _OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
 
 
@@ -123,7 +125,7 @@ def _complete(place: Path, content: Content) -> Iterator[Path]:
 def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
     """A new file beside its place, locked until it is moved: its process lives."""
     while True:
-        stream = place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial").open("xb")
+        stream = place.with_name(f".{place.name[:_KEPT]}.{secrets.token_hex(4)}.partial").open("xb")
         if not _lock(stream):
             return stream
         until_moved.callback(os.close, os.dup(stream.fileno()))
@@ -134,7 +136,7 @@ def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
 
 def _remove_abandoned(place: Path) -> None:
     """Remove what processes that were killed left beside a place, where the system has locks."""
-    names = f".{glob.escape(place.name)}.{'[0-9a-f]' * 8}.partial"
+    names = f".{glob.escape(place.name[:_KEPT])}.{'[0-9a-f]' * 8}.partial"
     for path in place.parent.glob(names):
         with suppress(OSError), path.open("r+b") as stream:
             if _lock(stream, wait=False):

@@ -14,6 +14,7 @@ from rankone.wording import did_you_mean, shown
 __all__ = [
     "Options",
     "check_points",
+    "checked_count",
     "checked_number",
     "choice",
     "integer",
@@ -23,7 +24,10 @@ __all__ = [
 ]
 
 
-_MOST_CHECK_POINTS = 100000
+_MOST_NUMBERS = 2**28
+"""Floating-point numbers that random, or evenly spread, points may take."""
+_MOST, _MOST_CHECK_POINTS = 10**9, 100000
+"""Largest integer of an option, and most check points."""
 
 
 def checked_number(
@@ -42,6 +46,14 @@ def checked_number(
     raise OptionError(f"{name}={shown(value)} is not valid", remedy=f"choose {what} {where}")
 
 
+def checked_count(name: str, value: Any, least: int, each: int) -> int:
+    """A number of points, each of which takes so many numbers, or an OptionError.
+
+    The most are what 2 GiB hold: beyond, the operating system ends the process, or all of them.
+    """
+    return int(checked_number(name, value, least, max(least, _MOST_NUMBERS // max(each, 1))))
+
+
 def check_points(check: Any) -> None:
     """Raise an OptionError if so many check points are out of the question."""
     if not isinstance(check, bool):
@@ -57,7 +69,7 @@ def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:
         )
 
 
-def integer(default: int | None, least: int = 1, most: float = math.inf) -> Any:
+def integer(default: int | None, least: int = 1, most: int = _MOST) -> Any:
     """Declare an integer between two others."""
     return _declared(default, lambda name, value: checked_number(name, value, least, most))
 
@@ -72,8 +84,8 @@ def integers(default: int | None, least: int = 1) -> Any:
 
     def check(name: str, value: Any) -> Any:
         if isinstance(value, list | tuple):
-            return tuple(checked_number(name, item, least) for item in value)
-        return checked_number(name, value, least)
+            return tuple(checked_number(name, item, least, _MOST) for item in value)
+        return checked_number(name, value, least, _MOST)
 
     return _declared(default, check)
 

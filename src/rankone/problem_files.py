@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 from rankone.errors import ProblemError, RankoneError
+from rankone.files import as_path
 from rankone.wording import did_you_mean, listing, shown
 
 if TYPE_CHECKING:
@@ -67,14 +68,18 @@ def load_problem(path: str | PathLike[str]) -> Problem:
     ProblemError
         If there is no such file, it cannot be run or read, or the problem is not well posed.
     """
-    file = Path(path)
+    file = as_path(path, ProblemError)
     if file.suffix not in (".py", ".toml"):
         raise ProblemError(
             f"`{file}` is neither a .py nor a .toml file",
             term=file,
             remedy="give a Python file with a variable `problem`, or a TOML file",
         )
-    if not file.is_file():
+    try:
+        there = file.is_file()
+    except (OSError, ValueError) as error:  # too long, no permission, a null character
+        raise ProblemError(f"`{file}` cannot be read: {error}", term=file) from None
+    if not there:
         raise ProblemError(f"there is no file `{file}`", term=file)
     return _from_python(file) if file.suffix == ".py" else _from_toml(file)
 

@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.errors import EvaluationError, RankoneError
+from rankone.distributions import from_text
+from rankone.errors import EvaluationError, OptionError, RankoneError, StorageError
 from rankone.estimation.methods import EstimationFromData
 from rankone.outputs.solved import samples_of, with_outputs
 from rankone.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution_summary import summary_html, summary_text
 from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES
+from rankone.statistics.copula import copula_of
 from rankone.statistics.distribution_over_box import DistributionOverBox
 from rankone.storage import read, write
 from rankone.tensors.canonical import CanonicalForms, canonical_form
@@ -451,7 +453,14 @@ def load(path: str | PathLike[str]) -> Solution:
     StorageError
         As for :func:`rankone.storage.read`.
     """
-    return Solution(*read(path, {name: engine.record for name, engine in ENGINES.items()}))
+    outcome, metadata = read(path, {name: engine.record for name, engine in ENGINES.items()})
+    try:
+        for _, text in metadata.distributions:
+            from_text(text)
+        copula_of(metadata.parameters, {(a, b): rho for a, b, rho in metadata.correlations})
+    except OptionError as error:
+        raise StorageError(f"`{path}` is damaged: {error}", term=path) from error
+    return Solution(outcome, metadata)
 
 
 def _expressions() -> Any:

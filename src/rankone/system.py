@@ -99,6 +99,20 @@ class System(Protocol):
     ROUGH_JUMPS: tuple[int, ...]
     """The kinds of jumps whose values are no polynomials of the states."""
 
+    GAPS: tuple[str, ...]
+    """What to say of each gap of piecewise functions over the states; only where there are some."""
+    JUMP_GAPS: tuple[str, ...]
+    """The same for what is reset."""
+
+    @staticmethod
+    def gaps(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """One where a piecewise function of the rates has no branch, else zero: (gaps, ...); only
+        where there are some."""
+
+    @staticmethod
+    def jump_gaps(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
+        """The same for what is reset, at the states u before it."""
+
     @staticmethod
     def initial(p: Sequence[Any] | Array) -> Array:
         """Initial values at p (d, ...), shape (N_DIFFERENTIAL, ...); where nothing separates."""

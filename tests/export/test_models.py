@@ -395,12 +395,18 @@ int main(void)
 
 
 @needs_compiler
-def test_c_status_and_constants(tmp_path):
+@pytest.mark.parametrize("flags", [[], ["-O3", "-ffast-math"]])
+def test_c_status_and_constants(flags, tmp_path):
+    """What is not a number is refused, also where the compiler is told that there is no such."""
     synthetic().export(tmp_path / "model.c")
     (tmp_path / "main.c").write_text(STATUS)
-    files = [str(tmp_path / name) for name in ("main.c", "model.c")]
     program = tmp_path / "main"
-    subprocess.run([COMPILER, *STRICT, "-o", str(program), *files, "-lm"], check=True)
+    for command in (
+        ["-c", "main.c"],
+        [*flags, "-c", "model.c"],
+        ["-o", "main", "main.o", "model.o"],
+    ):
+        subprocess.run([COMPILER, *STRICT, *command], cwd=tmp_path, check=True)
     out = subprocess.run([str(program)], capture_output=True, text=True, check=True).stdout
     assert out == "2 2 1 2 1 2 1 0 3 2 1 lambda int α 1 2 2"
 

@@ -79,12 +79,14 @@ def test_the_content_says_what_a_file_is(tmp_path: Path) -> None:
 def test_long_and_odd_texts(tmp_path: Path) -> None:
     """An attribute of HDF5 has less than 64 KiB, and no text has null characters."""
     metadata = replace(
-        SOLUTION.metadata, equations=("µ" * 100_000,), states=("a\0", "µ"), source="x" * 10**6
+        SOLUTION.metadata, equations=("µ" * 100_000,), states=("a\\", "µ"), source="x" * 10**6
     )
-    path = Solution(SOLUTION.outcome, metadata).save(tmp_path / "u.nc")
+    outcome = replace(SOLUTION.outcome, message="a\0b")
+    path = Solution(outcome, metadata).save(tmp_path / "u.nc")
     assert load(path).metadata == metadata
     with xarray.open_dataset(path, engine="h5netcdf") as data:
-        assert data.state.values.tolist() == ["a?", "µ"]
+        assert data.state.values.tolist() == ["a\\", "µ"]
+        assert data.attrs["comment"] == "a?b"
 
 
 def test_an_interrupt_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import h5py
 import numpy as np
@@ -22,6 +23,7 @@ from rankone.errors import StorageError
 from rankone.files import write_files
 from rankone.solution import Solution, load
 from rankone.solvers.outcome import Status
+from rankone.storage.header import digest_of
 from rankone.storage.netcdf import sealed
 from tests.problems import REFERENCE
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
@@ -303,7 +305,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
         for name in ["header", *names]:
             del file[name]
         for name, array in (arrays | {"header": json.dumps(header)}).items():
-            file[name] = array
+            file[name] = str(array) if np.asarray(array).dtype.kind == "U" else array
     path.write_bytes(sealed(content.getvalue()))
 
 
@@ -336,9 +338,9 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
         (lambda header, _: header["metadata"].update(states=["x", "x"]), "unknowns do not fit"),
         (
             lambda header, _: header["metadata"].update(states=["x", "x"], unknowns=["x", "x"]),
-            "x, x are not distinct",
+            "`x` belongs both to unknown `x` and to unknown `x`",
         ),
-        (lambda header, _: header["metadata"].update(parameters=["t", "k"]), "not distinct"),
+        (lambda header, _: header["metadata"].update(parameters=["t", "k"]), "to the time and"),
         (lambda header, _: header["metadata"].update(horizon=[0, "inf"]), "the horizon is"),
         (lambda header, _: header["metadata"].update(box=[[0, "nan"], [2, 3]]), "range of x0 is"),
         (lambda header, _: header["metadata"].update(box=[[-1, 2], [2, 3]]), "basis of slab 0"),
@@ -374,6 +376,100 @@ def test_a_damaged_header_of_netcdf(tmp_path: Path) -> None:
     path = SOLUTION.save(tmp_path / "u.nc")
     edited(path, lambda header, _: header["history"][0].pop("ranks"))
     with pytest.raises(StorageError, match=r"u\.nc`.*damaged .*ranks"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"states": ["x", "a\\\n*/ int main"], "unknowns": ["x", "a\\\n*/ int main"]},
+            "the name 'a",
+        ),
+        ({"states": ["x", "y\0"], "unknowns": ["x", "y\0"]}, "the name 'y"),
+        ({"states": ["x", "x0"], "unknowns": ["x", "x0"]}, "`x0` belongs both to parameter"),
+        ({"parameters": ["x0", " "]}, "the name ' '"),
+        ({"parameters": ["x0", "\u202ey0"]}, "printed in one line"),
+        ({"time": "t\u2028"}, "the name 't"),
+        ({"units": [["x", "m\n#include <x>"]]}, "a unit is"),
+        ({"equations": ["x' = 1\r*/"]}, "an equation is"),
+        ({"name": "title\nmore"}, "the title is"),
+        ({"version": "1\0"}, "the version is"),
+        ({"distributions": [["x0", "__import__('os')"]]}, "is not the name of a distribution"),
+        ({"distributions": [["k", "norm(1, 1)"]]}, "something else than a parameter"),
+        ({"correlations": [["x0", "y0", 2.0]]}, "damaged"),
+        ({"fixed": [["k", "nan"]]}, "a fixed coordinate is not finite"),
+    ],
+)
+def test_doctored_texts_are_refused(
+    change: dict[str, Any], message: str, name: str, tmp_path: Path
+) -> None:
+    """Also where the digest was made anew: exports write names into sources."""
+    path = SOLUTION.save(tmp_path / name)
+
+    def doctored(header: dict[str, Any], arrays: dict[str, Any]) -> None:
+        header["metadata"].update(change)
+        arrays["digest"] = np.array(digest_of({**arrays, "header": np.array(json.dumps(header))}))
+
+    edited(path, doctored)
+    with pytest.raises(StorageError, match=rf"{name}`.*{message}"):
+        load(path)
+
+
+def test_files_without_a_digest_are_refused(name: str, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / name)
+    edited(path, lambda _, arrays: arrays.pop("digest"))
+    with pytest.raises(StorageError, match="it has no digest"):
+        load(path)
+
+
+def npy(shape: tuple[int, ...], content: bytes = b"", kind: str = "<f8") -> bytes:
+    """An array that says to be of some shape, whatever its content."""
+    stream = io.BytesIO()
+    header = {"descr": kind, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    return stream.getvalue() + content
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        ([("core_0_0.npy", npy((10**12, 1, 1)), False)], "shape .* does not fit"),
+        ([("header.npy", npy((), kind="<U500000000"), False)], "does not fit"),
+        ([("core_0_0.npy", npy((1,), bytes(8), "|O"), False)], "does not fit"),
+        ([("core_0_0.npy", npy((10**6, 1, 1), bytes(8 * 10**6)), True)], "larger than the file"),
+        ([("more.bin", b"1", False)], "something else than arrays"),
+        ([("core_0_0.npy", npy((1, 1, 1), bytes(8)), False)] * 2, "twice"),
+        ([("core_0_0.npy", b"\x93NUMPY\x07\x00", False)], "format that is not known"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_archives_that_would_take_memory(
+    members: list[tuple[str, bytes, bool]], message: str, tmp_path: Path
+) -> None:
+    path = SOLUTION.save(tmp_path / "solution.npz")
+    with ZipFile(path) as archive:
+        kept = {name: archive.read(name) for name in archive.namelist()}
+    with ZipFile(path, "w") as archive:
+        for name, content in kept.items():
+            if name not in {changed for changed, *_ in members}:
+                archive.writestr(name, content)
+        for name, content, packed in members:
+            archive.writestr(name, content, ZIP_DEFLATED if packed else ZIP_STORED)
+    with pytest.raises(StorageError, match=message):
+        load(path)
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_netcdf_files_that_would_take_memory(packed: bool, tmp_path: Path) -> None:
+    path = SOLUTION.save(tmp_path / "solution.nc")
+    content = io.BytesIO(path.read_bytes())
+    with h5py.File(content, "r+") as file:
+        del file["core_0_0"]
+        shape = (2, 10**6, 4) if packed else (10**6, 10**6, 1)
+        file.create_dataset("core_0_0", shape, "<f8", compression="gzip" if packed else None)
+    path.write_bytes(sealed(content.getvalue()))
+    with pytest.raises(StorageError, match="core_0_0 is not stored as it is"):
         load(path)
 
 
@@ -479,7 +575,12 @@ def test_history_is_loaded_as_it_was(method: str, tmp_path: Path) -> None:
 def test_files_without_roles(name: str, tmp_path: Path) -> None:
     """Earlier versions wrote none: states behind the unknowns are derivatives."""
     path = oscillator().solution.save(tmp_path / name)
-    edited(path, lambda header, arrays: (header["metadata"].pop("roles"), arrays.pop("digest")))
+
+    def older(header: dict[str, Any], arrays: dict[str, Any]) -> None:
+        header["metadata"].pop("roles")
+        arrays["digest"] = np.array(digest_of({**arrays, "header": np.array(json.dumps(header))}))
+
+    edited(path, older)
     assert load(path).metadata.roles == ("unknown", "derivative")
     assert load(path).metadata == oscillator().solution.metadata
 

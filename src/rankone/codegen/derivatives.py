@@ -7,16 +7,37 @@ delta, or leave as it stands, is never meant in a Jacobian.
 from __future__ import annotations
 
 import sympy as sp
-from sympy.core.function import ArgumentIndexError
+from sympy.core.function import AppliedUndef, ArgumentIndexError
 
 from rankone.budget import check_time
 from rankone.errors import ProblemError
 from rankone.wording import quote
 
-__all__ = ["Differentiator"]
+__all__ = ["Differentiator", "slope"]
 
 _STEPS = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling)
+_JUMPING = (*_STEPS, sp.Mod, sp.frac, sp.Piecewise)
 _LEFT_OVER = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
+
+
+def slope(expression: sp.Expr, variable: sp.Expr) -> sp.Expr:
+    """The derivative of an expression of real quantities; NaN if not known, or where it jumps.
+
+    SymPy takes symbols for complex numbers, unless they say that they are real, and does not come
+    to an end with the absolute value of a remainder.
+    """
+    if expression.has(*_JUMPING):
+        return sp.nan
+    quantities = sorted({*expression.atoms(AppliedUndef), variable}, key=sp.default_sort_key)
+    functions = {u: sp.Dummy(real=True) for u in quantities}
+    plain = expression.xreplace(functions)
+    symbols = sorted(plain.free_symbols - {*functions.values()}, key=sp.default_sort_key)
+    real = functions | {symbol: sp.Dummy(real=True) for symbol in symbols}
+    try:
+        derivative = Differentiator(real[variable])(expression.xreplace(real))
+    except ProblemError:
+        return sp.nan
+    return derivative.xreplace({dummy: quantity for quantity, dummy in real.items()})
 
 
 class Differentiator:

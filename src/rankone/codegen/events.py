@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.codegen.derivatives import slope
 from rankone.codegen.narrow import moving_middles, peaks, steps, valleys
 from rankone.codegen.switching import CONTINUOUS, JUMPS, boundaries
 from rankone.ir import Coordinate
@@ -34,11 +35,11 @@ def moving_switches(
     expressions = list(expressions)
     found = set(moving_middles(coordinates, expressions))
     for boundary, levels in boundaries(expressions):
-        slope, symbols = boundary.diff(t), boundary.free_symbols
+        rate, symbols = slope(boundary, t), boundary.free_symbols
         if boundary.has(AppliedUndef) or len(symbols) < 2 or not symbols <= known:
             continue
-        if slope != 0 and not slope.has(t):
-            found.update((sp.Rational(v) - boundary.subs(t, 0)) / slope for v in levels or ())
+        if rate not in (0, sp.nan) and not rate.has(t):
+            found.update((sp.Rational(v) - boundary.subs(t, 0)) / rate for v in levels or ())
     return tuple(sorted(found, key=sp.default_sort_key))
 
 

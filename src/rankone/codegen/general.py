@@ -19,6 +19,7 @@ from rankone.codegen.definitions import constants, cut_table, definitions, modul
 from rankone.codegen.derivatives import Differentiator
 from rankone.codegen.events import event_functions, moving_switches, parameter_surfaces
 from rankone.codegen.factors import coordinate_functions
+from rankone.codegen.gaps import Named, gap_functions, gap_tables
 from rankone.codegen.header import opening
 from rankone.codegen.jumps import jump_function, jump_table, jumped_values, jumps_text
 from rankone.codegen.names import Names
@@ -85,6 +86,8 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     functions = [writer.rhs(), writer.jacobian(), writer.initial(), _with_products(writer.n)]
     functions += [writer.moving_cuts(), writer.surfaces(), writer.events()]
     functions.append(jump_function(system.states, system.coordinates, system.jumps))
+    rates = writer.named_rates()
+    functions += gap_functions(rates, system.jumps, system.states, system.coordinates)
     everything = [*system.rhs, *system.initial, *jumped_values(system.jumps)]
     known = known_functions(system.coordinates, everything)
     factors = [(sp.S.One, *found) for found in known]
@@ -96,7 +99,7 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     names = [state.name for state in system.states]
     tables = constants(False, names, len(names), (), system.coordinates)
     tables += cut_table(system.coordinates, everything)
-    tables += jump_table(system.jumps)
+    tables += [*jump_table(system.jumps), *gap_tables(rates, system.jumps, system.states)]
     if writer.narrow is not None:
         tables += ["PEAKS, KINKS = {}, {}".format(*writer.narrow)]
     return module_source(partial(_header, system, writer.operations, title), tables, blocks)
@@ -158,6 +161,12 @@ class _Writer:
 
     def _name(self, i: int) -> str:
         return self.system.states[i].name
+
+    def named_rates(self) -> list[Named]:
+        """The rates with what they are and the numbers of the user's equations."""
+        system = self.system
+        pairs = zip(system.origins, system.rhs, strict=True)
+        return [(f"{self._name(i)}'", origin, f) for i, (origin, f) in enumerate(pairs)]
 
     def _checked(self, expression: sp.Expr, what: str, origin: int | None) -> sp.Expr:
         """The expression in real symbols; an error that says where, if it cannot be written."""

@@ -14,6 +14,7 @@ import sympy as sp
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.events import parameter_surfaces
 from rankone.codegen.factors import coordinate_functions
+from rankone.codegen.gaps import gap_functions, gap_tables
 from rankone.codegen.header import header, sum_text
 from rankone.codegen.initial import coupled_initial
 from rankone.codegen.jumps import jump_function, jump_table, jumped_values
@@ -75,13 +76,14 @@ def generate_source(
         *functions,
         coupled_initial(system),
         jump_function(system.differential, system.coordinates, system.jumps),
+        *gap_functions([], system.jumps, system.differential, system.coordinates),
         meanings_function(system.differential, system.coordinates, meanings),
         _surfaces(system),
     ]
     head = partial(header, system, pointwise.operations, title)
     cuts = cut_table(system.coordinates, known)
     more = [f"LIFTED = {len(meanings)}"] if meanings else []
-    more += jump_table(system.jumps)
+    more += [*jump_table(system.jumps), *gap_tables([], system.jumps, system.differential)]
     return module_source(head, [*tables(system), *more, *cuts], blocks)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.codegen.derivatives import slope
 from rankone.ir import Coordinate
 
 __all__ = ["Variables", "moving_middles", "peaks", "steps", "valleys"]
@@ -31,12 +32,18 @@ def moving_middles(
     t, known = clock.symbol, {c.symbol for c in coordinates}
     centre = {p.symbol: sp.Float(0.5 * (p.lower + p.upper)) for p in parameters}
     for part in _parts(expressions, sp.exp):
-        curve = part.exp.diff(t, 2)
+        rate = slope(part.exp, t)
+        curve = slope(rate, t)
         moves = len(part.exp.free_symbols) > 1 and part.exp.free_symbols <= known
-        if moves and not part.exp.has(AppliedUndef) and curve != 0 and not curve.has(t):
+        if (
+            moves
+            and not part.exp.has(AppliedUndef)
+            and curve not in (0, sp.nan)
+            and not curve.has(t)
+        ):
             size = abs(curve.subs(centre)) * (clock.upper - clock.lower) ** 2
             if size.is_number and size > _NARROW:
-                yield -part.exp.diff(t).subs(t, 0) / curve
+                yield -rate.subs(t, 0) / curve
 
 
 def peaks(
@@ -99,9 +106,9 @@ def _bottoms(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
     squares = _squares(expression, variables)
     yield from squares if len(squares) == 1 else ()
     for variable in variables(expression) if not squares else ():
-        slope = expression.diff(variable)
-        if slope.has(variable) and not slope.diff(variable).has(variable):
-            yield slope
+        rate = slope(expression, variable)
+        if rate.has(variable) and not slope(rate, variable).has(variable):
+            yield rate
 
 
 def _squares(expression: sp.Basic, variables: Variables) -> list[sp.Expr]:

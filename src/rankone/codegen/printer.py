@@ -22,6 +22,8 @@ __all__ = ["common_subexpressions", "factor_text", "numpy_text"]
 
 _LONGEST = 10**15
 """Integers up to which every one is a floating-point number."""
+_TOGETHER = 200
+"""Terms of a sum in one pair of parentheses at most."""
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
 _INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
 _SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")
@@ -134,6 +136,10 @@ class NumPyText(Printer):  # type: ignore[misc]
 
     def _print_Add(self, expr: sp.Add) -> str:
         terms = sorted(expr.as_ordered_terms(), key=lambda term: term.could_extract_minus_sign())
+        if len(terms) > _TOGETHER:  # Python compiles long sums by recursion
+            starts = range(0, len(terms), _TOGETHER)
+            groups = (sp.Add(*terms[k : k + _TOGETHER], evaluate=False) for k in starts)
+            return " + ".join(f"({self._print(group)})" for group in groups)
         text = self.operand(terms[0], PRECEDENCE["Add"])
         if text.startswith("(-"):
             text = str(self._print(terms[0]))

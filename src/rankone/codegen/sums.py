@@ -81,33 +81,41 @@ def share(
 
 def _factored(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], int]:
     """Terms of a sum with its most frequent symbol taken out, again and again, and operations."""
-    often = Counter(symbol for _, symbols in terms for symbol in set(symbols))
-    common = min(often, key=lambda symbol: (-often[symbol], symbol), default=None)
-    if common is None or often[common] < 2:
-        return _plain(terms, names)
-    inside, outside = [], []
-    for coefficient, symbols in terms:
-        if common in symbols:
-            rest = list(symbols)
-            rest.remove(common)
-            inside.append((coefficient, tuple(rest)))
+    chunks: list[str] = []
+    count = 0
+    rest = list(terms)
+    while rest:
+        often = Counter(symbol for _, symbols in rest for symbol in set(symbols))
+        common = min(often, key=lambda symbol: (-often[symbol], symbol), default=None)
+        if common is None or often[common] < 2:
+            more, operations = _plain(rest, names)
+            rest = []
         else:
-            outside.append((coefficient, symbols))
-    sum_inside, count_inside = _factored(inside, names)
-    if len(sum_inside) == 1:  # a product again: k * (x * (a + b)) needs no outer parentheses
-        sign = "-" if sum_inside[0].startswith("-") else ""
-        factor = sum_inside[0].removeprefix("-")
-        factor = _FRACTION.sub(r"(\g<0>)", factor)
-        first = f"{sign}{names[common]} * {factor}"
-    else:
-        first = f"{names[common]} * ({' '.join(sum_inside)})"
-    sum_outside, count_outside = _factored(outside, names)
-    if sum_outside and sum_outside[0][0] != "-":
-        sum_outside[0] = f"+ {sum_outside[0]}"
-    elif sum_outside:
-        sum_outside[0] = f"- {sum_outside[0][1:]}"
-    count = count_inside + 1 + count_outside + bool(outside)
-    return [first, *sum_outside], count
+            inside = [(c, symbols) for c, symbols in rest if common in symbols]
+            rest = [(c, symbols) for c, symbols in rest if common not in symbols]
+            first, operations = _taken_out(common, inside, names)
+            more = [first]
+        if chunks:
+            more[0] = f"- {more[0][1:]}" if more[0][0] == "-" else f"+ {more[0]}"
+        count += operations + bool(chunks)
+        chunks += more
+    return chunks, count
+
+
+def _taken_out(common: int, terms: Sequence[Addend], names: Sequence[str]) -> tuple[str, int]:
+    """A symbol times the sum of what it stands beside in some terms, and operations."""
+    others: list[Addend] = []
+    for coefficient, symbols in terms:
+        rest = list(symbols)
+        rest.remove(common)
+        others.append((coefficient, tuple(rest)))
+    inside, count = _factored(others, names)
+    if len(inside) > 1:
+        return f"{names[common]} * ({' '.join(inside)})", count + 1
+    # a product again: k * (x * (a + b)) needs no outer parentheses
+    sign = "-" if inside[0].startswith("-") else ""
+    factor = _FRACTION.sub(r"(\g<0>)", inside[0].removeprefix("-"))
+    return f"{sign}{names[common]} * {factor}", count + 1
 
 
 def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], int]:

@@ -23,6 +23,7 @@ from sympy.core.relational import Relational
 
 from rankone.arrays import Array
 from rankone.budget import check_time
+from rankone.codegen.derivatives import slope
 from rankone.codegen.narrow import peaks, steps
 from rankone.functions import Table
 from rankone.ir import Coordinate
@@ -154,14 +155,13 @@ def _solve(
     """Add the points at which a boundary expression takes one of the levels."""
     check_time()
     x = coordinate.symbol
-    slope = boundary.diff(x)
-    if slope.is_number:  # linear
-        slope = float(slope)
-        start = float(boundary.subs(x, 0))
-        if slope and levels is None:
-            found.periodic.add((0.0 - start / slope, 1.0 / abs(slope)))
-        elif slope:
-            found.points.update((level - start) / slope for level in levels or ())
+    rate = slope(boundary, x)
+    if rate.is_number and rate is not sp.nan:  # linear
+        rate, start = float(rate), float(boundary.subs(x, 0))
+        if rate and levels is None:
+            found.periodic.add((0.0 - start / rate, 1.0 / abs(rate)))
+        elif rate:
+            found.points.update((level - start) / rate for level in levels or ())
         return
     for level in _integers(boundary, coordinate) if levels is None else levels:
         equation = boundary - sp.Rational(level)
@@ -258,10 +258,10 @@ def _repeated(
     inner: sp.Expr, value: float, period: float, x: sp.Symbol
 ) -> tuple[set[float], set[tuple[float, float]]]:
     """Where a linear function takes a value, up to multiples of a period."""
-    slope = inner.diff(x)
-    if not slope.is_number or slope == 0:
+    rate = slope(inner, x)
+    if not rate.is_number or rate == 0 or rate is sp.nan:
         raise _Unsolved
-    return set(), {((value - float(inner.subs(x, 0))) / float(slope), period / abs(float(slope)))}
+    return set(), {((value - float(inner.subs(x, 0))) / float(rate), period / abs(float(rate)))}
 
 
 def _arc(y: float, function: Any) -> list[float]:

@@ -20,6 +20,7 @@ __all__ = [
     "docstring",
     "literal",
     "nested",
+    "one_line",
     "paragraph",
     "quoted",
     "statement",
@@ -29,6 +30,8 @@ __all__ = [
 ]
 
 WIDTH = 100
+_TOGETHER = 400
+"""Terms of a sum in one statement at most: Python compiles long sums by recursion."""
 INDENT = "    "
 
 Nested: TypeAlias = "str | Sequence[Nested]"
@@ -55,7 +58,9 @@ def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str
     >>> assignment("y", ["a * b", "- c"], "x'")
     ["    y = a * b - c  # x'"]
     """
-    lines = statement(f"{target} =", terms)
+    lines = statement(f"{target} =", terms[:_TOGETHER])
+    for k in range(_TOGETHER, len(terms), _TOGETHER):
+        lines += statement(f"{target} =", [target, *terms[k : k + _TOGETHER]])
     return [commented(lines[0], meaning)] if meaning and len(lines) == 1 else lines
 
 
@@ -70,9 +75,14 @@ def statement(start: str, terms: Sequence[str]) -> list[str]:
     return [f"{INDENT}{start} (", *body, f"{INDENT})"]
 
 
+def one_line(text: str) -> str:
+    """Text that ends neither a line nor a file: what cannot be printed becomes an underscore."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else "_" for c in text)
+
+
 def commented(line: str, comment: str) -> str:
     """The line with a comment, left out if it does not fit."""
-    longer = f"{line}  # {comment}"
+    longer = f"{line}  # {one_line(comment)}"
     return longer if len(longer) <= WIDTH else line
 
 
@@ -128,7 +138,8 @@ def _one_line(item: Nested) -> str:
 
 def docstring(lines: Sequence[str], indent: str = INDENT) -> list[str]:
     """A docstring of a summary and further lines, safe for backslashes and quotes."""
-    safe = [line.replace("\\", "\\\\").replace('"""', r"\"\"\"") for line in lines]
+    plain = map(one_line, lines)
+    safe = [line.replace("\\", "\\\\").replace('"""', r"\"\"\"") for line in plain]
     if len(safe) == 1 and not safe[0].endswith('"'):
         return [f'{indent}"""{safe[0]}"""']
     body = [(indent + line).rstrip() for line in safe[1:]]
@@ -158,4 +169,12 @@ def quoted(text: str) -> str:
     >>> print(quoted("k'"), quoted(r"\alpha"))
     "k'" "\\alpha"
     """
-    return json.dumps(text, ensure_ascii=False)
+    text = json.dumps(text, ensure_ascii=False)
+    return text if text.isprintable() else "".join(map(_escaped, text))
+
+
+def _escaped(letter: str) -> str:
+    """A character of a string literal; one that cannot be printed by its number."""
+    number = ord(letter)
+    escape = f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
+    return letter if letter.isprintable() else escape

@@ -139,7 +139,7 @@ def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         with file.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
             lines = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
-    except (OSError, UnicodeDecodeError, csv.Error) as reason:
+    except (OSError, ValueError, csv.Error) as reason:
         raise OptionError(f"{quote(file)} cannot be read: {reason}", term=str(file)) from None
     if not lines:
         raise OptionError(f"{quote(file)} is empty", term=str(file))

@@ -96,10 +96,14 @@ def _check_place(folder: Path, overwrite: bool) -> None:
     from rankone.errors import StorageError
     from rankone.files import free_target
 
-    if folder.is_dir():
+    try:
+        there, made = folder.exists(), folder.is_dir()
+    except (OSError, ValueError) as error:  # too long, no permission, a null character
+        raise StorageError(f"`{folder}` cannot be made: {error}", term=folder) from None
+    if made:
         for path in _texts(folder):
             free_target(path, overwrite, StorageError)
-    elif folder.exists():
+    elif there:
         raise StorageError(
             f"`{folder}` is no directory", term=folder, remedy="give another: -o DIR"
         )

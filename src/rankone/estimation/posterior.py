@@ -20,7 +20,7 @@ from rankone.estimation.least_squares import LeastSquares
 from rankone.estimation.likelihood import Posterity, priors
 from rankone.estimation.model import TrainModel
 from rankone.estimation.search import fit
-from rankone.options import checked_number
+from rankone.options import checked_count, checked_number
 from rankone.solution_core import SolutionCore
 from rankone.spread import spread
 from rankone.tensors.calculus import fixed
@@ -28,6 +28,8 @@ from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["Posterior", "posterior"]
 
+_MOST_STEPS = 10**6
+"""Steps of a chain at most."""
 _BY_QUADRATURE = 3
 """Most parameters for quadrature."""
 _ACCURATE = 1e-3
@@ -148,7 +150,8 @@ class Posterior:
 
         ``solution(t=1.0, **posterior.sample(1000))`` are predictions.
         """
-        count = checked_number("count", count, 0)
+        count = checked_count("count", count, 0, 3 * len(self.fit._problem.free.order))
+        seed = None if seed is None else checked_number("seed", seed, 0)
         generator = np.random.default_rng(seed)
         if isinstance(self._found, Cells):
             shift = self.log_evidence
@@ -191,7 +194,7 @@ def posterior(
     if not isinstance(prior, Mapping | None):
         raise OptionError(f"prior={prior!r} is not a mapping from parameters", term=prior)
     seed = checked_number("seed", seed, 0)
-    steps = checked_number("steps", steps, 100)
+    steps = checked_number("steps", steps, 100, _MOST_STEPS)
     found = fit(solution, times, data, **given)
     usual = {name: from_text(text) for name, text in solution.metadata.distributions}
     density = Posterity(_smaller(found), priors(found._problem.free, prior, usual))

@@ -11,7 +11,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
+
+from rankone.errors import ExportError
 
 __all__ = ["CannotCompile", "Platform", "compiled_library", "this_platform"]
 
@@ -83,30 +85,47 @@ def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str
     ------
     CannotCompile
         If there is no compiler, or it fails.
+    ExportError
+        If there is no room for the files.
     """
     command = [*_compiler(), *_FLAGS]
     if sys.platform != "win32":
         command.append("-fPIC")
-    with TemporaryDirectory() as folder:
-        for file, text in files.items():
-            (Path(folder) / file).write_text(text, encoding="utf-8")
-        try:
-            run = subprocess.run(
-                [*command, *sources, "-o", name],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=_LONGEST,
-                check=False,
-            )
-        except (OSError, subprocess.SubprocessError) as error:
-            raise CannotCompile(f"the compiler {command[0]} fails: {error}") from error
-        library = Path(folder) / name
-        if run.returncode or not library.exists():
-            said = next(iter(run.stderr.strip().splitlines()), "it says nothing")
-            raise CannotCompile(f"the compiler {command[0]} fails: {said}")
-        return library.read_bytes()
+    try:
+        with TemporaryDirectory() as folder:
+            return _compiled(command, files, sources, Path(folder) / name)
+    except OSError as error:  # such as a full disk
+        where = error.filename or gettempdir()
+        raise ExportError(
+            f"the FMU cannot be compiled: `{where}`: {error.strerror or error}",
+            term=where,
+            remedy="make room there, or let the variable TMPDIR name another folder",
+        ) from error
+
+
+def _compiled(
+    command: Sequence[str], files: Mapping[str, str], sources: Sequence[str], library: Path
+) -> bytes:
+    """The library, compiled in its folder."""
+    folder = library.parent
+    for file, text in files.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    try:
+        run = subprocess.run(
+            [*command, *sources, "-o", library.name],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_LONGEST,
+            check=False,
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        raise CannotCompile(f"the compiler {command[0]} fails: {error}") from error
+    if run.returncode or not library.exists():
+        said = next(iter(run.stderr.strip().splitlines()), "it says nothing")
+        raise CannotCompile(f"the compiler {command[0]} fails: {said}")
+    return library.read_bytes()
 
 
 def _compiler() -> list[str]:

@@ -8,7 +8,6 @@ that several slabs share are there once.
 
 from __future__ import annotations
 
-import json
 import re
 import unicodedata
 from collections.abc import Iterable, Iterator
@@ -18,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.errors import ExportError
+from rankone.export.escaping import c_comment, c_string
 from rankone.export.packing import PackedModel
-from rankone.export.templates import LINE, TERMS, comment, filled, outside_of_comments, wrapped
+from rankone.export.templates import LINE, TERMS, comment, filled, wrapped
 from rankone.files import Content
 from rankone.version import __version__
 
@@ -44,8 +44,14 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     ExportError
         If the source cannot include a header of this name.
     """
-    if not path.stem.isprintable() or {*path.stem} & {*'"\\'}:
-        raise ExportError(f"`{path}` cannot be included: `{path.stem}` has quotes or backslashes")
+    stem = path.stem
+    if not stem.isprintable() or {*stem} & {*'"\\'} or "??" in stem:
+        raise ExportError(
+            f"`{path}` cannot be included: `{stem}` has quotes, backslashes, `??` or characters "
+            "that cannot be printed",
+            term=path,
+            remedy="choose another name",
+        )
     prefix = c_identifier(path.stem)
     values = {
         "prefix": prefix,
@@ -54,14 +60,14 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "source": path.name,
         "version": __version__,
         "terms": TERMS,
-        "summary": comment(model.summary),
+        "summary": comment(model.summary, c_comment),
         "unknowns": str(len(model.unknowns)),
         "parameters": str(len(model.coordinates) - 1),
         "room": str(max(len(model.coordinates) - 1, 1)),
-        "unknown_list": outside_of_comments(", ".join(model.unknowns)),
+        "unknown_list": c_comment(", ".join(model.unknowns)),
         "indices": _indices(model, prefix.upper()),
-        "unknown_names": ", ".join(map(_string, model.unknowns)),
-        "parameter_names": ", ".join(map(_string, model.coordinates[1:] or ("",))),
+        "unknown_names": ", ".join(map(c_string, model.unknowns)),
+        "parameter_names": ", ".join(map(c_string, model.coordinates[1:] or ("",))),
         "lower": ", ".join(_number(lower) for lower, _ in model.intervals[1:]) or "0.0",
         "upper": ", ".join(_number(upper) for _, upper in model.intervals[1:]) or "0.0",
         "time_lower": _number(model.intervals[0][0]),
@@ -106,13 +112,6 @@ def _indices(model: PackedModel, prefix: str) -> str:
             words[name] = word
         lines += [f"#define {prefix}_{kind}_{words[name]} {k}" for k, name in enumerate(names)]
     return "\n".join(lines)
-
-
-def _string(text: str) -> str:
-    """A string literal; other than printable characters of ASCII are written as bytes of UTF-8."""
-    if text.isascii() and text.isprintable():
-        return json.dumps(text).replace("?", "\\?")  # no trigraphs
-    return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
 def _number(value: float) -> str:

@@ -35,6 +35,8 @@ __all__ = ["FMI", "checked_fmi", "fmu_model"]
 _NEVER = (1980, 1, 1, 0, 0, 0)
 """The date of all files inside: the same solution gives the same bytes."""
 _REGULAR, _EXECUTABLE = 0o100644, 0o100755
+_LONGEST_IDENTIFIER = 100
+"""Characters of the model's identifier, with which names of files inside begin."""
 _LONGEST_MESSAGE = 400
 """Bytes of the longest message in the C sources, without a name."""
 
@@ -78,7 +80,7 @@ def fmu_model(
     RankoneWarning
         If nothing can be compiled: the FMU then has the sources alone.
     """
-    identifier = c_identifier(path.stem)
+    identifier = c_identifier(path.stem)[:_LONGEST_IDENTIFIER]
     evaluation = _evaluation(model, f"{identifier}_model")
     wrapper = f"fmi{fmi[0]}.c"
     about = Description(

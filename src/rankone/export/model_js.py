@@ -8,7 +8,6 @@ time slabs share are there once.
 from __future__ import annotations
 
 import base64
-import json
 import re
 import textwrap
 from collections.abc import Iterable
@@ -21,8 +20,9 @@ from numpy.typing import NDArray
 from rankone.arrays import Array
 from rankone.coordinates import round_off
 from rankone.errors import ExportError
+from rankone.export.escaping import js_comment, js_string
 from rankone.export.packing import PackedCore, PackedModel
-from rankone.export.templates import LINE, TERMS, comment, filled, outside_of_comments
+from rankone.export.templates import LINE, TERMS, comment, filled
 from rankone.files import Content
 from rankone.version import __version__
 
@@ -50,22 +50,22 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         raise ExportError(f"`{path}` cannot be imported: its name has unprintable characters")
     time, *parameters = model.coordinates
     known = {*model.coordinates, *model.unknowns}
-    units = [(name, _string(unit)) for name, unit in model.units if name in known]
+    units = [(name, js_string(unit)) for name, unit in model.units if name in known]
     values = {
-        "file": _safe(path.name),
+        "file": js_comment(path.name),
         "version": __version__,
         "terms": TERMS.replace("file", "module"),
-        "summary": comment(model.summary, _safe),
-        "unknown_list": _safe(", ".join(model.unknowns)),
-        "unknowns": ", ".join(map(_string, model.unknowns)),
-        "parameters": ", ".join(map(_string, parameters)),
-        "time": _string(time),
+        "summary": comment(model.summary, js_comment),
+        "unknown_list": js_comment(", ".join(model.unknowns)),
+        "unknowns": ", ".join(map(js_string, model.unknowns)),
+        "parameters": ", ".join(map(js_string, parameters)),
+        "time": js_string(time),
         "ranges": _entries(zip(model.coordinates, map(_list, model.intervals), strict=True)),
         "errors": _entries(zip(model.unknowns, map(_error, model.errors), strict=True)),
         "units": f"{{\n{_entries(units)}\n}}" if units else "{}",
         "round_off": ", ".join(_number(round_off(*interval)) for interval in model.intervals),
-        "unknown_type": " | ".join(map(_string, model.unknowns)) or "never",
-        "parameter_type": " | ".join(map(_string, parameters)) or "never",
+        "unknown_type": " | ".join(map(js_string, model.unknowns)) or "never",
+        "parameter_type": " | ".join(map(js_string, parameters)) or "never",
         "optional": "" if parameters else "?",
         "absent": "" if parameters else " | undefined",
         **_examples(model),
@@ -76,11 +76,6 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     return {path: module, declarations: filled("model.d.ts.in", values)}
 
 
-def _safe(text: str) -> str:
-    """Text for a comment of a module that may be part of a page."""
-    return outside_of_comments(text).replace("</", "< /").replace("<!", "< !")
-
-
 def _examples(model: PackedModel) -> dict[str, str]:
     """How to call it: values in the middle of the ranges."""
     time, *others = (f"{0.5 * (lower + upper):g}" for lower, upper in model.intervals)
@@ -89,21 +84,16 @@ def _examples(model: PackedModel) -> dict[str, str]:
     start, end = model.intervals[0]
     return {
         "time_example": time,
-        "example": _safe(f"{{ {point} }}" if point else "{}"),
+        "example": js_comment(f"{{ {point} }}" if point else "{}"),
         "times_example": f"{start:g}, {time}, {end:g}",
     }
-
-
-def _string(text: str) -> str:
-    """A string literal, also for a module that is part of a page."""
-    return json.dumps(text, ensure_ascii=False).replace("<", "\\u003c")
 
 
 def _key(name: str) -> str:
     """A name as a key of an object."""
     if name == "__proto__":
         return '["__proto__"]'
-    return name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else _string(name)
+    return name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else js_string(name)
 
 
 def _entries(pairs: Iterable[tuple[str, str]]) -> str:

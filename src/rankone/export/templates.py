@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rankone.codegen.text import paragraph
 
-__all__ = ["LINE", "TERMS", "comment", "filled", "outside_of_comments", "wrapped"]
+__all__ = ["LINE", "TERMS", "comment", "filled", "wrapped"]
 
 LINE = 96
 """Characters in a line of a file that is not in Python."""
@@ -29,12 +29,7 @@ def filled(template: str, values: Mapping[str, str]) -> str:
     return re.sub(r"@(\w+)@", lambda match: values[match.group(1)], text)
 
 
-def outside_of_comments(text: str) -> str:
-    """Text that neither ends a comment nor begins one."""
-    return text.replace("*/", "* /").replace("/*", "/ *")
-
-
-def comment(paragraphs: Iterable[str], escaped: Callable[[str], str] = outside_of_comments) -> str:
+def comment(paragraphs: Iterable[str], escaped: Callable[[str], str]) -> str:
     """The lines inside a block comment, each of them escaped."""
     lines = (part for text in paragraphs for part in paragraph(text, LINE))
     return "\n".join(f" * {escaped(line)}".rstrip() for line in lines)

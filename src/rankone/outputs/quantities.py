@@ -80,6 +80,11 @@ class Quantities:
     values : callable
         From times, sources and parameters as before, and a sequence of reductions, (m,) or (T, m),
         to a sequence of arrays that broadcast to (T, m).
+    gaps : callable
+        From times, sources and parameters to functions that are one where a piecewise function of
+        the states has no branch, and else zero.
+    gap_texts : tuple of str
+        What to say of each of them.
     """
 
     names: tuple[str, ...]
@@ -92,3 +97,5 @@ class Quantities:
     ridges: Callable[[Array], Sequence[Array]]
     breaks: tuple[tuple[float, ...], ...]
     values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]
+    gaps: Callable[[Array, Array, Array], Sequence[Array]]
+    gap_texts: tuple[str, ...]

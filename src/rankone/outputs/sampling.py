@@ -170,6 +170,7 @@ class Sampler:
         times, sources = self.grid.times[:, None], self.sources(points)
         if shifts is not None:
             sources = sources + shifts[:, None, None]
+        self._refuse_gaps(times, sources, points)
         with np.errstate(all="ignore"):
             integrands = self.quantities.integrands(times, sources, points.T)
             operands = [sources, *integrands]
@@ -185,6 +186,19 @@ class Sampler:
             values = np.array([np.broadcast_to(part, shape) for part in found])
         self._check(values, points)
         return values
+
+    def _refuse_gaps(self, times: Array, sources: Array, points: Array) -> None:
+        """Raise an EvaluationError where a piecewise function of the states has no branch."""
+        found = self.quantities.gaps(times, sources, points.T)
+        for text, inside in zip(self.quantities.gap_texts, found, strict=True):
+            rows, columns = np.nonzero(np.broadcast_to(inside, (times.size, len(points))))
+            if rows.size:
+                when, where = times.ravel()[rows[0]], self._named(points[columns[0]])
+                raise EvaluationError(
+                    f"{text}: met at t = {when:.6g}" + (f", {where}" if where else ""),
+                    term=text,
+                    remedy="add a branch (value, True) for everything else",
+                )
 
     def _reduced(self, reduction: Reduction, values: Array, points: Array) -> Array:
         """A reduction of values that broadcast to (T, m): (m,), or (T, m) for a running one."""

@@ -14,6 +14,7 @@ from rankone.arrays import Array
 from rankone.budget import OutOfBudgetError, charge
 from rankone.costs import Cost
 from rankone.errors import ConvergenceError
+from rankone.gaps import refuse_gap
 from rankone.solvers.chatter import switching_state
 from rankone.solvers.integration import NUMBERS_LEFT, Stack, initial_values, quickest
 from rankone.solvers.outcome import Measured
@@ -254,6 +255,8 @@ def integrate_reference(
     reached = float(steps.times[-1])
     if end - reached > NUMBERS_LEFT * np.spacing(abs(end)):
         blown = quickest(system, reached, state, points, negligible)
+        before = steps.pieces[-1](reached).reshape(initial.shape)
+        refuse_gap(system, reached, before[:, blown], points[blown])
         large = bool((np.abs(state[:, blown]) > _GROWN * size[:, 0]).any())
         large = large or _runs_away(system, reached, state[:, blown], points[blown], end - start)
         chatter = None if large else switching_state(system, reached, state, points, end - start)
@@ -274,6 +277,7 @@ def _check_start(system: System, start: float, initial: Array, points: Array) ->
     for what, values in (("initial value", initial), ("derivative at the start", rates)):
         state, index = np.nonzero(~np.isfinite(np.broadcast_to(values, initial.shape)))
         if state.size:
+            refuse_gap(system, start, initial[:, index[0]], points[index[0]])
             pairs = zip(system.PARAMETERS, points[index[0]], strict=True)
             where = ", ".join(f"{name} = {x:.6g}" for name, x in pairs)
             raise ConvergenceError(

@@ -11,7 +11,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.coordinates import name_of
 from rankone.errors import EvaluationError, OptionError
-from rankone.options import checked_number
+from rankone.options import checked_count, checked_number
 from rankone.statistics.densities import Density, Probability, density_of
 from rankone.statistics.over_box import StatisticsOverBox
 from rankone.statistics.solution_statistics import Statistics
@@ -136,7 +136,7 @@ class DistributionOverBox(StatisticsOverBox):
         count : int
             Number of values of each parameter, from one end of its interval to the other.
         """
-        count = checked_number("count", count, 2)
+        count = checked_count("count", count, 2, self._numbers_each())
         values = {name: np.linspace(*ends, count) for name, ends in self.parameters.items()}
 
         def mean(j: int, points: Array) -> Array:
@@ -187,7 +187,7 @@ class DistributionOverBox(StatisticsOverBox):
             If values are no real numbers, or times are several; and as for :meth:`mean`.
         """
         name, row = self._one(unknown)
-        count = checked_number("count", count, 16)
+        count = checked_count("count", count, 16, self._numbers_each())
         at = None if values is None else _reals("values", values)
         times = self._times(t)
         if times.ndim:
@@ -250,7 +250,7 @@ class DistributionOverBox(StatisticsOverBox):
             :meth:`mean`.
         """
         _, row = self._one(unknown)
-        count = checked_number("count", count, _SETS)
+        count = checked_count("count", count, _SETS, self._numbers_each())
         if above is None and below is None:
             raise OptionError(
                 "a probability of what?", remedy="give above=value, below=value, or both"

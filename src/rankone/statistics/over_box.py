@@ -11,7 +11,7 @@ import numpy as np
 from rankone.arrays import Array
 from rankone.distributions import from_text
 from rankone.errors import EvaluationError, OptionError, warn
-from rankone.options import checked_number
+from rankone.options import checked_count, checked_number
 from rankone.solution_core import SolutionCore
 from rankone.statistics.certainty import Certainty
 from rankone.statistics.copula import Copula, copula_of
@@ -162,7 +162,7 @@ class StatisticsOverBox(SolutionCore):
         ``solution(t=1.0, **solution.sample(1000))`` are values of the unknowns. ``under``
         and ``correlation`` are as for :meth:`mean`.
         """
-        count = checked_number("count", count, 0)
+        count = checked_count("count", count, 0, 3 * len(self.metadata.parameters))
         measures = self._measures(under)
         seed = None if seed is None else checked_number("seed", seed, 0)
         shares = np.random.default_rng(seed).random((len(measures), count))
@@ -208,13 +208,17 @@ class StatisticsOverBox(SolutionCore):
             raise OptionError(f"q={q!r} are no numbers", term=q) from None
         if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
             raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
-        count = checked_number("count", count, 1)
+        count = checked_count("count", count, 1, self._numbers_each())
 
         def of(statistics: Statistics, times: Array) -> Array:
             return statistics.quantiles(times, probabilities.ravel(), count)
 
         values = self._over_box(t, under, of, correlation)
         return values.reshape(*probabilities.shape, *values.shape[1:])
+
+    def _numbers_each(self) -> int:
+        """How many numbers each of evenly spread points takes."""
+        return 3 * (len(self.metadata.parameters) + len(self.unknowns))
 
     def _over_box(
         self,

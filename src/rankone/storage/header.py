@@ -27,11 +27,21 @@ from rankone.discretization import BASES, Basis1D
 from rankone.errors import StorageError
 from rankone.files import as_path
 from rankone.metadata import SolutionMetadata
+from rankone.naming import is_line, name_defect
 from rankone.plain_data import plain, rebuilt
 from rankone.solvers.outcome import Outcome, SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
+from rankone.wording import quote
 
-__all__ = ["FORMAT", "FORMAT_VERSION", "not_a_solution", "packed", "reading", "unpacked"]
+__all__ = [
+    "FORMAT",
+    "FORMAT_VERSION",
+    "digest_of",
+    "not_a_solution",
+    "packed",
+    "reading",
+    "unpacked",
+]
 
 FORMAT = "rankone-solution"
 FORMAT_VERSION = 3
@@ -59,12 +69,14 @@ _NEAR = 1e-9
 def reading(path: str | PathLike[str]) -> Iterator[Path]:
     """The path of a file to read; whatever goes wrong with it there is a StorageError."""
     given = as_path(path, StorageError)
-    if given.exists() and not given.is_file():
-        raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
     try:
+        if given.exists() and not given.is_file():
+            raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
         yield given
     except StorageError:
         raise
+    except MemoryError as error:
+        raise StorageError(f"there is no memory for what `{given}` holds", term=given) from error
     except FileNotFoundError:
         raise StorageError(f"there is no file `{given}`", term=given) from None
     except OSError as error:
@@ -109,7 +121,7 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
     for i, slab in enumerate(outcome.slabs):
         for j, core in enumerate(slab.cores):
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
-    arrays["digest"] = np.array(_digest(arrays))
+    arrays["digest"] = np.array(digest_of(arrays))
     return arrays
 
 
@@ -120,7 +132,7 @@ def _version(metadata: SolutionMetadata, bases: Iterable[Basis1D]) -> int:
     return 2 if any(basis.breaks for basis in bases) else 1
 
 
-def _digest(arrays: Mapping[str, Any]) -> str:
+def digest_of(arrays: Mapping[str, Any]) -> str:
     """SHA-256 of the header and of all cores, in the order of their names."""
     digest = hashlib.sha256(str(arrays["header"][()]).encode())
     for name in sorted(name for name in arrays if name.startswith("core_")):
@@ -232,8 +244,10 @@ def _slab(
 
 
 def _check_digest(arrays: Mapping[str, Any]) -> None:
-    """What is in a file has to be what was written; the first files had no digest."""
-    if "digest" in arrays and str(arrays["digest"][()]) != _digest(arrays):
+    """What is in a file has to be what was written."""
+    if "digest" not in arrays:
+        raise ValueError("it has no digest, so whether it is as it was saved is not known")
+    if str(arrays["digest"][()]) != digest_of(arrays):
         raise ValueError("its contents do not fit their digest: it was changed after it was saved")
 
 
@@ -247,9 +261,7 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     counted = None if outcome.measured is None else outcome.measured.counted
     if counted is not None and not (counted and {*counted} <= {*range(states)}):
         raise ValueError(f"the states that count are {counted}, of {states}")
-    for names in (metadata.states, (metadata.time, *metadata.parameters)):
-        if len({*names}) < len(names):
-            raise ValueError(f"the names {', '.join(names)} are not distinct")
+    _check_texts(metadata)
     for what, interval in (
         ("the horizon", metadata.horizon),
         *((f"the range of {name}", metadata.box[j]) for j, name in enumerate(metadata.parameters)),
@@ -263,6 +275,37 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
             f"the status is CONVERGED, but the last slab ends at {outcome.slabs[-1].end}, not {end}"
         )
     _check_error(outcome, metadata.rtol)
+
+
+def _check_texts(metadata: SolutionMetadata) -> None:
+    """Names have to be as those of a problem are, other texts lines that can be printed."""
+    named = [(metadata.time, "the time")]
+    named += [(name, f"parameter {quote(name)}") for name in metadata.parameters]
+    named += [(name, f"unknown {quote(name)}") for name in metadata.states]
+    defect = name_defect(named)
+    if defect is not None:
+        raise ValueError(defect[1])
+    lines = {
+        "the title": (metadata.name,),
+        "an equation": metadata.equations,
+        "a unit": tuple(text for pair in metadata.units for text in pair),
+        "a distribution": tuple(text for pair in metadata.distributions for text in pair),
+        "a correlation": tuple(name for *pair, _ in metadata.correlations for name in pair),
+        "a fixed coordinate": tuple(name for name, _ in metadata.fixed),
+        "the version": (metadata.version,),
+    }
+    for what, texts in lines.items():
+        for text in texts:
+            if not is_line(text):
+                raise ValueError(f"{what} is {text!r}, no text that can be printed in one line")
+    spread = {
+        *dict(metadata.distributions),
+        *(n for *pair, _ in metadata.correlations for n in pair),
+    }
+    if not spread <= {*metadata.parameters}:
+        raise ValueError("a distribution or a correlation is of something else than a parameter")
+    if not all(math.isfinite(value) for _, value in metadata.fixed):
+        raise ValueError("a fixed coordinate is not finite")
 
 
 def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None:

@@ -37,8 +37,6 @@ _SEAL = b"\nrankone sha256 "
 """What stands between the netCDF file and its SHA-256."""
 _LONGEST_ATTRIBUTE = 15_000
 """Characters of an attribute, which HDF5 keeps in less than 64 KiB of UTF-8."""
-_LARGEST_RATIO = 1100
-"""Bytes of a core for each byte of the file; compression does not reach it."""
 _SUMMARY = (
     "Tensor trains: rankone.load evaluates them for every parameter value and time, and reads "
     "header, digest and core_<slab>_<dimension> alone"
@@ -227,11 +225,10 @@ class _Arrays(Mapping[str, Any]):
         found = self._file[name] if isinstance(link, self._h5py.HardLink) else None
         if not isinstance(found, self._h5py.Dataset) or found.is_virtual or found.external:
             raise ValueError(f"{name} is not a variable in the file itself")
-        if found.shape == ():
-            return np.array(found.asstr()[()])
-        if found.nbytes > _LARGEST_RATIO * self._size:
-            raise ValueError(f"{name} is larger than the file can hold")
-        return np.asarray(found[...])
+        plain = found.chunks is None and found.id.get_create_plist().get_nfilters() == 0
+        if not plain or not found.nbytes <= found.id.get_storage_size() <= self._size:
+            raise ValueError(f"{name} is not stored as it is, number after number")
+        return np.array(found.asstr()[()]) if found.shape == () else np.asarray(found[...])
 
     def __contains__(self, name: object) -> bool:
         return name in self._file

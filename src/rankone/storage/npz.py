@@ -5,13 +5,16 @@ An array for the header, for each core and for the digest, as :mod:`rankone.stor
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from zipfile import is_zipfile
+from zipfile import ZIP_STORED, ZipFile, is_zipfile
 
 import numpy as np
 
+from rankone.arrays import Array
 from rankone.errors import StorageError
 from rankone.files import as_path, free_target, npz, write_files
 from rankone.metadata import SolutionMetadata
@@ -19,6 +22,13 @@ from rankone.solvers.outcome import Outcome, SlabRecord
 from rankone.storage.header import not_a_solution, packed, reading, unpacked
 
 __all__ = ["read", "target", "write"]
+
+_SUFFIX = ".npy"
+_READERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+"""What reads the header of an array, by the version of its format."""
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:
@@ -74,5 +84,46 @@ def read(
         if not is_zipfile(stream):
             raise not_a_solution(given)
         stream.seek(0)
-        with np.load(stream, allow_pickle=False) as arrays:
-            return unpacked(arrays, given, records)
+        size = stream.seek(0, os.SEEK_END)
+        with ZipFile(stream) as archive:
+            return unpacked(_Members(archive, size), given, records)
+
+
+class _Members(Mapping[str, Array]):
+    """The arrays of an archive by name, each read where it is asked for.
+
+    Members are stored as they are, so none is larger than the file and no array than its member:
+    what says otherwise is refused before memory is taken.
+    """
+
+    def __init__(self, archive: ZipFile, size: int) -> None:
+        self._archive = archive
+        self._members = {
+            member.filename.removesuffix(_SUFFIX): member
+            for member in archive.infolist()
+            if member.filename.endswith(_SUFFIX)
+        }
+        stored = all(m.compress_type == ZIP_STORED for m in self._members.values())
+        if not stored or sum(m.file_size for m in self._members.values()) > size:
+            raise ValueError("its arrays are not stored as they are, but larger than the file")
+        if len(self._members) < len(archive.infolist()):
+            raise ValueError("it holds something else than arrays, or one twice")
+
+    def __getitem__(self, name: str) -> Array:
+        member = self._members[name]
+        with self._archive.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            if version not in _READERS:
+                raise ValueError(f"{name} is an array of a format that is not known")
+            shape, fortran, kind = _READERS[version](stream)
+            content = stream.read()
+            if kind.hasobject or math.prod(shape) * kind.itemsize != len(content):
+                raise ValueError(f"{name} is said to be of shape {shape}, which does not fit it")
+        array = np.array(np.frombuffer(content, kind))
+        return array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._members)
+
+    def __len__(self) -> int:
+        return len(self._members)

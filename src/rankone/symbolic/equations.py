@@ -9,12 +9,14 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.errors import ProblemError
+from rankone.naming import name_defect
 from rankone.symbolic.numbers import exact
-from rankone.wording import count, did_you_mean, is_text, listing, quote
+from rankone.wording import count, did_you_mean, listing, quote
 
 __all__ = [
     "as_expression",
     "check_equations",
+    "check_lengths",
     "check_names",
     "check_symbols",
     "check_unknowns",
@@ -23,6 +25,8 @@ __all__ = [
     "state_expressions",
 ]
 
+_MOST_TERMS = 5000
+"""Terms of a sum: each takes some milliseconds to compile."""
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
@@ -49,6 +53,7 @@ def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ..
         raise ProblemError(
             "the list of equations is empty", remedy="give one equation for each unknown"
         )
+    check_lengths((each for each in given if isinstance(each, sp.Basic)), len(given))
     return given, [_residual(equation, i, time) for i, equation in enumerate(given, 1)]
 
 
@@ -167,6 +172,18 @@ def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, i
             yield number, derivative.expr, int(derivative.derivative_count)
 
 
+def check_lengths(expressions: Iterable[sp.Expr], equations: int) -> None:
+    """Raise if a sum is longer than can be compiled; the first expressions are the equations."""
+    for number, expression in enumerate(expressions, 1):
+        longest = max((len(part.args) for part in expression.atoms(sp.Add)), default=0)
+        if longest > _MOST_TERMS:
+            raise ProblemError(
+                f"a sum has {longest} terms; at most {_MOST_TERMS} are compiled",
+                equation=number if number <= equations else None,
+                remedy="gather like terms, or give what they add up to as a table (rankone.table)",
+            )
+
+
 def check_unknowns(residuals: list[sp.Expr], initial: Any, time: sp.Symbol) -> tuple[sp.Expr, ...]:
     """Return the unknowns in order.
 
@@ -223,24 +240,13 @@ def check_names(
     states: Iterable[tuple[str, sp.Expr]], parameters: Iterable[sp.Symbol], time: sp.Symbol
 ) -> None:
     """Raise unless all names differ and can be printed: results are labelled by name."""
-    taken: dict[str, str] = {}
     named = [(time.name, "the time")]
     named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]
-    for name, what in named:
-        if not is_text(name) or not str.isprintable(name) or not str.strip(name):
-            raise ProblemError(
-                f"the name {name!r} is no text that can be printed in one line",
-                term=name,
-                remedy="rename it",
-            )
-        if name in taken:
-            raise ProblemError(
-                f"the name {quote(name)} belongs both to {taken[name]} and to {what}",
-                term=name,
-                remedy="rename one of them",
-            )
-        taken[name] = what
+    defect = name_defect(named)
+    if defect is not None:
+        name, message = defect
+        raise ProblemError(message, term=name, remedy="rename it")
 
 
 def check_symbols(

@@ -6,6 +6,7 @@ derivatives, are solved for them exactly, without simplification.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import sympy as sp
@@ -20,7 +21,7 @@ from rankone.symbolic.mass import MassForm
 from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.symbolic.numbers import exact
 from rankone.symbolic.problem import Problem
-from rankone.wording import count
+from rankone.wording import count, number, quote
 
 __all__ = ["FirstOrderSystem", "Stage", "first_order"]
 
@@ -80,6 +81,17 @@ class FirstOrderSystem(Stage):
     """
 
     rhs: tuple[sp.Expr, ...]
+
+    def named_expressions(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
+        """Rates, initial values and values after jumps, with what they are and equations."""
+        for state, origin, rate in zip(self.states, self.origins, self.rhs, strict=True):
+            yield f"the derivative of {quote(state.expression)}", origin, rate
+        for state, value in zip(self.states, self.initial, strict=True):
+            yield f"the initial value of {quote(state.expression)}", None, value
+        for jump in self.jumps:
+            for state, value in zip(self.states, jump.values, strict=True):
+                at = f"{self.coordinates[0].name} = {number(jump.time)}"
+                yield f"the value of {quote(state.expression)} after the jump at {at}", None, value
 
     def _equations(self) -> list[sp.Eq]:
         t = self.coordinates[0].symbol

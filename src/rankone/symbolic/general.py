@@ -16,6 +16,7 @@ from sympy.core.function import AppliedUndef
 from rankone.arrays import Array
 from rankone.errors import ProblemError
 from rankone.functions import Table, known_applied
+from rankone.gaps import refuse_gap
 from rankone.ir import Coordinate
 from rankone.lowering.known import known_functions
 from rankone.stable import NUMPY, stable
@@ -102,6 +103,7 @@ def check_start(
     for i, state in enumerate(first_order.states):
         bad = np.flatnonzero(~np.isfinite(f[i]))
         if bad.size:
+            refuse_gap(system, clock.lower, u[:, bad[0]], p[:, bad[0]])
             start = ", ".join(
                 f"{s.name} = {value:.6g}"
                 for s, value in zip(first_order.states, u[:, bad[0]], strict=True)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import io
 import itertools
 import keyword
-import operator
 import re
+import tokenize
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -44,12 +45,8 @@ CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
 """Constants known by name, unless the user gives the name another meaning."""
 
 _VARIADIC = {"min", "Min", "max", "Max", "Mod"}
-_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-}
+_CHAINED = ((ast.Add, ast.Sub), (ast.Mult, ast.Div))
+"""Operators of which a row is one sum or one product."""
 _COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: sp.Lt,
     ast.LtE: sp.Le,
@@ -67,6 +64,9 @@ _LONGEST_EXPONENT = 4
 _FINEST_ROOT = 12
 """Largest denominator of an exponent for which powers of numbers stay as they are."""
 _DEEPEST = 24
+_LONG, _TOGETHER, _MOST_INSIDE = 1000, 50, 500
+"""Characters from which a formula is parsed in pieces of so many terms, and how long a sum inside
+parentheses may be at least."""
 _LARGEST_GAMMA = 172
 """Beyond, the gamma function is larger than any floating-point number."""
 _MOST_ARGUMENTS = 20
@@ -94,12 +94,17 @@ def parse_expression(
     ProblemError
         If the text is not such a formula; the message quotes it.
     """
+    translator = _Translator(text, names, where, equation, further)
     try:
-        source = _protect_keywords(" ".join(text.split()))
-        tree = ast.parse(source, mode="eval")
-        translator = _Translator(text, source, names, where, equation, further)
-        value: sp.Expr = translator.visit(tree.body)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        pieces = _pieces(_protect_keywords(" ".join(text.split())))
+        values = [translator.translated(piece) for piece in pieces]
+    except (RecursionError, MemoryError):
+        raise translator.error(
+            f"functions, powers or parentheses are nested too deep, or parentheses hold a sum of "
+            f"more than {_MOST_INSIDE} terms,",
+            "give parts of it names of their own: as unknowns, or as Python variables in SymPy",
+        ) from None
+    except (SyntaxError, ValueError, tokenize.TokenError) as error:
         if isinstance(error, ProblemError):
             raise
         reason = f" ({error.msg})" if isinstance(error, SyntaxError) else ""
@@ -109,7 +114,24 @@ def parse_expression(
             term=text,
             remedy="write it as in Python, for example `-k*x**2 + sin(t)`",
         ) from None
+    value: sp.Expr = values[0] if len(values) == 1 else sp.Add(*values)
     return value
+
+
+def _pieces(text: str) -> list[str]:
+    """A formula as sums of some of its terms each: Python's parser goes as deep as sums are long.
+
+    What is inside parentheses stays together.
+    """
+    if len(text) < _LONG:
+        return [text]
+    starts, depth, before = [0], 0, ""
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if depth == 0 and token.string in ("+", "-") and (before.isalnum() or before in (")", "_")):
+            starts.append(token.start[1])
+        depth += (token.string in ("(", "[", "{")) - (token.string in (")", "]", "}"))
+        before = token.string[-1:]
+    return [text[a:b] for a, b in itertools.pairwise([*starts[::_TOGETHER], len(text)])]
 
 
 def _depth(expression: sp.Basic) -> int:
@@ -138,18 +160,23 @@ class _Translator(ast.NodeVisitor):
     def __init__(
         self,
         text: str,
-        source: str,
         names: Mapping[str, sp.Expr],
         where: str,
         equation: int | None,
         further: Mapping[str, Callable[..., sp.Expr]] | None,
     ) -> None:
         self.text = text
-        self.source = source
+        self.source = ""
         self.names = names
         self.where = where
         self.equation = equation
         self.further = further or {}
+
+    def translated(self, source: str) -> sp.Expr:
+        """A piece of the formula as an expression."""
+        self.source = source
+        value: sp.Expr = self.visit(ast.parse(source, mode="eval").body)
+        return value
 
     def error(self, message: str, remedy: str | None = None) -> ProblemError:
         return ProblemError(
@@ -178,9 +205,9 @@ class _Translator(ast.NodeVisitor):
         text = (ast.get_source_segment(self.source, node) or repr(value)).replace("_", "")
         digits, _, exponent = text.lower().partition("e")
         if len(exponent.lstrip("+-")) <= _LONGEST_EXPONENT:
-            exact = sp.Rational(text)
-            if exact == 0 or 1 / _LARGEST_FLOAT <= exact <= _LARGEST_FLOAT:
-                return exact
+            decimal = sp.Rational(text)
+            if decimal == 0 or 1 / _LARGEST_FLOAT <= decimal <= _LARGEST_FLOAT:
+                return decimal
         elif not digits.strip("0."):
             return sp.S.Zero
         size = "small" if value < 1.0 else "large"
@@ -208,16 +235,27 @@ class _Translator(ast.NodeVisitor):
         return self.generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp) -> sp.Expr:
-        left, right = self.visit(node.left), self.visit(node.right)
         if isinstance(node.op, ast.Pow):
-            return self._power(left, right)
+            return self._power(self.visit(node.left), self.visit(node.right))
         if isinstance(node.op, ast.BitXor):
             raise self.error("`^` is not a power", "write `**`")
-        if type(node.op) not in _OPERATORS:
+        alike = next((kinds for kinds in _CHAINED if isinstance(node.op, kinds)), None)
+        if alike is None:
             return self.generic_visit(node)
-        if isinstance(node.op, ast.Div) and right.is_zero:
-            raise self.error("division by zero")
-        return _OPERATORS[type(node.op)](left, right)
+        first: ast.expr = node
+        chain = []
+        while isinstance(first, ast.BinOp) and isinstance(first.op, alike):
+            chain.append((first.op, first.right))
+            first = first.left
+        value, *others = self.visit(first), *((op, self.visit(right)) for op, right in chain[::-1])
+        if isinstance(node.op, (ast.Add, ast.Sub)):
+            signed = (-term if isinstance(op, ast.Sub) else term for op, term in others)
+            return sp.Add(value, *signed)
+        for op, factor in others:
+            if isinstance(op, ast.Div) and factor.is_zero:
+                raise self.error("division by zero")
+            value = value / factor if isinstance(op, ast.Div) else value * factor
+        return value
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
         if base.is_Rational and exponent.is_Integer:
@@ -287,8 +325,8 @@ class _Translator(ast.NodeVisitor):
                 )
             value, condition = branch.elts
             pairs.append((self.visit(value), self._condition(condition)))
-        if not pairs or pairs[-1][1] != sp.true:
-            raise self.error("the last branch of `Piecewise` has no condition `True`")
+        if not pairs:
+            raise self.error("`Piecewise` has no branch")
         return sp.Piecewise(*pairs)
 
     def _condition(self, node: ast.expr) -> sp.Basic:

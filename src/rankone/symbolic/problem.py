@@ -13,12 +13,15 @@ import sympy as sp
 
 from rankone.coordinates import name_of
 from rankone.display import aligned_equations
-from rankone.errors import ProblemError, warn
+from rankone.errors import ProblemError, bounded_depth, warn
 from rankone.functions import check_distinct
 from rankone.ir import Coordinate, Jump
+from rankone.lowering.branches import closed
+from rankone.naming import is_line
 from rankone.symbolic.box import check_correlation, check_parameters, check_time
 from rankone.symbolic.equations import (
     check_equations,
+    check_lengths,
     check_names,
     check_symbols,
     check_unknowns,
@@ -31,7 +34,7 @@ from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, te
 from rankone.symbolic.parsing import parse_expression
 from rankone.symbolic.units import check_units
 from rankone.units import with_unit
-from rankone.wording import count, did_you_mean, is_text, listing, quote, shown
+from rankone.wording import count, did_you_mean, listing, quote, shown
 
 __all__ = ["Problem"]
 
@@ -124,7 +127,12 @@ class Problem:
     mass: MassForm = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.name is not None and not (is_text(self.name) and str.isprintable(self.name)):
+        with bounded_depth():
+            self._check()
+
+    def _check(self) -> None:
+        """Validate what was given, and set what follows from it."""
+        if self.name is not None and not is_line(self.name):
             raise ProblemError(
                 f"the name is {shown(self.name)}, not text in one line",
                 term=self.name,
@@ -133,13 +141,19 @@ class Problem:
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
         equations, residuals = check_equations(self.equations, time[0])
+        residuals = [closed(residual) for residual in residuals]
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
         check_names([(name_of(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
-        jumps = check_jumps(self.jumps, states, unknowns, box, time)
+        initial = {state: closed(value) for state, value in initial.items()}
+        jumps = {
+            at: {state: closed(value) for state, value in reset.items()}
+            for at, reset in check_jumps(self.jumps, states, unknowns, box, time).items()
+        }
         values = [value for reset in jumps.values() for value in reset.values()]
+        check_lengths([*initial.values(), *values], 0)
         known = [*residuals, *initial.values(), *values]
         check_distinct(known)
         used = sp.Tuple(*known).free_symbols

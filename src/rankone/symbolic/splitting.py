@@ -341,11 +341,12 @@ class Splitter:
         if dimension is None:
             raise Indivisible(expression, "couples")
         terms = []
-        before: list[tuple[int, sp.Basic]] = []
-        for branch, condition in expression.args:
-            indicator = sp.Piecewise(*before, (1, condition), (0, True))
+        zeros = [(0, condition) for _, condition in expression.args]
+        total = zeros[-1][1] == sp.true
+        for k, (branch, condition) in enumerate(expression.args):
+            after = [(0, True)] if total else zeros[k + 1 :]  # in a gap there is no value
+            indicator = sp.Piecewise(*zeros[:k], (1, condition), *after)
             terms.append(self._product(self._function(indicator, dimension), self.split(branch)))
-            before.append((0, condition))
         return MonomialSum.total(terms)
 
     def _by_coordinate(

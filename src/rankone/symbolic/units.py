@@ -9,8 +9,9 @@ import sympy as sp
 
 from rankone.coordinates import name_of
 from rankone.errors import EvaluationError, ProblemError
+from rankone.naming import is_line
 from rankone.units import per
-from rankone.wording import did_you_mean, is_text, listing, quote, shown
+from rankone.wording import did_you_mean, listing, quote, shown
 
 __all__ = ["check_units"]
 
@@ -70,7 +71,7 @@ def _known_name(key: Any, time: sp.Symbol, known: list[str]) -> str:
 
 def _checked(name: str, unit: Any) -> str:
     """One unit: a text in one line."""
-    if not is_text(unit) or not unit.strip() or not unit.isprintable():
+    if not is_line(unit) or not unit.strip():
         raise ProblemError(
             f"the unit of {quote(name)} is {shown(unit)}, not a text in one line",
             term=unit,
