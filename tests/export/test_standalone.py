@@ -405,9 +405,10 @@ def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
     script = (
         ALONE + "import pickle\ntry:\n    solver.solve(1e-3)\nexcept solver.BlowUpError as error:\n"
         "    again = pickle.loads(pickle.dumps(error))\n"
-        "    print(str(again) == str(error), again.parameters == error.parameters)"
+        "    print(str(again) == str(error), again.parameters == error.parameters)\n"
+        "    print(error.part.success, error.part.time)"
     )
-    assert alone(tmp_path, script=script).stdout == "True True\n"
+    assert alone(tmp_path, script=script).stdout == "True True\nTrue (0.0, 0.8)\n"
     late = alone(tmp_path, "--rtol", "1e-3", "--at", "t=0.7", "a=2", "--save", "b.npz")
     assert late.returncode == 1
     assert ro.load(tmp_path / "b.npz").time[1] < 0.7

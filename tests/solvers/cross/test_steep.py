@@ -216,3 +216,12 @@ def test_a_product_of_narrow_factors(width):
     height = np.exp(-((a - 0.27) ** 2 + (b - 0.68) ** 2 + (c - 0.4) ** 2) / width**2)
     exact = height + (0.1 - height) * np.exp(-5)
     assert solution.success == (np.abs(solution["x"](t=5.0, a=a, b=b, c=c) - exact).max() < 5e-3)
+
+
+def test_a_front_is_named_though_the_budget_ends():
+    rates = {"x": "v", "v": "x - x**3 - 0.3*v"}
+    box = {"a": (-1.2, 1.2), "b": (-1, 1)}
+    separatrix = ro.Problem.from_strings(rates, {"x": "a", "v": "b"}, box, (0, 40))
+    solution = ro.solve(separatrix, rtol=1e-3, method="cross", effort=0.03)
+    assert solution.status is ro.Status.STEEP
+    assert "as on a jump" in solution.message

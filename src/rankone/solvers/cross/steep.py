@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import OutOfBudgetError
 from rankone.domain import Domain
 from rankone.wording import quote
 
@@ -94,12 +96,12 @@ def steepest_front(
     points : sequence of ndarray (d,)
         Through each goes one line for each parameter.
     """
-    found = [
-        front
-        for point in points
-        for j in range(len(domain.box))
-        for front in _on_line(values, domain.box[j], point, j)
-    ]
+    found: list[Front] = []
+    lines = ((point, j) for point in points for j in range(len(domain.box)))
+    with suppress(OutOfBudgetError):  # those that were found so far say it as well
+        for point, j in lines:
+            for front in _on_line(values, domain.box[j], point, j):
+                found.append(front)
     return min(
         found, key=lambda front: (front.share, not front.at_end, -front.change), default=None
     )
