@@ -318,7 +318,7 @@ class CompiledProblem:
         intervals = zip(self.separated.coordinates, (domain.horizon, *domain.box), strict=True)
         moved = [replace(c, lower=lower, upper=upper) for c, (lower, upper) in intervals]
         try:
-            check_gaps(self.first_order.named_expressions(), moved)
+            check_gaps(self.first_order.piecewise(), moved)
         except ProblemError as error:
             raise OptionError(str(error), term=error.term) from error
 
@@ -422,7 +422,7 @@ def _compiled(problem: Problem) -> CompiledProblem:
     with _timed(timings, "first order"):
         system = first_order(problem)
         check_tables(system, system.coordinates)
-        check_gaps(system.named_expressions(), system.coordinates)
+        check_gaps(system.piecewise(), system.coordinates)
     with _timed(timings, "weak form"):
         weak = weak_form(system)
     with _timed(timings, "separation"):

@@ -82,16 +82,23 @@ class FirstOrderSystem(Stage):
 
     rhs: tuple[sp.Expr, ...]
 
-    def named_expressions(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
-        """Rates, initial values and values after jumps, with what they are and equations."""
+    def piecewise(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
+        """Rates, initial values and values after jumps with piecewise functions in them.
+
+        Each after what it is and the number of the user's equation, if there is one.
+        """
         for state, origin, rate in zip(self.states, self.origins, self.rhs, strict=True):
-            yield f"the derivative of {quote(state.expression)}", origin, rate
+            if rate.has(sp.Piecewise):
+                yield f"the derivative of {quote(state.expression)}", origin, rate
         for state, value in zip(self.states, self.initial, strict=True):
-            yield f"the initial value of {quote(state.expression)}", None, value
+            if value.has(sp.Piecewise):
+                yield f"the initial value of {quote(state.expression)}", None, value
         for jump in self.jumps:
+            at = f"{self.coordinates[0].name} = {number(jump.time)}"
             for state, value in zip(self.states, jump.values, strict=True):
-                at = f"{self.coordinates[0].name} = {number(jump.time)}"
-                yield f"the value of {quote(state.expression)} after the jump at {at}", None, value
+                if value.has(sp.Piecewise):
+                    what = f"the value of {quote(state.expression)} after the jump at {at}"
+                    yield what, None, value
 
     def _equations(self) -> list[sp.Eq]:
         t = self.coordinates[0].symbol
