@@ -128,7 +128,7 @@ def test_a_front_at_one_end_of_another_parameter():
             {"x": "y", "y": "x - x**3 - 0.3*y"},
             {"x": "a", "y": "b"},
             {"a": (-1.2, 1.2), "b": (-1, 1)},
-            40,
+            20,
             "end in different states",
         ),
         (
@@ -142,7 +142,7 @@ def test_a_front_at_one_end_of_another_parameter():
 )
 @pytest.mark.slow
 def test_failures_name_the_parameter_and_the_place(rates, initial, box, end, said):
-    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3, effort=4)
+    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3)
     assert not solution.success
     assert solution.status.name == "STEEP"
     assert solution.method == "cross"
