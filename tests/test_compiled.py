@@ -16,7 +16,8 @@ def test_every_stage_can_be_looked_at():
     assert "x*y" in str(compiled.separated)
     assert "def rhs(" in compiled.source
     assert set(compiled.timings) == {
-        *("first order", "weak form", "separation", "lowering", "code generation", "import")
+        *("first order", "weak form", "separation", "lowering", "code generation", "import"),
+        "agreement",
     }
     assert "x, y" in repr(compiled)
 

@@ -29,7 +29,7 @@ class Some(Options):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"count": 0}, "count=0 is not valid; remedy: choose an integer of at least 1"),
+        ({"count": 0}, "count=0 is not valid; remedy: choose an integer from 1 to 1e.09"),
         ({"count": None}, "count=None is not valid"),
         ({"count": True}, "count=True"),
         ({"few": 6}, "few=6 is not valid; remedy: choose an integer from 2 to 5"),

@@ -51,7 +51,8 @@ class _Decimals(Printer):  # type: ignore[misc]
     def _print_Mul(self, expr: Any) -> str:
         number, rest = expr.as_coeff_Mul()
         decimal = _decimal(abs(number))
-        if decimal is None or rest is sp.S.One:
+        half = abs(number) == sp.S.Half  # c/2, not 0.5*c
+        if decimal is None or half or rest is sp.S.One:
             return str(super()._print_Mul(expr))
         product = sp.Mul(decimal, *sp.Mul.make_args(rest), evaluate=False)
         text = str(super()._print_Mul(product))

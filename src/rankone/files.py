@@ -125,7 +125,8 @@ def _complete(place: Path, content: Content) -> Iterator[Path]:
 def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
     """A new file beside its place, locked until it is moved: its process lives."""
     while True:
-        stream = place.with_name(f".{place.name[:_KEPT]}.{secrets.token_hex(4)}.partial").open("xb")
+        name = f".{place.name[:_KEPT]}.{secrets.token_hex(4)}.partial"
+        stream = place.with_name(name).open("xb")
         if not _lock(stream):
             return stream
         until_moved.callback(os.close, os.dup(stream.fileno()))

@@ -38,7 +38,7 @@ def test_toml_with_tables_numbers_and_a_name(tmp_path: Path) -> None:
     problem = load_problem(written(tmp_path, "rise.toml", text))
     assert problem.name == "rise"
     assert problem.time[1:] == (1.0, 2.0)
-    assert problem.equations[0].rhs == 1.5
+    assert float(problem.equations[0].rhs) == 1.5
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,9 @@
 import pytest
 
 import rankone as ro
-from rankone.solvers.attempts import Attempt
 from rankone.solvers.march import MarchResult
 from rankone.solvers.outcome import Measured, Status
+from rankone.solvers.verdict import Verdict
 
 BOX = dict.fromkeys("abcd", (0.0, 1.0))
 PRODUCTS = ro.Problem.from_strings(
@@ -39,8 +39,8 @@ def test_few_parameters_are_covered_by_default():
 
 def test_the_message_says_what_is_covered():
     measured = Measured((1e-4,), (3e-3,), 40, "DOP853")
-    message = Attempt(MarchResult(), measured).message(Status.CONVERGED, 1e-3, "within")
-    assert message == (
+    verdict = Verdict(Status.CONVERGED, "within", 1e-3, measured, MarchResult(), ("x",), {}, 1.0)
+    assert str(verdict) == (
         "within in the interior of the box: 1.0e-04 of 1.0e-03 "
         "(up to 3.0e-03 at the corners, which cover='box' asks for too)"
     )

@@ -6,13 +6,14 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import sympy as sp
-from mpmath.libmp import fzero, mpf_abs, mpf_add, mpf_neg, mpf_sub, to_float
+from mpmath.libmp import fzero, mpf_abs, mpf_add, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
 
-from rankone.agreement.precise import NoValueError, Number, Program
+from rankone.agreement.precise import NoValueError, Number, Program, number
 
 __all__ = ["Comparison", "sides"]
 
 _PRECISION = 169
+_STEP = number(1e-35)
 _TOLERANCE = 1e-10
 """Residuals up to this part of the terms are rounding, and a rounding of all intermediate results
 by that much is what a larger one is compared with."""
@@ -52,11 +53,34 @@ class Comparison:
         residual, size = self._sums(self._program(values))
         return to_float(residual), to_float(size)
 
-    def difference(self, first: Sequence[Number], second: Sequence[Number]) -> Number:
-        """By how much the residual changes between two points, exact to fifty digits."""
-        before, after = (self._sums(self._program(values))[0] for values in (first, second))
-        change: Number = mpf_sub(after, before, _PRECISION, "n")
-        return change
+    def slope(
+        self,
+        here: Sequence[Number],
+        direction: Sequence[Number],
+        noise: int | None = None,
+    ) -> Number:
+        """The derivative of the residual along a direction, from a difference of tiny step.
+
+        ``noise`` is the seed of intermediate errors that are the same at both points.
+        """
+        pairs = zip(here, direction, strict=True)
+        there = [mpf_add(x, mpf_mul(_STEP, v, _PRECISION, "n"), _PRECISION, "n") for x, v in pairs]
+        before, after = (
+            self._sums(self._program(values, _generator(noise), _TOLERANCE))[0]
+            for values in (here, there)
+        )
+        slope: Number = mpf_div(mpf_sub(after, before, _PRECISION, "n"), _STEP, _PRECISION, "n")
+        return slope
+
+    def slope_spread(
+        self, here: Sequence[Number], directions: Sequence[Sequence[Number]], exact: float
+    ) -> float:
+        """How far rounding moves the sum of the derivatives along directions."""
+        sums = [
+            sum(to_float(self.slope(here, direction, run)) for direction in directions)
+            for run in range(_RUNS)
+        ]
+        return float(max(abs(value - exact) for value in sums))
 
     def beyond_rounding(self, points: Iterable[Sequence[Number]]) -> tuple[int, float] | None:
         """The first point at which the residual is larger than rounding explains, and it.
@@ -104,3 +128,7 @@ class Comparison:
             residual = mpf_add(residual, signed, _PRECISION, "n")
             size = mpf_add(size, mpf_abs(term), _PRECISION, "n")
         return residual, size
+
+
+def _generator(seed: int | None) -> np.random.Generator | None:
+    return None if seed is None else np.random.default_rng([_SEED, seed])

@@ -307,8 +307,8 @@ def _with_moving(
 def _amplifies(stack: Stack, steps: _Steps, states: int) -> bool:
     """Whether some state may grow exponentially along the first trajectory, by a large factor."""
     growth = 0.0
-    for time, state in steps.looks(states):
-        blocks = stack.jacobians(time, state)[:1]
+    for instant, state in steps.looks(states):
+        blocks = stack.jacobians(instant, state)[:1]
         if np.isfinite(blocks).all():
             growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
     return growth * (steps.times[-1] - steps.times[0]) > _AMPLIFIED

@@ -17,7 +17,7 @@ from rankone.ir import Coordinate
 from rankone.stable import NUMPY, stable
 from rankone.wording import quote
 
-__all__ = ["defect", "located_defect", "sign", "zero"]
+__all__ = ["defect", "largest", "located_defect", "sign", "zero"]
 
 _SAMPLES = 501
 _ZOOMS = 6
@@ -68,6 +68,13 @@ def sign(expression: sp.Expr, coordinate: Coordinate) -> int:
     if np.all(values >= 0):
         return 1
     return -1 if np.all(values <= 0) else 0
+
+
+def largest(expression: sp.Expr, coordinate: Coordinate) -> float:
+    """The largest finite value of a function on its interval; 0 if there is none."""
+    values = _numeric(expression, coordinate)(_points(coordinate))
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if finite.size else 0.0
 
 
 def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:

@@ -15,7 +15,7 @@ import sympy as sp
 from rankone.errors import ProblemError
 from rankone.wording import quote
 
-__all__ = ["exact"]
+__all__ = ["check_size", "exact"]
 
 _DIGITS = 15
 """Significant digits that every floating-point number holds."""
@@ -48,7 +48,7 @@ def exact(expression: sp.Expr) -> sp.Expr:
         return expression
     if expression.is_Float:
         return _decimal(expression)
-    _check_size(expression)
+    check_size(expression)
     floats = sorted(expression.atoms(sp.Float))
     if any(_beyond(number) for number in floats):
         expression = expression.replace(lambda part: part.is_Mul and _beyond(part.args[0]), _joined)
@@ -97,7 +97,7 @@ def _out_of_range(number: sp.Expr) -> ProblemError:
     )
 
 
-def _check_size(expression: sp.Basic) -> mpmath.mpf | None:
+def check_size(expression: sp.Basic) -> mpmath.mpf | None:
     """The value of an expression of numbers alone, None of others.
 
     Raises
@@ -109,7 +109,7 @@ def _check_size(expression: sp.Basic) -> mpmath.mpf | None:
         return mpmath.mpf(int(expression.p)) / int(expression.q)
     if isinstance(expression, sp.Float | sp.NumberSymbol):
         return mpmath.mpf(str(sp.N(expression, _DIGITS)))
-    values = [_check_size(argument) for argument in expression.args]
+    values = [check_size(argument) for argument in expression.args]
     if not values or any(value is None for value in values):
         return None
     if _logarithm(expression, values) > _LARGEST_EXPONENT:

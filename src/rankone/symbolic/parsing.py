@@ -21,7 +21,7 @@ import sympy as sp
 
 from rankone.budget import check_time
 from rankone.errors import ProblemError
-from rankone.symbolic.numbers import exact
+from rankone.symbolic.numbers import check_size, exact
 from rankone.wording import clip, did_you_mean, quote
 
 __all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
@@ -58,6 +58,7 @@ _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LONGEST_POWER_BITS = 4096
 _LARGEST = 10**300
+_HIGHEST_POWER = 10_000
 _LARGEST_FLOAT = 10**308
 _LONGEST_EXPONENT = 4
 """Digits of the exponent of a number."""
@@ -258,14 +259,20 @@ class _Translator(ast.NodeVisitor):
         return value
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
-        if base.is_Rational and exponent.is_Integer:
+        if base.is_Rational and exponent.is_Rational:
             bits = max(int(base.p).bit_length(), int(base.q).bit_length())
-            if bits * abs(int(exponent)) > _LONGEST_POWER_BITS or (abs(base**exponent) > _LARGEST):
+            large = bits * abs(exponent) > _LONGEST_POWER_BITS
+            if large or (exponent.is_Integer and abs(base**exponent) > _LARGEST):
                 raise self.error(f"{quote(f'{base}**{exponent}')} is too large a number")
-        elif base.is_Rational and exponent.is_Rational and exponent.q > _FINEST_ROOT:
-            with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
-                return exact(sp.Float(float(base) ** float(exponent)))
-        return base**exponent
+            if exponent.q > _FINEST_ROOT:
+                with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
+                    return exact(sp.Float(float(base) ** float(exponent)))
+        elif exponent.is_Rational and abs(exponent) > _HIGHEST_POWER:
+            raise self.error(f"the exponent {quote(exponent)} is above {_HIGHEST_POWER}")
+        power = base**exponent
+        if base.is_number and exponent.is_number:
+            check_size(power)
+        return power
 
     def visit_Call(self, node: ast.Call) -> sp.Expr:
         if not isinstance(node.func, ast.Name) or node.keywords:
@@ -309,7 +316,10 @@ class _Translator(ast.NodeVisitor):
         if max(map(_depth, arguments)) >= _DEEPEST:
             raise self.error(f"functions are nested more than {_DEEPEST} deep")
         try:
-            return FUNCTIONS[name](*arguments)
+            value = FUNCTIONS[name](*arguments)
+            if all(argument.is_number for argument in arguments):
+                check_size(value)
+            return value
         except (ArithmeticError, TypeError):
             called = f"{name}({', '.join(map(str, arguments))})"
             raise self.error(f"{quote(called)} has no value") from None

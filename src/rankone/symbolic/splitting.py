@@ -16,7 +16,7 @@ import sympy as sp
 
 from rankone.budget import check_time
 from rankone.ir import Coordinate
-from rankone.symbolic.admissible import sign
+from rankone.symbolic.admissible import largest, sign
 from rankone.symbolic.monomials import Monomial, MonomialSum
 from rankone.symbolic.numbers import exact
 
@@ -235,8 +235,7 @@ class Splitter:
     def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> MonomialSum:
         """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k).
 
-        Parts that are large in the middle of their interval are counted from there, so that no
-        factor overflows where the whole does not.
+        Parts that are large are counted from their largest value, so that no factor overflows.
         """
         constant, parts = self._by_coordinate(exponent, whole)
         functions = []
@@ -247,12 +246,9 @@ class Splitter:
         return self._product(self._number(base**constant), *functions)
 
     def _offset(self, part: sp.Expr, dimension: int) -> sp.Expr:
-        """A large exponent in the middle of its interval as an integer, 0 for others."""
-        coordinate = self._coordinates[dimension]
-        middle = exact(sp.Float(0.5 * (coordinate.lower + coordinate.upper)))
-        value = sp.N(part.xreplace({coordinate.symbol: middle}))
-        large = value.is_Float and abs(value) > _LARGE_EXPONENT
-        return sp.Integer(round(float(value))) if large else sp.S.Zero
+        """The largest exponent on the interval as an integer, if it is large, 0 for others."""
+        value = largest(part, self._coordinates[dimension])
+        return sp.Integer(round(value)) if abs(value) > _LARGE_EXPONENT else sp.S.Zero
 
     def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Monomial]:
         """Return an expression as one (number, product), factoring it if need be."""
