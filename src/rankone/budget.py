@@ -76,16 +76,6 @@ class Account:
     def __init__(self) -> None:
         self.done, self.most, self.end = 0.0, math.inf, math.inf
 
-    def charge(self, operations: float) -> None:
-        """Count operations that are about to be made, or raise an OutOfBudgetError."""
-        done = self.done + operations
-        if done > self.most:
-            self.done = self.most  # what is left for others does not depend on who ran out
-            raise OutOfWorkError
-        self.done = done
-        if self.end < math.inf and clock.perf_counter() + _SECONDS * operations > self.end:
-            raise OutOfTimeError
-
 
 _ACCOUNT: ContextVar[Account | None] = ContextVar("rankone_budget", default=None)
 
@@ -147,8 +137,15 @@ def charge(operations: float) -> None:
         They would hardly end before the deadline.
     """
     account = _ACCOUNT.get()
-    if account is not None:
-        account.charge(operations)
+    if account is None:
+        return
+    done = account.done + operations
+    if done > account.most:
+        account.done = account.most  # what is left for others does not depend on who ran out
+        raise OutOfWorkError
+    account.done = done
+    if account.end < math.inf and clock.perf_counter() + _SECONDS * operations > account.end:
+        raise OutOfTimeError
 
 
 def check_time() -> None:

@@ -31,9 +31,9 @@ __all__ = [
 
 CALL = 1e3
 """A call of NumPy for small arrays."""
-_ENTRY = 4e3
+_ENTRY = 3e3
 """A generated function without any term: shapes are found and its result is made."""
-_TERM, _FUNCTION, _POWER = (700.0, 0.5), (1200.0, 8.0), (1200.0, 14.0)
+_TERM, _FUNCTION, _POWER = (500.0, 0.5), (900.0, 7.0), (900.0, 14.0)
 """An arithmetic operation on arrays, a call such as exp, a power: once, and for each number."""
 _USER = (5e5, 2e3)
 """A call of a function of the user, which may be slow."""
@@ -122,7 +122,7 @@ def svd(rows: float, columns: float) -> float:
 
 def inverse(size: int, real: bool) -> float:
     """The inverse of one matrix of a stack."""
-    return (100.0 + size**2 * (20.0 + 0.2 * size)) * (1.0 if real else 2.0)
+    return (100.0 + size**2 * (20.0 + 0.3 * size)) * (1.0 if real else 2.0)
 
 
 def eigenvalues(size: int) -> float:

@@ -53,9 +53,9 @@ def row(compiled: ro.CompiledProblem, rtol: float, seconds: float) -> str:
     _ = lifted.source
     lifting = time.perf_counter() - began
     began = time.perf_counter()
-    train = compiled.solve(rtol, method="train", max_seconds=seconds)
+    train = compiled.solve(rtol, method="train", effort=seconds / 25)
     spent = time.perf_counter() - began
-    cross = compiled.solve(rtol, method="cross", max_seconds=seconds)
+    cross = compiled.solve(rtol, method="cross", effort=seconds / 25)
     kept = [f"{s.error / rtol:.2g}" if s.success else "refused" for s in (train, cross)]
     apart = f"{difference(train, cross):.2g}" if train.success and cross.success else ""
     return f"{lifted.lifting.count} | {lifting:.2f} | {spent:.1f} | {' | '.join(kept)} | {apart}"

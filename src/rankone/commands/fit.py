@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rankone.budget import effort_of
 from rankone.commands.inputs import FAILURE, SOLVED_HELP, SUCCESS, solution_of
 from rankone.errors import OptionError
 from rankone.wording import did_you_mean, listing, quote
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from rankone.solution import Solution
 
 __all__ = ["register"]
+
+_EFFORT = "low, normal (default), high or a factor: on the budget of the solve, and on the starts"
 
 _EXIT_HELP = """\
 data: a table with commas; the first line names the columns: time (by the name it has in the
@@ -62,13 +65,14 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--rtol", type=float, help="tolerance of a solve, for problem files (default: 1e-06)"
     )
+    parser.add_argument("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.set_defaults(run=_fit)
 
 
 def _fit(arguments: argparse.Namespace) -> int:
     """Run ``rankone fit``."""
-    solution = solution_of(arguments.file, arguments.rtol)
+    solution = solution_of(arguments.file, arguments.rtol, effort=arguments.effort)
     times, data = _table(arguments.data, solution, arguments.observe)
     found = solution.fit(
         times,
@@ -77,6 +81,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         fixed=_numbers("--fixed", arguments.fixed),
         start=_numbers("--start", arguments.start) or None,
         level=arguments.level,
+        effort=arguments.effort,
     )
     print(json.dumps(_plain(found), indent=2, allow_nan=False) if arguments.json else found)
     return SUCCESS if found.success else FAILURE

@@ -52,7 +52,9 @@ def is_saved(path: Path) -> bool:
     return path.suffix in (".npz", ".nc")
 
 
-def solution_of(path: Path, rtol: float | None, method: str | None = None) -> Solution:
+def solution_of(
+    path: Path, rtol: float | None, method: str | None = None, effort: str | float = "normal"
+) -> Solution:
     """Load a saved solution, or solve a problem file.
 
     Raises
@@ -84,7 +86,8 @@ def solution_of(path: Path, rtol: float | None, method: str | None = None) -> So
     with preparing(None):
         compiled = rankone.compile(load_problem(path))
     rtol = _DEFAULT_RTOL if rtol is None else rtol
-    return compiled.solve(rtol=rtol, method="auto" if method is None else method)  # type: ignore[arg-type]
+    chosen = "auto" if method is None else method
+    return compiled.solve(rtol=rtol, method=chosen, effort=effort)  # type: ignore[arg-type]
 
 
 def may_be_written(solution: Solution, arguments: argparse.Namespace) -> bool:

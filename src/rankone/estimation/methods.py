@@ -29,6 +29,7 @@ class EstimationFromData(SolutionCore):
         start: Mapping[Any, Any] | None = None,
         bounds: Mapping[Any, Any] | None = None,
         starts: int = 4,
+        effort: str | float = "normal",
         level: float = 0.95,
         missing: str = "error",
     ) -> Fit:
@@ -58,6 +59,8 @@ class EstimationFromData(SolutionCore):
             Intervals of some parameters, parts of the box; by default the box.
         starts : int
             Number of further starts, the best of points all over the box.
+        effort : {"low", "normal", "high"} or float
+            Factor on the number of points and of starts: 0.2, 1, 10 or another one.
         level : float
             Of the intervals.
         missing : {"error", "drop"}
@@ -91,6 +94,7 @@ class EstimationFromData(SolutionCore):
             start=start,
             bounds=bounds,
             starts=starts,
+            effort=effort,
             level=level,
             missing=missing,
         )

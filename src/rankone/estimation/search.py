@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rankone.arrays import Array
+from rankone.budget import NORMAL, operations_for
 from rankone.errors import OptionError
 from rankone.estimation.fit import Fit, checked_level, quantile_of
 from rankone.estimation.free import Free, free_parameters
@@ -23,8 +24,9 @@ from rankone.wording import count, listing
 
 __all__ = ["fit"]
 
-_LOOKED_AT = 128
-"""Points of the box among which the starts are chosen."""
+_LOOKED_AT, _MOST_POINTS, _MOST_STARTS = 128, 2**15, 128
+"""Points of the box among which the starts are chosen, the most of them and of starts, whatever the
+effort."""
 _APART = 1e-2
 """Distance in the cube from which minima are different ones."""
 _AS_GOOD = 1e-3
@@ -43,6 +45,7 @@ def fit(
     start: Mapping[Any, Any] | None = None,
     bounds: Mapping[Any, Any] | None = None,
     starts: int = 4,
+    effort: str | float = "normal",
     level: float = 0.95,
     missing: str = "error",
 ) -> Fit:
@@ -52,9 +55,12 @@ def fit(
     seen = observed(solution, times, data, observe, sigma=sigma, weights=weights, missing=missing)
     level = checked_level(level)
     starts = checked_number("starts", starts, 0 if start is not None else 1, _LOOKED_AT)
+    factor = operations_for(effort) / NORMAL
+    starts = min(math.ceil(factor * starts), _MOST_STARTS)
+    looked_at = max(min(math.ceil(factor * _LOOKED_AT), _MOST_POINTS), starts, 1)
     _enough(seen, free)
     problem = LeastSquares(TrainModel(solution.outcome.slabs, seen.rows, seen.times), seen, free)
-    residuals, from_where = _starts(problem, starts)
+    residuals, from_where = _starts(problem, starts, looked_at)
     minima = problem.minima(from_where)
     k = _chosen(minima)
     z, cost, jacobian = minima.z[k], float(minima.cost[k]), minima.jacobian[k]
@@ -105,10 +111,10 @@ def _enough(seen: Observations, free: Free) -> None:
         )
 
 
-def _starts(problem: LeastSquares, number: int) -> tuple[Array, Array]:
+def _starts(problem: LeastSquares, number: int, looked_at: int) -> tuple[Array, Array]:
     """Residuals (N, m) at points all over the cube, and the best of them that are apart (k, n)."""
     n = len(problem.free.names)
-    points = spread(_LOOKED_AT, n, np.random.default_rng(7))
+    points = spread(looked_at, n, np.random.default_rng(7))
     points[0] = 0.5
     residuals = problem.residuals(points)
     order = np.argsort(np.einsum("km,km->k", residuals, residuals))

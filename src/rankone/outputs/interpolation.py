@@ -12,7 +12,13 @@ from contextlib import contextmanager
 import numpy as np
 
 from rankone.arrays import Array
-from rankone.budget import OutOfBudgetError, OutOfTimeError, limited
+from rankone.budget import (
+    OutOfBudgetError,
+    OutOfTimeError,
+    limited,
+    seconds_left,
+    work_left,
+)
 from rankone.discretization import Basis1D
 from rankone.domain import Domain
 from rankone.errors import ConvergenceError
@@ -48,6 +54,8 @@ _GRIDS, _ROUGHEST, _ROUGH = 4, 8, 3.0
 modes there, over what is aimed at, that suffice."""
 _SLABS = 500
 """Most slabs of a grid, or twice those that the solution has."""
+_FOR_TRAINS = 0.7
+"""Share of the budget for the interpolation; its error is measured whatever is left then."""
 _LARGEST = 0.1
 """Largest tolerance where none is given."""
 
@@ -89,7 +97,8 @@ def solved_quantities(
             most = float(amplified.sum(axis=0).max(initial=0.0))
             rtol = min(_DEFAULT * max(solution.rtol, most), max(_LARGEST, solution.rtol))
         target = Check.at(sampler, np.concatenate([points.aimed, critical]))
-        found = _interpolated(sampler, target, domain, options, _AIM * rtol)
+        with limited(_FOR_TRAINS * work_left(), _FOR_TRAINS * seconds_left()):
+            found = _interpolated(sampler, target, domain, options, _AIM * rtol)
     errors = list(solution.errors.values())
     shares = [
         np.nan if source.order else errors[source.row] / solution.rtol
@@ -297,7 +306,7 @@ def _outcome(
         message += f"; largest for {quote(worst)}; remedy: " + (
             "solve with a smaller rtol, or loosen that of the output"
             if brought.max() > missed.max()
-            else "give more time by max_seconds, loosen rtol or restrict the solution; what jumps "
+            else "raise effort, loosen rtol or restrict the solution; what jumps "
             "or kinks as parameters change is hardly resolved"
         )
     return Outcome(slabs, status, message, measured, ())

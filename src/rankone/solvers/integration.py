@@ -39,7 +39,9 @@ _IMPLICIT = 1.7
 """Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
 _LOW_DEGREE = 4
 """Degree of rates, in the unknowns, up to which nothing is narrower than the unknowns change."""
-_STAGE, _STEP = Cost(15e3, 8.0), Cost(40e3, 5.0)
+_ENTRY = 10.0
+"""Operations for each entry of a stack of Jacobians that is made or read."""
+_STAGE, _STEP = Cost(8e3, 5.0), Cost(40e3, 5.0)
 """What an integrator does for each evaluation of the rates, and for each step besides: operations
 for a stack, and for each number of its state."""
 
@@ -80,7 +82,7 @@ class Stack:
         """Operations of an evaluation of the rates in a step, and of their Jacobians."""
         n, m = self.shape
         rates, jacobian = rates_cost(self.system), rates_cost(self.system, "jacobian")
-        return rates(m) + _STAGE(n * m), jacobian(m) + n * n * m
+        return rates(m) + _STAGE(n * m), jacobian(m) + _ENTRY * n * n * m
 
     @property
     def polynomial(self) -> bool:
@@ -236,12 +238,13 @@ class Stack:
 def _decays_faster(blocks: Array, rate: float) -> bool:
     """Whether some matrix (n, n) of a stack has an eigenvalue with a real part below ``-rate``."""
     size = blocks.shape[-1]
-    bounds = np.abs(blocks).sum(axis=2).max(axis=1)  # no eigenvalue is larger
-    suspicious = blocks[bounds > rate]
     cost = eigenvalues(size)
-    for some in in_pieces(suspicious, cost):
-        charge(cost * len(some))
-        if -np.linalg.eigvals(some).real.min() > rate:
+    for some in in_pieces(blocks, cost):
+        charge(_ENTRY * some.size)
+        bounds = np.abs(some).sum(axis=2).max(axis=1)  # no eigenvalue is larger
+        suspicious = some[bounds > rate]
+        charge(cost * len(suspicious))
+        if -np.linalg.eigvals(suspicious).real.min(initial=0.0) > rate:
             return True
     return False
 

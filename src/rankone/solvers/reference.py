@@ -188,9 +188,9 @@ def integrate_reference(
     size = np.abs(initial).max(axis=1, keepdims=True)
     size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
     longest = math.inf if stack.polynomial else _LONGEST * (end - start)
+    atol = rtol * _NEGLIGIBLE * size
     for _ in range(_INTEGRATIONS):
         steps = _Steps()
-        atol = rtol * np.minimum(_NEGLIGIBLE * size, floor)
         try:
             state, avoided = stack.run(
                 steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
@@ -204,13 +204,15 @@ def integrate_reference(
             for values in (steps.largest, steps.early)
         )
         small = (largest > 0.0) & (largest < 10.0 * _NEGLIGIBLE * size)
-        lingers = ~small & (early > 0.0) & (early < np.minimum(_NEGLIGIBLE * size, floor))
+        usual = _NEGLIGIBLE * np.maximum(size, largest)
+        lingers = ~small & (early > 0.0) & (early < np.minimum(usual, floor))
         if lingers.any() and not _amplifies(stack, steps, len(initial)):
             lingers[:] = False
-        if not (small | lingers).any():
-            break
         size = np.where(small, largest, size)
         floor = np.where(lingers, _LINGERS * early, floor)
+        coarser, atol = atol, rtol * np.minimum(_NEGLIGIBLE * size, floor)
+        if not (atol < coarser).any():
+            break
     if not steps.pieces:
         values = points[quickest(system, start, state, points, rtol * _NEGLIGIBLE * size)]
         where = [f"{n} = {v:.6g}" for n, v in zip(system.PARAMETERS, values, strict=True)]

@@ -17,6 +17,9 @@ AUTO = "auto"
 _FEW_PARAMETERS = 1
 """Up to so many parameters train is as fast as cross, and exact for solutions of few products."""
 
+_RESOURCES = {"executor"}
+"""Options of single engines that say with what to compute, and not what."""
+
 ENGINES: dict[str, Engine[Any]] = {
     engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)
 }
@@ -38,7 +41,8 @@ def engines_for(
     greedy  separated systems    never, only when it is asked for
     ======  ===================  ================================================================
 
-    Options that only one engine knows leave the other out.
+    Options that only one engine knows leave the other out, but for ``executor``: with one the
+    engines are the same as without.
 
     Raises
     ------
@@ -48,7 +52,8 @@ def engines_for(
     if isinstance(method, str) and method == AUTO:
         order = ("train", "cross") if parameters <= _FEW_PARAMETERS else ("cross", "train")
         possible = [ENGINES[name] for name in order if separated or name == "cross"]
-        knowing = [e for e in possible if set(options) <= set(e.options.names())]
+        chosen = set(options) - _RESOURCES
+        knowing = [e for e in possible if chosen <= set(e.options.names())]
         if knowing:
             return tuple(knowing)
         engine = max(possible, key=lambda e: _knows(e, options))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -62,6 +62,13 @@ class Asked:
     def keywords(cls) -> tuple[str, ...]:
         """What ``solve`` takes beside the options of the engine."""
         return tuple(field.name for field in fields(cls) if field.name != "options")
+
+
+def _options_by_engine(engines: Sequence[Engine[Any]], asked: Asked) -> Iterator[Mapping[str, Any]]:
+    """The options for each engine; of several, each takes those that it knows."""
+    for engine in engines:
+        known = asked.options if len(engines) == 1 else engine.options.names()
+        yield {name: value for name, value in asked.options.items() if name in known}
 
 
 def counted_states(system: System, unknowns: Any) -> tuple[int, ...] | None:
@@ -132,8 +139,8 @@ class Task:
         """
         keywords = (*asked.keywords(), *further)
         requests = [
-            engine.request(asked.rtol, asked.check, asked.options, keywords, asked.cover)
-            for engine in engines
+            engine.request(asked.rtol, asked.check, options, keywords, asked.cover)
+            for engine, options in zip(engines, _options_by_engine(engines, asked), strict=True)
         ]
         counted = counted_states(system, asked.unknowns)
         requests = [replace(request, counted=counted) for request in requests]

@@ -28,7 +28,7 @@ _NARROWED, _EXACT = 30, 1e-14
 """Iterations for the time of a crossing, and its accuracy, in steps."""
 _LEAST, _PLACES = 2, 512
 """Random places on each trajectory at least, and on all together, in every step."""
-_LOOKED = Cost(150e3, 25.0)
+_LOOKED = Cost(50e3, 15.0)
 """Operations of a look at an interpolant, and for each number looked at."""
 
 

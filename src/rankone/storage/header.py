@@ -100,7 +100,7 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
         "format": FORMAT,
         "format_version": _version(metadata, bases),
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
-        **{name: getattr(outcome, name) for name in _PLAIN},
+        **{name: getattr(outcome, name) for name in (*_PLAIN, "work")},
         "history": outcome.history,
         "bases": [_plain_basis(basis) for basis in bases],
         "slabs": slabs,
@@ -203,6 +203,7 @@ def _outcome(
         slabs=tuple(slabs),
         history=tuple(rebuilt(record, entry) for entry in header["history"]),
         **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
+        work=rebuilt(hints["work"], header.get("work", {})),  # files of earlier versions have none
     )
 
 

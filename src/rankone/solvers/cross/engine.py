@@ -261,6 +261,7 @@ class CrossMarcher:
         cause = status.value + (_MOVING if moves else "")
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
+        trajectories.wanted = _INTEGRATION * self.rtol  # what later attempts wanted is too dear
         lines = [domain.bounds.mean(axis=1)]
         try:
             if attempt.result.slabs:

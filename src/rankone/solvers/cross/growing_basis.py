@@ -6,7 +6,7 @@ import numpy as np
 
 from rankone.arrays import Array
 from rankone.budget import charge
-from rankone.costs import eigenvalues, product, qr
+from rankone.costs import product, qr, svd
 
 __all__ = ["GrowingBasis"]
 
@@ -64,7 +64,7 @@ def _span(columns: Array, tolerance: float) -> Array:
     found = np.zeros((len(columns), 0))
     while True:
         smaller, larger = sorted(columns.shape)
-        charge(2.0 * product(smaller, larger, smaller) + eigenvalues(smaller) + columns.size)
+        charge(2.0 * product(smaller, larger, smaller) + svd(smaller, smaller) + columns.size)
         wide = columns.shape[1] > columns.shape[0]
         values, vectors = np.linalg.eigh(columns @ columns.T if wide else columns.T @ columns)
         values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]

@@ -60,7 +60,7 @@ class CrossOptions(Options):
     max_rank: int = integer(400)
     max_nodes: int = integer(500, 4)
     max_slabs: int = integer(2000)
-    max_trajectories: int = integer(400_000)
+    max_trajectories: int = integer(4_000_000)
     max_attempts: int | None = integer(None)
     executor: Executor | int | None = field(default=None, metadata={"check": _check_executor})
 

@@ -34,7 +34,7 @@ from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]
 
-_GROUP = Cost(20.0 * CALL, 3.0)
+_GROUP = Cost(30.0 * CALL, 4.0)
 """Operations of the kernel of a group, and for each number that it gives."""
 
 
@@ -178,7 +178,7 @@ class Sweeper:
                 self._right[b][key] = None
                 continue
             half = self._right_half(b, key)
-            charge(2.0 * CALL + product(len(half), half.shape[1], r))
+            charge(5.0 * CALL + product(len(half), half.shape[1], r))
             env = half @ flat.T
             if degree == CONSTANT:
                 env = env[0]
@@ -265,7 +265,7 @@ class Sweeper:
         s = core.shape[2]
         flat = core.reshape(-1, s)
         for key, half in self._left_half(b - 1).items():
-            charge(2.0 * CALL + product(s, flat.shape[0], half.size / flat.shape[0]))
+            charge(5.0 * CALL + product(s, flat.shape[0], half.size / flat.shape[0]))
             env = flat.T @ half.reshape(flat.shape[0], -1)
             if key[0] == CONSTANT:
                 env = env[:, 0]
@@ -295,7 +295,7 @@ class Sweeper:
         new = self._source_left_half(b) @ self._source_right_half(b + 1)
         for key, half in self._left_half(b).items():
             other_half = self._right_half(b + 1, key)
-            charge(2.0 * CALL + product(len(half), half.shape[1], other_half.shape[1]))
+            charge(5.0 * CALL + product(len(half), half.shape[1], other_half.shape[1]))
             new += half @ other_half
         return new, present
 
