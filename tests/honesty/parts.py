@@ -40,8 +40,8 @@ def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> 
     return check_points(box, count // 4, *arguments, **options)  # type: ignore[arg-type]
 
 
-_SECONDS = 8.0
-"""Time limit of each solve."""
+_EFFORT = 0.3
+"""Limit of the work of each solve."""
 _SOLVERS = "rankone.solvers"
 PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
     "nothing": None,
@@ -75,7 +75,7 @@ def without(part: str, made: tuple[str, int]) -> str:
 
     replaced = PARTS[part]
     with mock.patch(*replaced) if replaced else contextlib.nullcontext():
-        return judged(case(*made), max_seconds=_SECONDS).verdict
+        return judged(case(*made), effort=_EFFORT).verdict
 
 
 def main() -> int:
