@@ -15,6 +15,8 @@ from rankone.expressions import quantities_of
 from rankone.solvers.integration import initial_values
 from tests.codegen.random_expressions import sample
 
+pytestmark = pytest.mark.filterwarnings("ignore:parameter .* appears nowhere")
+
 TOLERANCE = 1e-10
 """Largest relative error over the condition."""
 POINTS = 2

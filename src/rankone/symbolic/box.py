@@ -14,6 +14,7 @@ from rankone.distributions import as_text, from_text, interval_of
 from rankone.domain import LEAST_WIDTH
 from rankone.errors import EvaluationError, OptionError, ProblemError
 from rankone.statistics.copula import copula_of
+from rankone.symbolic.numbers import check_size
 from rankone.wording import quote, shown
 
 __all__ = ["Box", "Time", "check_correlation", "check_parameters", "check_time", "real_number"]
@@ -168,6 +169,8 @@ def real_number(value: Any, what: str, remedy: str) -> float:
     try:
         if isinstance(value, str | bool):
             raise TypeError
+        if isinstance(value, sp.Basic):
+            check_size(value)
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         raise ProblemError(

@@ -58,7 +58,6 @@ _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
 _LONGEST_POWER_BITS = 4096
 _LARGEST = 10**300
-_HIGHEST_POWER = 10_000
 _LARGEST_FLOAT = 10**308
 _LONGEST_EXPONENT = 4
 """Digits of the exponent of a number."""
@@ -259,16 +258,16 @@ class _Translator(ast.NodeVisitor):
         return value
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
-        if base.is_Rational and exponent.is_Rational:
-            bits = max(int(base.p).bit_length(), int(base.q).bit_length())
-            large = bits * abs(exponent) > _LONGEST_POWER_BITS
-            if large or (exponent.is_Integer and abs(base**exponent) > _LARGEST):
-                raise self.error(f"{quote(f'{base}**{exponent}')} is too large a number")
-            if exponent.q > _FINEST_ROOT:
-                with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
-                    return exact(sp.Float(float(base) ** float(exponent)))
-        elif exponent.is_Rational and abs(exponent) > _HIGHEST_POWER:
-            raise self.error(f"the exponent {quote(exponent)} is above {_HIGHEST_POWER}")
+        number = base.as_coeff_Mul()[0]  # SymPy takes its power
+        if number.is_Rational and exponent.is_Rational:
+            bits = max(int(number.p).bit_length(), int(number.q).bit_length())
+            large = number != 1 and bits * abs(exponent) > _LONGEST_POWER_BITS
+            large = large or (base == number and abs(sp.N(base**exponent)) > _LARGEST)
+            if large:
+                raise self.error(f"{quote(f'{number}**{exponent}')} is too large a number")
+        if base.is_Rational and exponent.is_Rational and exponent.q > _FINEST_ROOT:
+            with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
+                return exact(sp.Float(float(base) ** float(exponent)))
         power = base**exponent
         if base.is_number and exponent.is_number:
             check_size(power)
