@@ -20,6 +20,7 @@ Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 """The variables of an expression that count."""
 _NARROW = 1e4
 """Curvature of an exponent, over the horizon squared, from which its peak may be stepped over."""
+_DIGITS = 20
 _STEEP = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
 """Functions that change most where their argument vanishes."""
 
@@ -95,7 +96,9 @@ def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
             ratio = term / step / rest
             if not variables(ratio) and not _squares(step.exp, variables):
                 shift = sp.log(sp.Abs(ratio))
-                yield step.exp + (sp.N(shift) if shift.is_number else shift)
+                yield step.exp + (
+                    sp.Rational(str(sp.N(shift, _DIGITS))) if shift.is_number else shift
+                )
 
 
 def _bottoms(expression: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:

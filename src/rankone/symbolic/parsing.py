@@ -56,7 +56,8 @@ _COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 _LOGIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {ast.BitAnd: sp.And, ast.BitOr: sp.Or}
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
-_LONGEST_POWER_BITS = 4096
+_LONGEST_POWER_BITS, _LONGEST_SCALE_BITS = 4096, 100_000
+"""Bits of a power of a number, and of one that a variable is multiplied by."""
 _LARGEST = 10**300
 _LARGEST_FLOAT = 10**308
 _LONGEST_EXPONENT = 4
@@ -261,9 +262,9 @@ class _Translator(ast.NodeVisitor):
         number = base.as_coeff_Mul()[0]  # SymPy takes its power
         if number.is_Rational and exponent.is_Rational:
             bits = max(int(number.p).bit_length(), int(number.q).bit_length())
-            large = number != 1 and bits * abs(exponent) > _LONGEST_POWER_BITS
-            large = large or (base == number and abs(sp.N(base**exponent)) > _LARGEST)
-            if large:
+            most = _LONGEST_POWER_BITS if base == number else _LONGEST_SCALE_BITS
+            large = number != 1 and bits * abs(exponent) > most
+            if large or (base == number and abs(sp.N(base**exponent)) > _LARGEST):
                 raise self.error(f"{quote(f'{number}**{exponent}')} is too large a number")
         if base.is_Rational and exponent.is_Rational and exponent.q > _FINEST_ROOT:
             with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
