@@ -46,7 +46,7 @@ k = sp.Symbol("k", real=True)
         (sp.Abs(k), "np.abs(k)"),
         (sp.asin(k), "np.arcsin(k)"),
         (sp.Min(k, 2), "np.minimum(2, k)"),
-        (sp.Heaviside(k), "np.heaviside(k, 1 / 2)"),
+        (sp.Heaviside(k), "np.heaviside(k, 0.5)"),
         (sp.sec(k), "1 / np.cos(k)"),
         (2 * sp.sec(k), "2 / np.cos(k)"),
         (sp.Piecewise((k, k < 1), (1, True)), "np.where(k < 1, k, 1)"),

@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from typing import Any
 
 import sympy as sp
@@ -96,7 +97,7 @@ class NumPyText(Printer):  # type: ignore[misc]
         text = str(self._print(expr))
         own = PRECEDENCE["Add"] if text.startswith("-") else precedence(expr)
         if isinstance(expr, sp.Rational) and expr.q != 1:
-            own = min(own, PRECEDENCE["Atom" if _is_long(expr) else "Mul"])
+            own = min(own, PRECEDENCE["Atom" if _is_decimal(expr) else "Mul"])
         if isinstance(expr, sp.Pow) and (expr.exp == -1 or text.startswith("1 / ")):
             own = PRECEDENCE["Mul"]
         if isinstance(expr, CALLS):
@@ -114,7 +115,7 @@ class NumPyText(Printer):  # type: ignore[misc]
         return self.names[expr] if expr in self.names else str(expr.name)
 
     def _print_Rational(self, expr: sp.Rational) -> str:
-        if _is_long(expr):
+        if _is_decimal(expr):
             return literal(_float(expr))
         return str(expr.p) if expr.q == 1 else f"{expr.p} / {expr.q}"
 
@@ -158,7 +159,7 @@ class NumPyText(Printer):  # type: ignore[misc]
         below: list[sp.Expr] = []
         for factor in expr.as_ordered_factors():
             base, exponent = factor.as_base_exp()
-            if isinstance(factor, sp.Rational) and factor.q != 1 and not _is_long(factor):
+            if isinstance(factor, sp.Rational) and factor.q != 1 and not _is_decimal(factor):
                 above += [] if factor.p == 1 else [sp.Integer(factor.p)]
                 below.append(sp.Integer(factor.q))
             elif isinstance(factor, sp.Pow) and exponent.is_number and exponent.is_negative:
@@ -310,9 +311,12 @@ def common_subexpressions(
     return shared, [numpy_text(value, written) for value in reduced]
 
 
-def _is_long(number: sp.Rational) -> bool:
-    """Whether a number has more digits than a floating-point number holds."""
-    return bool(max(abs(number.p), number.q) > _LONGEST)
+def _is_decimal(number: sp.Rational) -> bool:
+    """Whether a number is a short decimal, or has more digits than floating point holds."""
+    if max(abs(number.p), number.q) > _LONGEST:
+        return True
+    exact = Fraction(int(number.p), int(number.q))
+    return exact.denominator > 1 and Fraction(repr(float(exact))) == exact
 
 
 def _float(number: sp.Rational) -> float:

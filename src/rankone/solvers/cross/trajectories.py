@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +29,8 @@ _CALIBRATED, _CALIBRATIONS = 8, 3
 """Reference points at which the error of the integration is measured, and how often at most."""
 _STIFF = 1.5
 """Tolerance of stiff integrations over the error wanted."""
+_UNMOVED = 0.5
+"""Part of an error that a smaller tolerance leaves, from which on it is not the integration's."""
 _BEARABLE = 400
 """So many explicit steps cost less than the implicit ones that would replace them."""
 _TIGHTEST = 1e-13
@@ -139,11 +142,16 @@ class Trajectories:
         reference = self.yardstick.reference
         known = reference.points[:_CALIBRATED]
         exact = reference(self.grid.times)[:, : len(known)] / self.sizes[:, None, None]
+        before, share, used = math.inf, math.inf, self.tightness
         for number in range(_CALIBRATIONS):
             found = self._integrated(np.concatenate([known, points]))
             self.count += len(known) + (len(points) if number else 0)
             ours, found = np.split(found, [len(known)], axis=1)
             share = float(np.abs(exact.swapaxes(1, 2) - self._in_sizes(ours)).max()) / self.wanted
+            if share > _UNMOVED * before:  # the error is that of the reference
+                self.tightness = used
+                break
+            before, used = share, self.tightness
             if not 0.1 <= share <= 1.0:
                 self.tightness *= min(max(0.5 / max(share, 1e-300), 1e-3), 4.0)
             if share <= 1.0:
