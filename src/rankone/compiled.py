@@ -33,7 +33,7 @@ from typing import Any, Literal
 import sympy as sp
 from threadpoolctl import ThreadpoolController
 
-from rankone.agreement.problems import check_problem
+from rankone.agreement.problems import DisagreementError, check_problem
 from rankone.budget import preparing
 from rankone.codegen import (
     equation_texts,
@@ -54,7 +54,7 @@ from rankone.errors import (
     check_kind,
 )
 from rankone.functions import namespace_of
-from rankone.ir import QuadraticSystem, SeparatedForm
+from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.lifted import LiftedProblem, lifted_problem
 from rankone.lowering import quadratic_system
 from rankone.metadata import SolutionMetadata
@@ -84,6 +84,8 @@ from rankone.wording import count, quote
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
+_KEPT = 1e-10
+"""Part of the largest rate up to which separated terms may be off; others are not separated."""
 
 _ANY_SYSTEM = (AUTO, "cross")
 """Methods that need no separated terms."""
@@ -139,7 +141,7 @@ class CompiledProblem:
         """The lifted form, what cannot be lifted, or None where there is nothing to lift."""
         if self.quadratic is not None:
             return None
-        return lifted_problem(self.first_order, self.problem.name or "")
+        return lifted_problem(self.first_order, self.system, self.problem.name or "")
 
     def form_for(self, method: str) -> CompiledProblem | LiftedProblem:
         """What a method takes: an object with ``separated``, ``source`` and ``system``.
@@ -442,8 +444,45 @@ def _compiled(problem: Problem) -> CompiledProblem:
     if separated.general:
         check_start(system, compiled.system, system.coordinates)
     with _timed(timings, "agreement"):
-        check_problem(problem, system, compiled.system)
+        return _agreeing(compiled)
+
+
+def _agreeing(compiled: CompiledProblem) -> CompiledProblem:
+    """What was compiled, checked; without separation where that loses digits.
+
+    A power of ``x - 310`` that is multiplied out is a difference of large numbers.
+    """
+    problem, first_order = compiled.problem, compiled.first_order
+    if compiled.quadratic is not None:
+        try:
+            check_problem(problem, first_order, compiled.system, _KEPT)
+            return compiled
+        except DisagreementError as error:
+            as_written = _not_separated(compiled, error)
+        try:
+            check_problem(problem, first_order, as_written.system, _KEPT)
+            return as_written
+        except DisagreementError:
+            pass  # no form keeps more digits
+    check_problem(problem, first_order, compiled.system)
     return compiled
+
+
+def _not_separated(compiled: CompiledProblem, error: DisagreementError) -> CompiledProblem:
+    """The problem with functions as they are written, since multiplied out they lose digits."""
+    first_order = compiled.first_order
+    origins = first_order.origins
+    state = origins.index(error.equation) if error.equation in origins else 0
+    rate = first_order.rhs[state]
+    reason = f"{quote(rate)} loses digits when it is multiplied out"
+    remedy = "method='cross' takes it as it is; count the unknowns from where they are"
+    term = GeneralTerm(state, rate, False, reason, remedy, error.equation)
+    return replace(
+        compiled,
+        separated=replace(compiled.separated, general=(term,)),
+        quadratic=None,
+        source=general_source(first_order, compiled.problem.name),
+    )
 
 
 def solve_problem(

@@ -74,7 +74,10 @@ def plain_text(expression: sp.Basic) -> str:
     >>> plain_text(sp.Rational(3, 2) * x**2 - sp.sqrt(x) / 3)
     '-sqrt(x)/3 + 1.5*x**2'
     """
-    return str(_Text({"full_prec": False}).doprint(expression))
+    try:
+        return str(_Text({"full_prec": False}).doprint(expression))
+    except NotImplementedError:  # what SymPy itself prints
+        return str(expression)
 
 
 def latex_text(expression: sp.Basic, **settings: Any) -> str:

@@ -7,8 +7,10 @@ from functools import cached_property
 
 import sympy as sp
 
+from rankone.agreement.lifting import disagreeing_rate
 from rankone.codegen import generate_source
 from rankone.codegen.recipe import Recipe
+from rankone.errors import ProblemError
 from rankone.functions import namespace_of
 from rankone.ir import QuadraticSystem, SeparatedForm
 from rankone.lowering import quadratic_system
@@ -59,14 +61,24 @@ class LiftedProblem:
     __repr__ = __str__
 
 
-def lifted_problem(system: FirstOrderSystem, name: str) -> LiftedProblem | sp.Expr:
-    """The lifted form of a first-order system, or the expression that has none."""
+def lifted_problem(
+    first_order: FirstOrderSystem, system: System, name: str
+) -> LiftedProblem | sp.Expr:
+    """The lifted form of a first-order system, or the expression that has none.
+
+    It has none either where numbers overflow once it is multiplied out.
+    """
     try:
-        lifting = lift(system)
+        lifting = lift(first_order)
     except NotLiftable as part:
         return part.expression
-    separated = separate(weak_form(lifting.system))
+    try:
+        separated = separate(weak_form(lifting.system))
+    except ProblemError as error:
+        return sp.sympify(error.term)
     for term in separated.general:
         if not term.initial:
             return term.expression
-    return LiftedProblem(lifting, separated, quadratic_system(separated), name)
+    lifted = LiftedProblem(lifting, separated, quadratic_system(separated), name)
+    wrong = disagreeing_rate(lifted.system, system)
+    return lifted if wrong is None else first_order.rhs[wrong]

@@ -11,14 +11,12 @@ section 1.14), which are differentiated as such.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import sympy as sp
 from scipy import special
-from sympy.codegen.cfunctions import expm1, log1p
-from sympy.codegen.scipy_nodes import cosm1
 
 __all__ = ["NUMPY", "fraction", "scaled_power", "stable"]
 
@@ -30,7 +28,7 @@ _MOST_TERMS = 20
 """Terms of a denominator among which one is looked for that stands above too."""
 _DIGITS = 20
 _LONGEST = 10**_DIGITS
-_ROUNDING = sp.Rational(1, 10**12)
+_ROUNDING = sp.Rational(1, 10**15)
 
 
 class expit(sp.Function):  # type: ignore[misc]
@@ -44,15 +42,49 @@ class expit(sp.Function):  # type: ignore[misc]
         return self * expit(-self.args[0])
 
 
-class softplus(sp.Function):  # type: ignore[misc]
-    """log(1 + exp(z))."""
+class expm1(sp.Function):  # type: ignore[misc]
+    """exp(z) - 1; that of SymPy evaluates itself for some arguments."""
 
     nargs = 1
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
         """The derivative."""
-        return expit(self.args[0])
+        return sp.exp(self.args[0])
+
+
+class log1p(sp.Function):  # type: ignore[misc]
+    """log(1 + z)."""
+
+    nargs = 1
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative."""
+        return 1 / (1 + self.args[0])
+
+
+class cosm1(sp.Function):  # type: ignore[misc]
+    """cos(z) - 1."""
+
+    nargs = 1
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative."""
+        return -sp.sin(self.args[0])
+
+
+class logaddexp(sp.Function):  # type: ignore[misc]
+    """log(exp(a) + exp(b))."""
+
+    nargs = 2
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative with respect to either exponent."""
+        a, b = self.args
+        return expit(a - b if argindex == 1 else b - a)
 
 
 class scaled_power(sp.Function):  # type: ignore[misc]
@@ -85,8 +117,8 @@ NUMPY: dict[str, Callable[..., Any]] = {
     "expm1": np.expm1,
     "fraction": lambda a, b: a / (a + b),
     "log1p": np.log1p,
+    "logaddexp": np.logaddexp,
     "scaled_power": np.power,
-    "softplus": lambda z: np.logaddexp(0.0, z),
 }
 """The functions that SymPy does not have, or does not write for NumPy."""
 
@@ -114,15 +146,10 @@ class _Rewriting:
             return expression  # conditions stay as they are
         if expression not in self._written:
             args = [self(arg) for arg in expression.args]
-            if any(new is not old for new, old in zip(args, expression.args, strict=True)):
-                expression_ = self._rebuilt(expression, args)
-            else:
-                expression_ = expression
-            self._written[expression] = self._rewritten(expression_)
+            same = all(new is old for new, old in zip(args, expression.args, strict=True))
+            rebuilt = expression if same else expression.func(*args)
+            self._written[expression] = self._rewritten(rebuilt)
         return self._written[expression]
-
-    def _rebuilt(self, expression: sp.Basic, args: list[sp.Basic]) -> sp.Basic:
-        return expression.func(*args)
 
     def _rewritten(self, expression: sp.Basic) -> sp.Basic:
         if expression.is_Add:
@@ -152,30 +179,34 @@ def _complement(function: sp.Expr) -> tuple[sp.Expr | None, sp.Expr | None]:
         return 2 * expit(2 * argument), 2 * expit(-2 * argument)
     if isinstance(function, sp.erf):
         return sp.erfc(-argument), sp.erfc(argument)
+    if isinstance(function, sp.cosh):
+        return None, -2 * sp.sinh(argument / 2) ** 2
     if isinstance(function, expit):
         return None, expit(-argument)
+    if function.is_Pow and function.exp.is_Rational and sp.S.One in function.base.args:
+        return None, -expm1(function.exp * log1p(function.base - 1))
     return None, None
 
 
-_COMPLEMENTED = (sp.exp, sp.cos, sp.tanh, sp.erf, expit)
+_COMPLEMENTED = (sp.exp, sp.cos, sp.cosh, sp.tanh, sp.erf, expit, sp.Pow)
 
 
 def _without_cancellation(total: sp.Expr) -> sp.Expr:
     """A sum in which pairs of terms such as ``k - k*exp(z)`` are one term."""
     if not any(isinstance(f, _COMPLEMENTED) for a in total.args for f in sp.Mul.make_args(a)):
         return total
-    terms = dict.fromkeys(total.args)
+    terms = set(total.args)
     for term in total.args:
         for function in sp.Mul.make_args(term):
-            if term not in terms or not isinstance(function, _COMPLEMENTED):
+            if not isinstance(function, _COMPLEMENTED):
                 continue
-            factor = term / function
+            factor = sp.Mul(*(f for f in sp.Mul.make_args(term) if f is not function))
             for sign, together in zip((1, -1), _complement(function), strict=True):
                 if together is not None and sign * factor in terms:
-                    del terms[term], terms[sign * factor]
-                    terms[sign * factor * together] = None
-                    break
-    return sp.Add(*terms)
+                    rest = (other for other in total.args if other not in (term, sign * factor))
+                    shorter = sp.Add(*rest, sign * factor * together)
+                    return _without_cancellation(shorter) if shorter.is_Add else shorter
+    return total
 
 
 def _in_range_sum(total: sp.Expr) -> sp.Expr:
@@ -234,24 +265,23 @@ def _with_logistic(product: sp.Expr) -> sp.Expr:
         if not count.is_Integer or not 1 <= count <= _HIGH:
             continue
         for turned in range(1, int(count) + 1):
-            rest = exponential.exp + turned * base.args[0]
-            if _is_negligible(rest, exponential.exp):
-                rest = rest.as_coeff_Add()[0]
+            rest = _without(exponential.exp, -turned * base.args[0])
+            if rest is not None:
                 powers = expit(-base.args[0]) ** turned * base ** (count - turned)
                 others = (f for f in product.args if f not in (exponential, power))
                 return sp.Mul(sp.exp(rest), powers, *others)
     return product
 
 
-def _is_negligible(rest: sp.Expr, whole: sp.Expr) -> bool:
-    """Whether rest is a number, or as small beside the whole as rounding makes it."""
-    if rest.is_number:
-        return True
-    largest, left = (
-        max((abs(c) for term, c in e.as_coefficients_dict().items() if term != 1), default=0)
-        for e in (whole, rest)
-    )
-    return bool(left <= _ROUNDING * largest)
+def _without(whole: sp.Expr, part: sp.Expr) -> sp.Expr | None:
+    """What is left of a sum without a part of it, but for rounding; None if it is no part."""
+    rest = whole - part
+    sizes, left = whole.as_coefficients_dict(), rest.as_coefficients_dict()
+    for term in part.as_coefficients_dict():
+        if term != 1 and abs(left[term]) > _ROUNDING * abs(sizes[term]):
+            return None
+        rest -= left[term] * term if term != 1 else 0
+    return rest
 
 
 def _with_quotients(product: sp.Expr) -> sp.Expr:
@@ -320,22 +350,31 @@ def _with_fractions(product: sp.Expr) -> sp.Expr:
         total, exponent = power.as_base_exp()
         if not (total.is_Add and exponent.is_Integer and exponent < 0):
             continue
-        above = dict(f.as_base_exp() for f in product.args if f is not power)
+        above = _powers(f for f in product.args if f is not power)
         for term in total.args if len(total.args) <= _MOST_TERMS else ():
-            if _times_within(term, above) >= -exponent:
-                others = product / power * term**exponent
-                return _with_fractions(others * fraction(term, total - term) ** -exponent)
+            number, rest = term.as_coeff_Mul()
+            own = _powers(sp.Mul.make_args(rest)) if rest.free_symbols else {}
+            if not own or not all(_holds(above, *pair, -exponent) for pair in own.items()):
+                continue
+            left = {**above, **{b: above[b] + exponent * e for b, e in own.items()}}
+            others = sp.Mul(number**exponent, *(b**e for b, e in left.items()))
+            return _with_fractions(others * fraction(term, total - term) ** -exponent)
     return product
 
 
-def _times_within(term: sp.Expr, above: Mapping[sp.Expr, sp.Expr]) -> int:
-    """How often a term divides a product of powers."""
-    rest = term.as_coeff_Mul()[1]
-    if not rest.free_symbols:
-        return 0
-    pairs = [factor.as_base_exp() for factor in sp.Mul.make_args(rest)]
-    ratios = [above.get(base, sp.S.Zero) / exponent for base, exponent in pairs]
-    return int(min(ratios)) if all(r.is_Rational and r >= 1 for r in ratios) else 0
+def _powers(factors: Iterable[sp.Expr]) -> dict[sp.Expr, sp.Expr]:
+    """The exponents of factors by base."""
+    powers: dict[sp.Expr, sp.Expr] = {}
+    for factor in factors:
+        base, exponent = factor.as_base_exp()
+        powers[base] = powers.get(base, sp.S.Zero) + exponent
+    return powers
+
+
+def _holds(powers: Mapping[sp.Expr, sp.Expr], base: sp.Expr, exponent: sp.Expr, n: int) -> bool:
+    """Whether a product of powers is divided by another power n times."""
+    ratio = powers.get(base, sp.S.Zero) / exponent
+    return bool(ratio.is_Rational and ratio >= n)
 
 
 def _base_and_exponent(factor: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
@@ -371,9 +410,6 @@ def _logarithm(logarithm: sp.Expr) -> sp.Expr:
     if len(argument.args) == 2:
         first, second = (_exponential(term) for term in argument.args)
         if first is not None and second is not None:
-            if second[1].is_number:
-                first, second = second, first
-            shift = second[1] - first[1] + _number(sp.log(second[0] / first[0]))
-            return _number(sp.log(first[0])) + first[1] + softplus(shift)
+            return logaddexp(*(z + _number(sp.log(c)) for c, z in (first, second)))
     rest = argument - 1
     return log1p(rest) if sp.S.One in argument.args else logarithm

@@ -94,3 +94,58 @@ def test_reference_problems_agree(name):
     ):
         with pytest.raises(ro.ProblemError, match="as it is written"):
             check_problem(compiled.problem, compiled.first_order, load_module(broken, "doubled"))
+
+
+@pytest.mark.parametrize(
+    ("rate", "exact"),
+    [
+        ("-a*(x - 310)**4", lambda x, a: -a * (x - 310) ** 4),
+        ("-a*(x - 310)**6", lambda x, a: -a * (x - 310) ** 6),
+    ],
+)
+def test_what_multiplying_out_would_lose_is_left_as_it_is(rate, exact):
+    made = ro.Problem.from_strings({"x": rate}, {"x": "310 + a"}, {"a": (0.5, 1)}, (0, 1))
+    compiled = ro.compile(made)
+    assert compiled.quadratic is None
+    assert compiled.system.rhs(0.0, [310.75], [0.75])[0] == pytest.approx(exact(310.75, 0.75))
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        "(sqrt(x**2 + 1e20) - 1e10)*1e10 - a*x",
+        "1e17*(log(1e17 + x) - log(1e17)) - 2*a*x",
+        "1e18*(exp(1e-18*x)*a - a*exp(1e-18*t)) - x",
+    ],
+)
+def test_a_rate_without_any_digits_is_refused(rate):
+    made = ro.Problem.from_strings({"x": rate}, {"x": "1 + a"}, {"a": (0.5, 1)}, (0, 1))
+    with pytest.raises(ro.ProblemError, match=r"equation 1: .* as it is written"):
+        ro.compile(made)
+
+
+def test_a_lifted_form_that_overflows_is_none():
+    rate = "-k*exp(-6000*(1/T - 1/310.15))/(1 + exp((T - 310.15)/0.43))*S/(1 + S)"
+    box = {"T": (306, 314), "k": (0.5, 1)}
+    compiled = ro.compile(ro.Problem.from_strings({"S": rate}, {"S": "1"}, box, (0, 5)))
+    assert compiled.lifted is None
+    assert compiled.methods["cross"] is None
+    with pytest.raises(ro.SeparationError, match="no lifted form"):
+        compiled.solve(1e-4, method="train")
+
+
+@pytest.mark.parametrize(
+    ("value", "exact"),
+    [
+        ("0.5*(1 - tanh((T - 310.15)/0.43))", lambda T: 1 / (1 + np.exp(2 * (T - 310.15) / 0.43))),
+        ("1 - 1/(1 + exp(-(T - 310.15)/0.43))", lambda T: 1 / (1 + np.exp((T - 310.15) / 0.43))),
+        ("exp((T - 319)*1e-12) - 1", lambda T: np.expm1((T - 319) * 1e-12)),
+    ],
+)
+def test_initial_values_far_from_one(value, exact):
+    box = {"a": (1, 2), "T": (319, 320)}
+    made = ro.Problem.from_strings({"x": "-a*x"}, {"x": value}, box, (0, 1))
+    solution = ro.solve(made, rtol=1e-6)
+    assert solution.success
+    found = solution(t=0.0, a=1.5, T=319.4)[0]
+    assert found == pytest.approx(exact(319.4), rel=1e-4, abs=1e-5 * abs(exact(319.0)))

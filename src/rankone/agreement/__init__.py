@@ -2,11 +2,11 @@
 
 Integrators, samples, residuals and references all call the same generated functions, so that none
 of them sees an error there. When a problem is compiled, or an output made, these functions are
-therefore compared with an evaluation of the user's own expressions at fifty digits, which shares
-nothing with the printer of generated code.
+therefore compared with an evaluation of the user's own expressions at a hundred digits, which
+shares nothing with the printer of generated code.
 
 =====================================  ============================================================
-:class:`~.precise.Program`             values of expressions at fifty digits
+:class:`~.precise.Program`             values of expressions at a hundred digits
 :class:`~.comparison.Comparison`       residuals, and whether they are more than rounding
 :func:`~.problems.check_problem`       rates, their Jacobian, initial values and jumps of a problem
 :func:`~.outputs.check_outputs`        quantities of interest

@@ -1,4 +1,4 @@
-"""Residuals of expressions at fifty digits, and whether they are more than rounding."""
+"""Residuals of expressions at a hundred digits, and whether they are more than rounding."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import numpy as np
 import sympy as sp
 from mpmath.libmp import fzero, mpf_abs, mpf_add, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
 
-from rankone.agreement.precise import NoValueError, Number, Program, number
+from rankone.agreement.precise import PRECISION, NoValueError, Number, Program, number
 
-__all__ = ["Comparison", "sides"]
+__all__ = ["LOST", "Comparison", "sides"]
 
-_PRECISION = 169
 _STEP = number(1e-35)
-_TOLERANCE = 1e-10
+_TOLERANCE = 1e-13
 """Residuals up to this part of the terms are rounding, and a rounding of all intermediate results
 by that much is what a larger one is compared with."""
 _RUNS, _SEED, _FACTOR = 4, 1914, 10.0
 """Runs with disturbed intermediate results, and how often their spread a residual may be."""
+LOST = 0.01
+"""Part of the largest value from which on a residual leaves no digits that count."""
 _TINY, _UNDERFLOW = 1e-120, 1e-280
 """Residuals that come from an underflow: beside the largest terms at other points, and at all."""
 
@@ -36,12 +37,21 @@ class Comparison:
     left, right : Expr
     leaves : sequence of Expr
         What has values: symbols, functions of time, derivatives.
+    computed : sequence of Expr
+        Those that generated code gave the values of.
     """
 
-    def __init__(self, left: sp.Expr, right: sp.Expr, leaves: Sequence[sp.Expr]) -> None:
-        terms = sp.Add.make_args(left)
-        self._left = len(terms)
-        self._program = Program([*terms, *sp.Add.make_args(right)], leaves)
+    def __init__(
+        self,
+        left: sp.Expr,
+        right: sp.Expr,
+        leaves: Sequence[sp.Expr],
+        computed: Sequence[sp.Expr],
+    ) -> None:
+        terms = [*sp.Add.make_args(left), *sp.Add.make_args(right)]
+        self._left = len(sp.Add.make_args(left))
+        self._computed = [i for i, term in enumerate(terms) if term.has(*computed)]
+        self._program = Program(terms, leaves)
 
     @property
     def operations(self) -> int:
@@ -50,7 +60,7 @@ class Comparison:
 
     def residual(self, values: Sequence[Number]) -> tuple[float, float]:
         """The difference, and the sum of the absolute values of all terms."""
-        residual, size = self._sums(self._program(values))
+        residual, size, _ = self._sums(self._program(values))
         return to_float(residual), to_float(size)
 
     def slope(
@@ -64,12 +74,12 @@ class Comparison:
         ``noise`` is the seed of intermediate errors that are the same at both points.
         """
         pairs = zip(here, direction, strict=True)
-        there = [mpf_add(x, mpf_mul(_STEP, v, _PRECISION, "n"), _PRECISION, "n") for x, v in pairs]
+        there = [mpf_add(x, mpf_mul(_STEP, v, PRECISION, "n"), PRECISION, "n") for x, v in pairs]
         before, after = (
             self._sums(self._program(values, _generator(noise), _TOLERANCE))[0]
             for values in (here, there)
         )
-        slope: Number = mpf_div(mpf_sub(after, before, _PRECISION, "n"), _STEP, _PRECISION, "n")
+        slope: Number = mpf_div(mpf_sub(after, before, PRECISION, "n"), _STEP, PRECISION, "n")
         return slope
 
     def slope_spread(
@@ -82,23 +92,30 @@ class Comparison:
         ]
         return float(max(abs(value - exact) for value in sums))
 
-    def beyond_rounding(self, points: Iterable[Sequence[Number]]) -> tuple[int, float] | None:
+    def beyond_rounding(
+        self, points: Iterable[Sequence[Number]], lost: float = LOST
+    ) -> tuple[int, float] | None:
         """The first point at which the residual is larger than rounding explains, and it.
 
-        Where the expressions have no value nothing is said.
+        Rounding is no excuse for more than the part ``lost`` of the largest value that was
+        computed. Where the expressions have no value nothing is said.
         """
-        sums = [(k, values, self._sums_at(values)) for k, values in enumerate(points)]
-        known = [(k, values, *found) for k, values, found in sums if found is not None]
-        floor = _TINY * max((to_float(size) for *_, size in known), default=0.0)
-        for k, values, exact, size in known:
-            residual = to_float(exact)
-            if abs(residual) > max(_TOLERANCE * to_float(size), floor, _UNDERFLOW):
-                spread = self._spread(values, exact)
+        values = list(points)
+        at = [self._sums_at(point) for point in values]
+        sums = {k: tuple(map(to_float, found)) for k, found in enumerate(at) if found is not None}
+        floor = max(_TINY * max((size for _, size, _ in sums.values()), default=0.0), _UNDERFLOW)
+        for k, (residual, size, _) in sums.items():
+            if abs(residual) > max(_TOLERANCE * size, floor):
+                spread = self._spread(values[k], residual)
                 if spread is not None and abs(residual) > _FACTOR * spread:
                     return k, residual
+        largest = max((abs(part) for *_, part in sums.values()), default=0.0)
+        for k, (residual, *_) in sums.items():
+            if abs(residual) > max(lost * largest, floor):
+                return k, residual
         return None
 
-    def _spread(self, values: Sequence[Number], exact: Number) -> float | None:
+    def _spread(self, values: Sequence[Number], exact: float) -> float | None:
         """How far rounding moves the residual; None if that cannot be told."""
         rng = np.random.default_rng(_SEED)
         spread = 0.0
@@ -106,13 +123,13 @@ class Comparison:
             sums = self._sums_at(values, rng)
             if sums is None:
                 return None
-            spread = max(spread, abs(to_float(mpf_sub(sums[0], exact, _PRECISION, "n"))))
+            spread = max(spread, abs(to_float(sums[0]) - exact))
         return spread
 
     def _sums_at(
         self, values: Sequence[Number], noise: np.random.Generator | None = None
-    ) -> tuple[Number, Number] | None:
-        """Residual and size of the terms; None where there is no value."""
+    ) -> tuple[Number, Number, Number] | None:
+        """Residual, size of the terms and what was computed; None where there is no value."""
         try:
             sums = self._sums(self._program(values, noise, _TOLERANCE))
             for value in sums:
@@ -121,13 +138,15 @@ class Comparison:
             return None
         return sums
 
-    def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number]:
-        residual, size = fzero, fzero
+    def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number, Number]:
+        residual, size, computed = fzero, fzero, fzero
         for i, term in enumerate(terms):
             signed = term if i < self._left else mpf_neg(term)
-            residual = mpf_add(residual, signed, _PRECISION, "n")
-            size = mpf_add(size, mpf_abs(term), _PRECISION, "n")
-        return residual, size
+            residual = mpf_add(residual, signed, PRECISION, "n")
+            size = mpf_add(size, mpf_abs(term), PRECISION, "n")
+            if i in self._computed:
+                computed = mpf_add(computed, signed, PRECISION, "n")
+        return residual, size, computed
 
 
 def _generator(seed: int | None) -> np.random.Generator | None:

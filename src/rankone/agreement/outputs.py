@@ -39,7 +39,7 @@ def check_outputs(
     """
     computed = sp.Dummy()
     leaves = [*values, computed]
-    compared = [Comparison(computed, value, leaves) for value in expressions.values()]
+    compared = [Comparison(computed, value, leaves, [computed]) for value in expressions.values()]
     count = len(next(iter(values.values())))
     results = np.array([[float(np.ravel(v)[0]) for v in function(k)] for k in range(count)])
     for i, (name, comparison) in enumerate(zip(expressions, compared, strict=True)):

@@ -1,4 +1,4 @@
-"""Values of expressions at fifty digits, by mpmath and from the expression tree alone.
+"""Values of expressions at a hundred digits, by mpmath and from the expression tree alone.
 
 Nothing here is shared with the printer of generated code: this is what that code is compared with.
 """
@@ -14,14 +14,15 @@ import sympy as sp
 from mpmath.libmp import fone, from_float, fzero, mpf_add, mpf_div, mpf_mul, mpf_pow_int
 from sympy.core.relational import Relational
 
-__all__ = ["NoValueError", "Number", "Program", "number"]
+__all__ = ["PRECISION", "NoValueError", "Number", "Program", "number"]
 
-_DIGITS = 50
-_PRECISION = 169
+_DIGITS = 100
+PRECISION = 336
+"""Bits of the numbers."""
 _CONTEXT = mpmath.MPContext()
 _CONTEXT.dps = _DIGITS
-_MOST_BITS = 1e7
-"""Length of an exponent from which on a number is not computed."""
+_LARGEST_EXPONENT = 1e300
+"""Logarithms up to which a number is computed."""
 _SMALL_POWER = 1000
 """Integer exponents up to which powers are products."""
 
@@ -112,7 +113,7 @@ def number(value: float) -> Number:
 
 
 def _disturbed(value: Number, error: float) -> Number:
-    result: Number = mpf_mul(value, mpf_add(fone, from_float(error)), _PRECISION, "n")
+    result: Number = mpf_mul(value, mpf_add(fone, from_float(error)), PRECISION, "n")
     return result
 
 
@@ -155,7 +156,7 @@ def _constant(expression: sp.Basic) -> Callable[[], Any]:
         return lambda: truth
     if isinstance(expression, sp.Rational):
         p, q = (_CONTEXT.mpf(int(part))._mpf_ for part in (expression.p, expression.q))
-        value = mpf_div(p, q, _PRECISION, "n")
+        value = mpf_div(p, q, PRECISION, "n")
     else:
         value = _real(sp.N(expression, _DIGITS))
     return lambda: value
@@ -165,14 +166,14 @@ def _real(value: sp.Expr) -> Number:
     """A number of SymPy as one of mpmath."""
     if not value.is_Float and not value.is_Rational:
         raise NoValueError
-    result: Number = _CONTEXT.mpf(value._to_mpmath(_PRECISION))._mpf_
+    result: Number = _CONTEXT.mpf(value._to_mpmath(PRECISION))._mpf_
     return result
 
 
 def _sum(*terms: Number) -> Number:
     total = fzero
     for term in terms:
-        total = mpf_add(total, term, _PRECISION, "n")
+        total = mpf_add(total, term, PRECISION, "n")
     result: Number = total
     return result
 
@@ -180,7 +181,7 @@ def _sum(*terms: Number) -> Number:
 def _product(*factors: Number) -> Number:
     total = fone
     for factor in factors:
-        total = mpf_mul(total, factor, _PRECISION, "n")
+        total = mpf_mul(total, factor, PRECISION, "n")
     result: Number = total
     return result
 
@@ -189,7 +190,7 @@ def _integer_power(exponent: int) -> Callable[[Number], Number]:
     def power(base: Number) -> Number:
         if exponent < 0 and base == fzero:
             raise NoValueError
-        result: Number = mpf_pow_int(base, exponent, _PRECISION, "n")
+        result: Number = mpf_pow_int(base, exponent, PRECISION, "n")
         return result
 
     return power
@@ -197,7 +198,7 @@ def _integer_power(exponent: int) -> Callable[[Number], Number]:
 
 def _power(base: Number, exponent: Number) -> Number:
     x, n = _CONTEXT.make_mpf(base), _CONTEXT.make_mpf(exponent)
-    if x and abs(n * _CONTEXT.log(abs(x))) > _MOST_BITS:
+    if x and abs(n * _CONTEXT.log(abs(x))) > _LARGEST_EXPONENT:
         raise NoValueError
     return _wrapped(x**n)
 
@@ -215,7 +216,7 @@ def _called(function: Callable[..., Any], *, growing: bool = False) -> Callable[
 
     def call(*arguments: Number) -> Number:
         values = [_CONTEXT.make_mpf(argument) for argument in arguments]
-        if growing and abs(values[0]) > _MOST_BITS:
+        if growing and abs(values[0]) > _LARGEST_EXPONENT:
             raise NoValueError
         return _wrapped(function(*values))
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
 from mpmath.libmp import mpf_add, to_float
 from sympy.core.function import AppliedUndef
 
-from rankone.agreement.comparison import Comparison, sides
+from rankone.agreement.comparison import LOST, Comparison, sides
+from rankone.agreement.points import STILL, Points
 from rankone.agreement.precise import NoValueError, Number, number
 from rankone.arrays import Array
 from rankone.errors import ProblemError
@@ -20,19 +20,13 @@ from rankone.symbolic import FirstOrderSystem, Problem
 from rankone.system import System
 from rankone.wording import quote
 
-__all__ = ["check_problem"]
+__all__ = ["DisagreementError", "check_problem"]
 
 _POINTS, _FEWEST = 20, 3
 """Points at which a problem is looked at; the least number for one of very many operations."""
 _MOST_OPERATIONS = 12000
-"""Operations at fifty digits for the rates."""
+"""Operations at a hundred digits for the rates."""
 _JACOBIANS = 3
-_DRIFTS = (0.0, 1e-3, 0.03, 0.3)
-"""Parts of the horizon over which states have moved from the start, at their first rate."""
-_NOISE = (1e-3, 0.01, 0.1, 0.5)
-"""Relative distances of states from there; those that would be zero move too, but for a quarter."""
-_LARGEST_DRIFT = 10.0
-"""In units of the largest initial value of a state."""
 _SLOPE_TOLERANCE, _NOTHING, _FACTOR = 1e-6, 1e-15, 1e5
 """Derivatives may be off by this part of their terms, and of the change of the states; or by so
 many times what rounding errors of 1e-10 do."""
@@ -40,52 +34,23 @@ _SEED = 1937
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 
 
-@dataclass(frozen=True)
-class _Points:
-    """Where a problem is looked at: times (m,), parameters (d, m), states and rates (n, m)."""
-
-    time: Array
-    parameters: Array
-    states: Array
-    rates: Array
-
-    @classmethod
-    def of(cls, system: System, count: int) -> _Points:
-        """Points over the horizon, the box and plausible states; the same for the same system."""
-        rng = np.random.default_rng(_SEED)
-        start, end = system.TIME
-        box = np.asarray(system.BOX, dtype=float).reshape(-1, 2)
-        time = start + (end - start) * rng.random(count)
-        p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), count))
-        initial = np.asarray(initial_values(system, p), dtype=float)
-        first = np.nan_to_num(np.asarray(system.rhs(start, initial, p), dtype=float))
-        drift = first * (time - start) * np.resize(_DRIFTS, count)
-        size = np.abs(initial).max(axis=1, keepdims=True)
-        longest = np.where(size > 0.0, _LARGEST_DRIFT * size, np.inf)
-        moved = initial + np.clip(drift, -longest, longest)
-        noise = np.repeat(_NOISE, -(-count // len(_NOISE)))[:count]
-        states = moved * (1.0 + noise * rng.uniform(-1.0, 1.0, moved.shape))
-        reach = np.abs(first).max(axis=1, keepdims=True) * (end - start)
-        away = noise * np.where(reach > 0.0, reach, 1.0) * (np.resize(_DRIFTS, count) > 0.0)
-        states = np.where(moved == 0.0, away, states)
-        states = np.where(np.isfinite(states), states, initial)
-        return cls(time, p, states, np.asarray(system.rhs(time, states, p), dtype=float))
-
-    def described(self, k: int, first_order: FirstOrderSystem) -> str:
-        """Where a point is, for messages."""
-        clock, *parameters = first_order.coordinates
-        named = [(clock.name, self.time[k])]
-        named += [(c.name, v) for c, v in zip(parameters, self.parameters[:, k], strict=True)]
-        named += [(s.name, v) for s, v in zip(first_order.states, self.states[:, k], strict=True)]
-        return ", ".join(f"{name} = {value:.6g}" for name, value in named)
+class DisagreementError(ProblemError):
+    """Generated code differs from the problem by more than rounding."""
 
 
-def check_problem(problem: Problem, first_order: FirstOrderSystem, system: System) -> None:
+def check_problem(
+    problem: Problem, first_order: FirstOrderSystem, system: System, lost: float = LOST
+) -> None:
     """Compare rates, Jacobian, initial values and jumps with the problem as it was written.
+
+    Parameters
+    ----------
+    lost : float
+        Part of the largest value of each that rounding may spoil.
 
     Raises
     ------
-    ProblemError
+    DisagreementError
         If one of them is off by more than rounding; the message names the equation.
     """
     clock, *parameters = first_order.coordinates
@@ -94,19 +59,20 @@ def check_problem(problem: Problem, first_order: FirstOrderSystem, system: Syste
     leaves = [clock.symbol, *(c.symbol for c in parameters), *states]
     highest = [i for i, rate in enumerate(rates) if rate not in states]
     written = [_written(e, r) for e, r in zip(problem.equations, problem.residuals, strict=True)]
-    compared = [Comparison(*pair, [*leaves, *(rates[i] for i in highest)]) for pair in written]
+    computed = [rates[i] for i in highest]
+    compared = [Comparison(*pair, [*leaves, *computed], computed) for pair in written]
     operations = sum(comparison.operations for comparison in compared)
     count = max(min(_POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEWEST)
     with np.errstate(all="ignore"):
-        points = _Points.of(system, count)
-        _check_rates(problem, first_order, compared, points, highest)
+        points = Points.of(system, count)
+        _check_rates(problem, first_order, compared, points, highest, lost)
         smooth = [
             c if _is_smooth(pair) else None for c, pair in zip(compared, written, strict=True)
         ]
         _check_jacobian(system, first_order, smooth, points, highest)
-        _check_initial(first_order, points, initial_values(system, points.parameters))
+        _check_initial(first_order, points, initial_values(system, points.parameters), lost)
         if first_order.jumps:
-            _check_jumps(first_order, system, points)
+            _check_jumps(first_order, system, points, lost)
 
 
 def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
@@ -128,18 +94,19 @@ def _check_rates(
     problem: Problem,
     first_order: FirstOrderSystem,
     compared: Sequence[Comparison],
-    points: _Points,
+    points: Points,
     highest: Sequence[int],
+    lost: float,
 ) -> None:
     """Raise if the generated rates do not solve the equations."""
     chosen = list(_finite(points.states, points.rates))
     p, u, f = points.parameters, points.states, points.rates[highest]
     values = [_values([points.time[k]], p[:, k], u[:, k], f[:, k]) for k in chosen]
     for origin, comparison in enumerate(compared, start=1):
-        wrong = comparison.beyond_rounding(values)
+        wrong = comparison.beyond_rounding(values, lost)
         if wrong is not None:
-            where = points.described(chosen[wrong[0]], first_order)
-            raise ProblemError(
+            where = _described(points, chosen[wrong[0]], first_order)
+            raise DisagreementError(
                 f"the generated code does not compute {quote(problem.equations[origin - 1])} as it "
                 f"is written: at {where} the sides differ by {wrong[1]:.3g}",
                 equation=origin,
@@ -152,12 +119,12 @@ def _check_jacobian(
     system: System,
     first_order: FirstOrderSystem,
     compared: Sequence[Comparison | None],
-    points: _Points,
+    points: Points,
     highest: Sequence[int],
 ) -> None:
     """Raise if moving the states and, by the Jacobian, the rates leaves the equations."""
     rng = np.random.default_rng(_SEED)
-    moved = [k for k in _finite(points.states, points.rates) if k % len(_DRIFTS)]
+    moved = [k for k in _finite(points.states, points.rates) if k % STILL]
     for k in moved[:_JACOBIANS]:
         t, p, u, f = (
             points.time[k],
@@ -185,9 +152,9 @@ def _check_jacobian(
             except (NoValueError, OverflowError):
                 continue
             if abs(off) > _FACTOR * spread:
-                raise ProblemError(
+                raise DisagreementError(
                     "the generated Jacobian is not the derivative of the equation: at "
-                    f"{points.described(k, first_order)} it is off by {off:.3g} along the states",
+                    f"{_described(points, k, first_order)} it is off by {off:.3g} along the states",
                     equation=origin,
                     remedy=_REMEDY,
                 )
@@ -205,17 +172,20 @@ def _slope(
     return to_float(mpf_add(*slopes)), sum(abs(to_float(slope)) for slope in slopes) + terms
 
 
-def _check_initial(first_order: FirstOrderSystem, points: _Points, generated: Array) -> None:
+def _check_initial(
+    first_order: FirstOrderSystem, points: Points, generated: Array, lost: float
+) -> None:
     """Raise if generated initial values are not those that were given."""
     symbols = [c.symbol for c in first_order.coordinates[1:]]
     computed = sp.Dummy()
     for i, value in enumerate(first_order.initial):
-        comparison = Comparison(computed, value, [*symbols, computed])
+        comparison = Comparison(computed, value, [*symbols, computed], [computed])
         p, chosen = points.parameters, _finite(generated[i : i + 1])
-        wrong = comparison.beyond_rounding(_values(p[:, k], [generated[i, k]]) for k in chosen)
+        values = (_values(p[:, k], [generated[i, k]]) for k in chosen)
+        wrong = comparison.beyond_rounding(values, lost)
         if wrong is not None:
             state = first_order.states[i].expression
-            raise ProblemError(
+            raise DisagreementError(
                 f"the generated code does not compute the initial value of {quote(state)}, "
                 f"{quote(value)}, as it is written: it is off by {wrong[1]:.3g}",
                 term=value,
@@ -223,7 +193,9 @@ def _check_initial(first_order: FirstOrderSystem, points: _Points, generated: Ar
             )
 
 
-def _check_jumps(first_order: FirstOrderSystem, system: System, points: _Points) -> None:
+def _check_jumps(
+    first_order: FirstOrderSystem, system: System, points: Points, lost: float
+) -> None:
     """Raise if generated values after jumps are not those that were given."""
     symbols = [c.symbol for c in first_order.coordinates[1:]]
     computed = sp.Dummy()
@@ -233,15 +205,14 @@ def _check_jumps(first_order: FirstOrderSystem, system: System, points: _Points)
         for i, value in enumerate(values_after):
             if value == first_order.functions[i]:
                 continue
-            comparison = Comparison(computed, value, leaves)
+            comparison = Comparison(computed, value, leaves, [computed])
             p, u = points.parameters, points.states
             chosen = _finite(u, generated[i : i + 1])
-            wrong = comparison.beyond_rounding(
-                _values(p[:, k], u[:, k], [generated[i, k]]) for k in chosen
-            )
+            values = (_values(p[:, k], u[:, k], [generated[i, k]]) for k in chosen)
+            wrong = comparison.beyond_rounding(values, lost)
             if wrong is not None:
                 clock, state = first_order.coordinates[0].name, first_order.states[i].expression
-                raise ProblemError(
+                raise DisagreementError(
                     f"the generated code does not compute the value of {quote(state)} after the "
                     f"jump at {clock} = {times[0]:g}, {quote(value)}, as it is written: it is off "
                     f"by {wrong[1]:.3g}",
@@ -254,3 +225,12 @@ def _finite(*arrays: Array) -> Iterator[int]:
     """The points at which all is finite; what is not is refused elsewhere, or never met."""
     finite = np.logical_and.reduce([np.isfinite(array).all(axis=0) for array in arrays])
     yield from map(int, np.flatnonzero(finite))
+
+
+def _described(points: Points, k: int, first_order: FirstOrderSystem) -> str:
+    """Where a point is, for messages."""
+    clock, *parameters = first_order.coordinates
+    named = [(clock.name, points.time[k])]
+    named += [(c.name, v) for c, v in zip(parameters, points.parameters[:, k], strict=True)]
+    named += [(s.name, v) for s, v in zip(first_order.states, points.states[:, k], strict=True)]
+    return ", ".join(f"{name} = {value:.6g}" for name, value in named)

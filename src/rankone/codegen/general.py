@@ -92,7 +92,7 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     known = known_functions(system.coordinates, everything)
     factors = [(sp.S.One, *found) for found in known]
     blocks = [
-        *definitions([*everything, *writer.slopes]),
+        *definitions([*everything, *writer.printed]),
         *coordinate_functions(system.coordinates, factors),
         *functions,
     ]
@@ -156,7 +156,7 @@ class _Writer:
             self._checked(value, f"the initial value of {self._name(i)}", None)
             for i, value in enumerate(system.initial)
         ]
-        self.slopes: list[sp.Expr] = []
+        self.printed: list[sp.Expr] = []
         self.narrow: tuple[int, int] | None = None
 
     def _name(self, i: int) -> str:
@@ -212,7 +212,6 @@ class _Writer:
                     ) from None
                 if slope != 0:
                     entries[(i, j)] = slope
-        self.slopes = [*entries.values()]
         return [
             "def jacobian(t, u, p):",
             *docstring([f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."]),
@@ -292,6 +291,7 @@ class _Writer:
         written = dict(zip(self.coordinates, ["t", *own], strict=True))
         written |= dict(zip(self.states, local, strict=True))
         expressions = list(entries.values())
+        self.printed += expressions
         used = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
         shared, texts = common_subexpressions(expressions, written, names.numbered("c"))
         self.operations[function] = sum(

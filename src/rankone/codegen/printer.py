@@ -57,11 +57,11 @@ FUNCTIONS = {
     "fresnels": "special.fresnel({})[0]",
     "Heaviside": "np.heaviside({})",
     "log1p": "np.log1p({})",
+    "logaddexp": "np.logaddexp({})",
     "loggamma": "special.gammaln({})",
     "Mod": "np.mod({})",
     "Shi": "special.shichi({})[0]",
     "Si": "special.sici({})[0]",
-    "softplus": "np.logaddexp(0.0, {})",
 }
 """Calls of NumPy, and of ``scipy.special`` for real arguments, by the name of SymPy's function."""
 NESTED = {"And": "logical_and", "Or": "logical_or", "Min": "minimum", "Max": "maximum"}

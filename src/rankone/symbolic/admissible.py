@@ -41,7 +41,7 @@ def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
                 return f"is not finite at {coordinate.name} = {pole:.6g}"
         points = _points(coordinate)
         values = _numeric(expression, coordinate)(points)
-    except (NameError, TypeError, ValueError, AttributeError, ArithmeticError):
+    except (NameError, TypeError, ValueError, AttributeError, ArithmeticError, NotImplementedError):
         return "cannot be evaluated numerically"
     bad = points[~np.isfinite(values)]
     if not bad.size:

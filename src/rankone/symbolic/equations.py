@@ -98,7 +98,11 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
         raise error(f"{quote(equation)} has complex coefficients", equation, "write real equations")
     if residual.has(*_NOT_FINITE):
         raise error(f"{quote(equation)} is not finite", equation, "check the coefficients")
-    return exact(residual)
+    try:
+        return exact(residual)
+    except ProblemError as out_of_range:
+        what = str(out_of_range).removesuffix(f"; remedy: {out_of_range.remedy}")
+        raise error(what, out_of_range.term, str(out_of_range.remedy)) from None
 
 
 def _carry_out_derivatives(

@@ -109,6 +109,8 @@ def check_size(expression: sp.Basic) -> mpmath.mpf | None:
         return mpmath.mpf(int(expression.p)) / int(expression.q)
     if isinstance(expression, sp.Float | sp.NumberSymbol):
         return mpmath.mpf(str(sp.N(expression, _DIGITS)))
+    if not isinstance(expression, sp.Expr):
+        return None
     values = [check_size(argument) for argument in expression.args]
     if not values or any(value is None for value in values):
         return None

@@ -265,7 +265,8 @@ class _Translator(ast.NodeVisitor):
             most = _LONGEST_POWER_BITS if base == number else _LONGEST_SCALE_BITS
             large = number != 1 and bits * abs(exponent) > most
             if large or (base == number and abs(sp.N(base**exponent)) > _LARGEST):
-                raise self.error(f"{quote(f'{number}**{exponent}')} is too large a number")
+                power = sp.Pow(number, exponent, evaluate=False)
+                raise self.error(f"{quote(power)} is too large a number")
         if base.is_Rational and exponent.is_Rational and exponent.q > _FINEST_ROOT:
             with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
                 return exact(sp.Float(float(base) ** float(exponent)))

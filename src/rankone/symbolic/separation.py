@@ -117,7 +117,7 @@ class _Separation:
 
     def _check_range(self, term: sp.Expr, monomial: Monomial, number: sp.Expr) -> None:
         """Leave (x/1e6)**60 as it is: 1e-360*x**60 is nothing that floating point holds."""
-        if 1 / _IN_RANGE < abs(number) < _IN_RANGE:
+        if not number.is_comparable or 1 / _IN_RANGE < abs(number) < _IN_RANGE:
             return
         powers = (p.exp for f in monomial.factors for p in f.atoms(sp.Pow) if p.exp.is_Integer)
         if max((sum(power for _, power in monomial.powers), *map(abs, powers))) >= _HIGH:

@@ -33,6 +33,8 @@ _ADDITION = {
 
 
 _LARGE_EXPONENT = 30
+_HIGHEST_FACTORED = 20
+"""Powers up to which a sum is factored."""
 _ORDINARY = sp.Integer(10) ** 30
 """Numbers up to this, and down to its reciprocal, are pulled out of factors."""
 _MOST_TERMS, _HIGHEST_POWER = 1500, 64
@@ -254,6 +256,9 @@ class Splitter:
         """Return an expression as one (number, product), factoring it if need be."""
         terms = self.split(expression)
         if len(terms) > 1:
+            powers = (p.exp for p in expression.atoms(sp.Pow) if p.exp.is_Integer)
+            if max(map(abs, powers), default=0) > _HIGHEST_FACTORED:
+                raise self._indivisible(whole)  # SymPy takes minutes
             factored = sp.factor(exact(expression))
             if factored.is_Add:
                 raise self._indivisible(whole)
