@@ -60,7 +60,7 @@ def test_a_problem_that_is_none(make, said):
     ("rate", "box", "said"),
     [
         ("(k + 1)**1000000*x", {"k": (0, 1)}, "not finite"),
-        ("sin(10**30*t)*x*k", {"k": (0, 1)}, "varies too fast for time"),
+        ("sin(10**30*t)*x*k", {"k": (0, 1)}, "varies too fast for time|as it is written"),
         ("k*x*floor(1e6*t)", {"k": (0, 1)}, "switches 1000000 times"),
         ("-k*x", {"k": (-1e308, 1e308)}, "not finite"),
     ],
@@ -205,7 +205,7 @@ def test_states_whose_products_are_lost():
     rates = {"x": f"x*(1.5 - y/{small})", "y": f"-y*(3 - x/{small})"}
     starts = {"x": f"a*{small}", "y": f"b*{small}"}
     problem = ro.Problem.from_strings(rates, starts, {"a": (8, 12), "b": (4, 6)}, (0, 6))
-    with pytest.raises(ro.ProblemError, match=r"as it is written: at t = .* change the units"):
+    with pytest.raises(ro.ConvergenceError, match="its products are no floating-point numbers"):
         ro.solve(problem, 1e-5)
 
 

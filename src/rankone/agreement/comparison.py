@@ -20,6 +20,8 @@ _RUNS, _SEED, _FACTOR = 4, 1914, 10.0
 """Runs with disturbed intermediate results, and how often their spread a residual may be."""
 LOST = 0.01
 """Part of the largest value from which on a residual leaves no digits that count."""
+_BELOW_ALL = 1e-30
+"""Part of the terms below which a residual is what nobody sees, as between two steep steps."""
 _TINY, _UNDERFLOW = 1e-120, 1e-280
 """Residuals that come from an underflow: beside the largest terms at other points, and at all."""
 
@@ -93,12 +95,13 @@ class Comparison:
         return float(max(abs(value - exact) for value in sums))
 
     def beyond_rounding(
-        self, points: Iterable[Sequence[Number]], lost: float = LOST
+        self, points: Iterable[Sequence[Number]], lost: float = LOST, nothing: float = 0.0
     ) -> tuple[int, float] | None:
         """The first point at which the residual is larger than rounding explains, and it.
 
         Rounding is no excuse for more than the part ``lost`` of the largest value that was
-        computed. Where the expressions have no value nothing is said.
+        computed, unless that is below ``nothing``. Where the expressions have no value nothing is
+        said.
         """
         values = list(points)
         at = [self._sums_at(point) for point in values]
@@ -110,8 +113,10 @@ class Comparison:
                 if spread is not None and abs(residual) > _FACTOR * spread:
                     return k, residual
         largest = max((abs(part) for *_, part in sums.values()), default=0.0)
+        terms = max((size for _, size, _ in sums.values()), default=0.0)
+        nothing = max(nothing, _BELOW_ALL * terms)
         for k, (residual, *_) in sums.items():
-            if abs(residual) > max(lost * largest, floor):
+            if abs(residual) > max(lost * largest, floor, nothing):
                 return k, residual
         return None
 

@@ -25,12 +25,16 @@ _SEED = 1937
 
 @dataclass(frozen=True)
 class Points:
-    """Where a problem is looked at: times (m,), parameters (d, m), states and rates (n, m)."""
+    """Where a problem is looked at: times (m,), parameters (d, m), states and rates (n, m).
+
+    ``sizes`` (n,) are how large states are, as far as the start and the first rates tell.
+    """
 
     time: Array
     parameters: Array
     states: Array
     rates: Array
+    sizes: Array
 
     @classmethod
     def of(cls, system: System, count: int) -> Points:
@@ -52,4 +56,5 @@ class Points:
         away = noise * np.where(reach > 0.0, reach, 1.0) * (np.resize(_DRIFTS, count) > 0.0)
         states = np.where(moved == 0.0, away, states)
         states = np.where(np.isfinite(states), states, initial)
-        return cls(time, p, states, np.asarray(system.rhs(time, states, p), dtype=float))
+        rates = np.asarray(system.rhs(time, states, p), dtype=float)
+        return cls(time, p, states, rates, np.abs(moved).max(axis=1))

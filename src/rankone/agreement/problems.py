@@ -31,6 +31,8 @@ _SLOPE_TOLERANCE, _NOTHING, _FACTOR = 1e-6, 1e-15, 1e5
 """Derivatives may be off by this part of their terms, and of the change of the states; or by so
 many times what rounding errors of 1e-10 do."""
 _SEED = 1937
+_UNSEEN = 1e-13
+"""Part of its size by which an error of a rate may move a state over the horizon."""
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 
 
@@ -102,8 +104,12 @@ def _check_rates(
     chosen = list(_finite(points.states, points.rates))
     p, u, f = points.parameters, points.states, points.rates[highest]
     values = [_values([points.time[k]], p[:, k], u[:, k], f[:, k]) for k in chosen]
+    start, end = first_order.coordinates[0].lower, first_order.coordinates[0].upper
+    slowest = _UNSEEN * np.nan_to_num(points.sizes) / (end - start)
     for origin, comparison in enumerate(compared, start=1):
-        wrong = comparison.beyond_rounding(values, lost)
+        own = [i for i, state in enumerate(first_order.origins) if state in (origin, None)]
+        nothing = float(slowest[own].min(initial=np.inf)) if own else 0.0
+        wrong = comparison.beyond_rounding(values, lost, nothing)
         if wrong is not None:
             where = _described(points, chosen[wrong[0]], first_order)
             raise DisagreementError(
