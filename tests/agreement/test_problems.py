@@ -149,3 +149,14 @@ def test_initial_values_far_from_one(value, exact):
     assert solution.success
     found = solution(t=0.0, a=1.5, T=319.4)[0]
     assert found == pytest.approx(exact(319.4), rel=1e-4, abs=1e-5 * abs(exact(319.0)))
+
+
+def test_a_rate_that_is_a_tail():
+    rates = {"x": "-a*x + 0.5*(1 - tanh((T - 310.15)/0.43))"}
+    box = {"a": (1, 2), "T": (319, 320)}
+    solution = ro.solve(ro.Problem.from_strings(rates, {"x": "0"}, box, (0, 1)), rtol=1e-5)
+    tail = 1 / (1 + np.exp(2 * (319.5 - 310.15) / 0.43))
+    assert solution.success
+    assert solution(t=1.0, a=1.5, T=319.5)[0] == pytest.approx(
+        tail * (1 - np.exp(-1.5)) / 1.5, rel=1e-3
+    )

@@ -95,13 +95,13 @@ class Comparison:
         return float(max(abs(value - exact) for value in sums))
 
     def beyond_rounding(
-        self, points: Iterable[Sequence[Number]], lost: float = LOST, nothing: float = 0.0
+        self, points: Iterable[Sequence[Number]], lost: float = LOST, nothing: float | None = None
     ) -> tuple[int, float] | None:
         """The first point at which the residual is larger than rounding explains, and it.
 
         Rounding is no excuse for more than the part ``lost`` of the largest value that was
-        computed, unless that is below ``nothing``. Where the expressions have no value nothing is
-        said.
+        computed, unless that is below ``nothing``; where that is zero, of each value on its own.
+        Where the expressions have no value nothing is said.
         """
         values = list(points)
         at = [self._sums_at(point) for point in values]
@@ -114,9 +114,10 @@ class Comparison:
                     return k, residual
         largest = max((abs(part) for *_, part in sums.values()), default=0.0)
         terms = max((size for _, size, _ in sums.values()), default=0.0)
-        nothing = max(nothing, _BELOW_ALL * terms)
-        for k, (residual, *_) in sums.items():
-            if abs(residual) > max(lost * largest, floor, nothing):
+        least = max(floor, nothing or 0.0, _BELOW_ALL * terms)
+        for k, (residual, _, part) in sums.items():
+            value = abs(part) if nothing == 0.0 else largest
+            if abs(residual) > max(lost * value, least):
                 return k, residual
         return None
 
