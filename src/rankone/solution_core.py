@@ -337,7 +337,7 @@ def raise_blow_up(
     carried = f"the error carries the part up to t = {solution.time[1]:.4g} as .solution"
     if safe:
         remedy += f", or narrow the box: {safe_sentence(safe, names)} would do"
-        carried += ", and solves such a part of the box over the whole horizon for .part"
+        carried += "; its .part solves a smaller box over the whole horizon"
     elif names:
         remedy += ", or narrow the box"
 

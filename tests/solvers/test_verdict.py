@@ -22,7 +22,7 @@ def verdict(errors, status=Status.TOLERANCE, counted=None, result=None, **given)
 def test_the_worst_unknown_is_named_and_those_that_are_accurate():
     message = verdict((1e-6, 2e-6, 3e-6, 4e-4))
     assert "measured error 4.0e-04 in `y_t`, asked 1.0e-05" in message
-    assert "`x`, `x_t` and `y` are within it, and unknowns=['x', 'x_t', 'y'] asks" in message
+    assert "`x`, `x_t` and `y` are within it: unknowns=['x', 'x_t', 'y'] asks" in message
     assert message.endswith("; narrow the box")
 
 
@@ -52,7 +52,7 @@ def test_one_unknown_fails_alone():
     solution = ro.solve(problem, 1e-4, method="train", effort=0.01)
     assert not solution.success
     assert " in `y`, asked 1.0e-04" in solution.message
-    assert "`x` and `v` are within it, and unknowns=['x', 'v'] asks" in solution.message
+    assert "`x` and `v` are within it: unknowns=['x', 'v'] asks" in solution.message
     assert "of the budget" in solution.message
 
 

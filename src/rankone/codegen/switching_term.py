@@ -45,5 +45,5 @@ def _sentence(system: ExplicitSystem, index: int, term: sp.Expr, boundary: sp.Ex
     smooth = f"tanh({boundary}/w)" if boundary.is_Symbol else f"tanh(({boundary})/w)"
     return (
         f"the term {quote(term)} in {where} switches at {quote(boundary)} = 0: smooth it, "
-        f"for example by {quote(smooth)} with a width w that matters to nobody"
+        f"for example by {quote(smooth)} with a width w too small to matter"
     )

@@ -169,8 +169,8 @@ def solve_in_attempts(
 ) -> Outcome:
     """Integrate the reference, then march and check until the measured error fits.
 
-    ``prepared`` makes the marcher from the request and its yardstick. A part of the time is kept
-    for saying why it failed.
+    ``prepared`` makes the marcher from the request and its yardstick. A part of the budget is
+    kept for saying why it failed.
     """
     stages = Stages()
     with _keeping_some():

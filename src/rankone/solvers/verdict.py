@@ -120,11 +120,11 @@ class Verdict:
             return []
         if len(enough) <= _NAMED:
             names = [self._name(i) for i in enough]
-            are = "is" if len(names) == 1 else "are"
-            return [f"{listing(names)} {are} within it, and unknowns={names!r} asks for no more"]
+            are, it = ("is", "it") if len(names) == 1 else ("are", "them")
+            return [f"{listing(names)} {are} within it: unknowns={names!r} asks for {it} alone"]
         worst = listing(self._name(i) for i in failed[:_NAMED])
         others = f" and {len(failed) - _NAMED} more" if len(failed) > _NAMED else ""
-        return [f"all but {worst}{others} are within it, and unknowns= can leave unknowns out"]
+        return [f"all but {worst}{others} are within it: unknowns= asks for some alone"]
 
     @property
     def _extent(self) -> list[str]:
