@@ -344,3 +344,8 @@ def test_numbers_beyond_all_reason_are_refused_at_once(call):
     huge = sp.exp(sp.exp(sp.exp(sp.exp(100))))
     with pytest.raises(ro.ProblemError, match=r"out of the range|too large a number|not a real"):
         ro.compile(call(huge))
+
+
+@pytest.mark.parametrize("rate", ["1/(1 + (k/x)**300) - x", "1/(1 + (x/k)**-200) - x"])
+def test_high_powers_of_quotients_are_not_factored(rate):
+    ro.compile(text(rate, box={"k": (0.5, 1)}, initial="0.8"))

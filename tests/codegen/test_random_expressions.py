@@ -108,7 +108,7 @@ def outputs(samples, columns):
 
 def check(kind, first, count):
     samples, points = batch(first, count)
-    compared = 0
+    compared = set()
     for at, found in zip(points, computed(kind, samples, points), strict=True):
         for wanted, values in zip(((), "x"), found, strict=True):
             for i, s in enumerate(samples) if values is not None else ():
@@ -119,8 +119,8 @@ def check(kind, first, count):
                 error = abs(mpmath.mpf(float(values[i])) - exact) / abs(exact)
                 said = f"{kind} {first + i}{variables}: {s.template}, {s.numbers} at {at[i]}"
                 assert error <= TOLERANCE * condition, said
-                compared += 1
-    assert compared > count // 2
+                compared.add(i)
+    assert len(compared) >= 0.6 * count  # the others are below what is compared
 
 
 KINDS = ("rates", "starts", "jumps", "outputs")
