@@ -16,6 +16,8 @@ _STEP = number(1e-35)
 _TOLERANCE = 1e-13
 """Residuals up to this part of the terms are rounding, and a rounding of all intermediate results
 by that much is what a larger one is compared with."""
+_LAST_DIGITS = 1e-90
+"""Rounding of the evaluation itself: log(1 + 1e-178) has no digits left in it either."""
 _RUNS, _SEED, _FACTOR = 4, 1914, 10.0
 """Runs with disturbed intermediate results, and how often their spread a residual may be."""
 LOST = 0.01
@@ -118,26 +120,33 @@ class Comparison:
         for k, (residual, _, part) in sums.items():
             value = abs(part) if nothing == 0.0 else largest
             if abs(residual) > max(lost * value, least):
-                return k, residual
+                unsure = self._spread(values[k], residual, _LAST_DIGITS)
+                if unsure is not None and abs(residual) > _FACTOR * unsure:
+                    return k, residual
         return None
 
-    def _spread(self, values: Sequence[Number], exact: float) -> float | None:
-        """How far rounding moves the residual; None if that cannot be told."""
+    def _spread(
+        self, values: Sequence[Number], exact: float, size: float = _TOLERANCE
+    ) -> float | None:
+        """How far rounding of a size moves the residual; None if that cannot be told."""
         rng = np.random.default_rng(_SEED)
         spread = 0.0
         for _ in range(_RUNS):
-            sums = self._sums_at(values, rng)
+            sums = self._sums_at(values, rng, size)
             if sums is None:
                 return None
             spread = max(spread, abs(to_float(sums[0]) - exact))
         return spread
 
     def _sums_at(
-        self, values: Sequence[Number], noise: np.random.Generator | None = None
+        self,
+        values: Sequence[Number],
+        noise: np.random.Generator | None = None,
+        size: float = _TOLERANCE,
     ) -> tuple[Number, Number, Number] | None:
         """Residual, size of the terms and what was computed; None where there is no value."""
         try:
-            sums = self._sums(self._program(values, noise, _TOLERANCE))
+            sums = self._sums(self._program(values, noise, size))
             for value in sums:
                 to_float(value)
         except (NoValueError, OverflowError):
