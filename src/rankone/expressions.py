@@ -126,9 +126,9 @@ def _check(
         return np.asarray(np.abs(row).max() / length * rng.uniform(-1.0, 1.0, row.shape))
 
     rows = [states[s.row] if s.order == 0 else sized(states[s.row]) for s in quantities.sources]
-    known = {sp.Symbol(translator.metadata.time): t}
-    known |= {sp.Symbol(n): q for n, q in zip(translator.metadata.parameters, p, strict=True)}
-    known |= dict(zip(translator.sources.values(), rows, strict=True))
+    values_of = {sp.Symbol(translator.metadata.time): t}
+    values_of |= {sp.Symbol(n): q for n, q in zip(translator.metadata.parameters, p, strict=True)}
+    values_of |= dict(zip(translator.sources.values(), rows, strict=True))
     stacked = np.asarray(rows, dtype=float).reshape(len(rows), 1, t.size)
     made_up = [rng.uniform(0.0, 1.0, t.size) for _ in translator.reduced]
 
@@ -138,11 +138,11 @@ def _check(
     integrands = {r.text: translator.integrands[r.integrand] for r in quantities.reductions}
     with np.errstate(all="ignore"):
         if len(integrands) == len(translator.integrands):
-            check_outputs(integrands, known, lambda k: quantities.integrands(*at(k)))
-        known |= dict(zip(translator.reduced, made_up, strict=True))
+            check_outputs(integrands, values_of, lambda k: quantities.integrands(*at(k)))
+        values_of |= dict(zip(translator.reduced, made_up, strict=True))
         check_outputs(
             {f"the output {quote(name)}": value for name, value in values.items()},
-            known,
+            values_of,
             lambda k: quantities.values(*at(k), [r[k : k + 1] for r in made_up]),
         )
 
