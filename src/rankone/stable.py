@@ -27,8 +27,10 @@ _HIGH = 8
 _MOST_TERMS = 20
 """Terms of a denominator among which one is looked for that stands above too."""
 _DIGITS = 20
+"""Digits of computed numbers."""
 _LONGEST = 10**_DIGITS
 _ROUNDING = sp.Rational(1, 10**15)
+"""Relative difference of coefficients that are one number but for rounding."""
 
 
 class expit(sp.Function):  # type: ignore[misc]

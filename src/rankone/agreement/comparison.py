@@ -14,18 +14,18 @@ __all__ = ["LOST", "Comparison", "sides"]
 
 _STEP = number(1e-35)
 _TOLERANCE = 1e-13
-"""Residuals up to this part of the terms are rounding, and a rounding of all intermediate results
-by that much is what a larger one is compared with."""
+"""Residuals below this part of the terms are rounding. A larger one is compared with what relative
+errors of this size in all intermediate results do."""
 _LAST_DIGITS = 1e-90
-"""Rounding of the evaluation itself: log(1 + 1e-178) has no digits left in it either."""
+"""Relative error of the evaluation itself, in which log(1 + 1e-178) has no digits either."""
 _RUNS, _SEED, _FACTOR = 4, 1914, 10.0
-"""Runs with disturbed intermediate results, and how often their spread a residual may be."""
+"""Runs with disturbed intermediate results, and the largest residual in units of their spread."""
 LOST = 0.01
-"""Part of the largest value from which on a residual leaves no digits that count."""
+"""A residual above this part of the largest value leaves no digits that count."""
 _BELOW_ALL = 1e-30
-"""Part of the terms below which a residual is what nobody sees, as between two steep steps."""
+"""Residuals below this part of the terms do not matter, for example between two steep steps."""
 _TINY, _UNDERFLOW = 1e-120, 1e-280
-"""Residuals that come from an underflow: beside the largest terms at other points, and at all."""
+"""Residuals below these are underflow: relative to the largest terms at any point, and absolute."""
 
 
 def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:
