@@ -19,13 +19,13 @@ errors of this size in all intermediate results do."""
 _LAST_DIGITS = 1e-90
 """Relative error of the evaluation itself, in which log(1 + 1e-178) has no digits either."""
 _RUNS, _SEED, _FACTOR = 4, 1914, 10.0
-"""Runs with disturbed intermediate results, and the largest residual in units of their spread."""
+"""Runs with disturbed intermediate results; the largest residual in units of their spread."""
 LOST = 0.01
 """A residual above this part of the largest value leaves no digits that count."""
 _BELOW_ALL = 1e-30
 """Residuals below this part of the terms do not matter, for example between two steep steps."""
 _TINY, _UNDERFLOW = 1e-120, 1e-280
-"""Residuals below these are underflow: relative to the largest terms at any point, and absolute."""
+"""Residuals below these are underflow: relative to the largest terms, and absolute."""
 
 
 def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:

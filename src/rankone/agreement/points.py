@@ -15,7 +15,7 @@ __all__ = ["STILL", "Points"]
 _DRIFTS = (0.0, 1e-3, 0.03, 0.3)
 """Parts of the horizon over which states have moved from the start, at their first rate."""
 _NOISE = (1e-9, 1e-5, 0.01, 0.3)
-"""Relative distances of states from there. States that are zero move too, except at still points."""
+"""Relative distances of states from there. Zero states move too, except at still points."""
 _LARGEST_DRIFT = 10.0
 """In units of the largest initial value of a state."""
 STILL = len(_DRIFTS)
