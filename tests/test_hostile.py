@@ -12,7 +12,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.problem_files import load_problem
+from rankone.frontend.problem_files import load_problem
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)
@@ -242,9 +242,9 @@ def test_counts_that_no_memory_holds():
         lambda: solution.probability(1.0, above=0.5, count=10**9),
         lambda: solution.main_effects(1.0, count=10**9),
     ):
-        with pytest.raises(ro.errors.OptionError, match="choose an integer from"):
+        with pytest.raises(ro.OptionError, match="choose an integer from"):
             ask()
-    with pytest.raises(ro.errors.OptionError, match="choose an integer from"):
+    with pytest.raises(ro.OptionError, match="choose an integer from"):
         ro.GreedyOptions(parameter_nodes=10**30)
 
 
@@ -256,14 +256,14 @@ def test_names_of_files_of_any_length(length, tmp_path):
         path = tmp_path / ("a" * (length - len(suffix)) + suffix)
         write = solution.save if suffix in (".npz", ".nc") else solution.export
         if length > 255:
-            with pytest.raises((ro.errors.StorageError, ro.errors.ExportError), match="too long"):
+            with pytest.raises((ro.StorageError, ro.ExportError), match="too long"):
                 write(path)
         else:
             write(path)
             path.with_suffix(".h").unlink(missing_ok=True)
             path.unlink()
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ro.errors.StorageError, match=r"there is no file|cannot be read"):
+    with pytest.raises(ro.StorageError, match=r"there is no file|cannot be read"):
         ro.load(tmp_path / ("a" * length))
     with pytest.raises(ro.ProblemError, match=r"there is no file|cannot be read"):
         load_problem(tmp_path / ("a" * (length - 5) + ".toml"))
@@ -278,7 +278,7 @@ def test_an_fmu_on_a_full_disk(full, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(*((os, full) if full == "fsync" else (Path, full)), refuse)
-    with pytest.raises(ro.errors.ExportError, match="No space left"):
+    with pytest.raises(ro.ExportError, match="No space left"):
         solution.export(tmp_path / "model.fmu")
     assert not list(tmp_path.iterdir())
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.budget import limited
 from rankone.solvers.cross.trajectories import TrajectoryEnds
-from rankone.solvers.cross.workers import Workers
-from rankone.solvers.integration import Stack
-from rankone.solvers.steppers import StackedRadau
+from rankone.support.budget import limited
+from rankone.trajectories.integration import Stack
+from rankone.trajectories.steppers import StackedRadau
+from rankone.trajectories.workers import Workers
 from tests.problems import EXAMPLES
 
 KINK = ro.Problem.from_strings(
@@ -56,7 +56,7 @@ class Wild:
 def test_neither_a_clock_nor_an_executor_changes_a_solve(call, monkeypatch):
     problem, rtol, options = call
     plain = ended(problem, rtol, options)
-    monkeypatch.setattr("rankone.budget.clock", Wild())
+    monkeypatch.setattr("rankone.support.budget.clock", Wild())
     monkeypatch.setattr("rankone.solvers.attempts.clock", Wild())
     assert ended(problem, rtol, options) == plain
     with ThreadPoolExecutor(3) as executor:
@@ -65,7 +65,7 @@ def test_neither_a_clock_nor_an_executor_changes_a_solve(call, monkeypatch):
 
 def failing(system, number, work):
     """A task of so much work; odd ones fail."""
-    from rankone.budget import charge
+    from rankone.support.budget import charge
 
     charge(work)
     if number % 2:
@@ -94,7 +94,7 @@ def test_large_stacks_are_inverted_in_pieces(monkeypatch):
     names = [f"x{i}" for i in range(30)]
     rates = {name: f"-{10 * (i + 1)}*k*{name}" for i, name in enumerate(names)}
     problem = ro.Problem.from_strings(rates, dict.fromkeys(names, "1"), {"k": (1, 2)}, (0, 1))
-    monkeypatch.setattr("rankone.costs._UNWATCHED", 1e6)
+    monkeypatch.setattr("rankone.support.costs._UNWATCHED", 1e6)
     inverted = []
     inv = np.linalg.inv
     monkeypatch.setattr(np.linalg, "inv", lambda some: inverted.append(some.shape) or inv(some))

@@ -14,10 +14,24 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rankone.codegen import generate_source, load_module
-    from rankone.compiled import CompiledProblem
-    from rankone.compiled import compile_problem as compile
-    from rankone.compiled import solve_problem as solve
-    from rankone.errors import (
+    from rankone.codegen.lowering import quadratic_system
+    from rankone.estimation.fit import Fit
+    from rankone.estimation.minimize import Optimum
+    from rankone.estimation.posterior import Posterior
+    from rankone.frontend.over_time import duration, first_crossing, maximum, minimum
+    from rankone.frontend.problem import Problem
+    from rankone.interface.compiled import CompiledProblem
+    from rankone.interface.compiled import compile_problem as compile
+    from rankone.interface.compiled import solve_problem as solve
+    from rankone.interface.solution import Solution, load
+    from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
+    from rankone.ir.functions import function, table
+    from rankone.ir.outcome import Status
+    from rankone.solvers.cross import CrossOptions
+    from rankone.solvers.greedy import GreedyOptions
+    from rankone.solvers.train import TrainOptions
+    from rankone.statistics.solution_statistics import Sobol
+    from rankone.support.errors import (
         BlowUpError,
         ConvergenceError,
         EvaluationError,
@@ -29,28 +43,8 @@ if TYPE_CHECKING:
         SeparationError,
         StorageError,
     )
-    from rankone.estimation.fit import Fit
-    from rankone.estimation.minimize import Optimum
-    from rankone.estimation.posterior import Posterior
-    from rankone.functions import function, table
-    from rankone.ir import GeneralTerm, QuadraticSystem, SeparatedForm
-    from rankone.lowering import quadratic_system
-    from rankone.solution import Solution, load
-    from rankone.solvers.cross import CrossOptions
-    from rankone.solvers.greedy import GreedyOptions
-    from rankone.solvers.outcome import Status
-    from rankone.solvers.train import TrainOptions
-    from rankone.statistics.solution_statistics import Sobol
-    from rankone.symbolic import (
-        FirstOrderSystem,
-        Problem,
-        WeakForm,
-        first_order,
-        separate,
-        weak_form,
-    )
-    from rankone.symbolic.over_time import duration, first_crossing, maximum, minimum
-    from rankone.version import __version__
+    from rankone.support.version import __version__
+    from rankone.symbolic import FirstOrderSystem, WeakForm, first_order, separate, weak_form
 
 __all__ = [
     "BlowUpError",
@@ -98,47 +92,47 @@ __all__ = [
 ]
 
 _HOMES = {
-    "BlowUpError": ("errors", "BlowUpError"),
-    "CompiledProblem": ("compiled", "CompiledProblem"),
-    "ConvergenceError": ("errors", "ConvergenceError"),
+    "BlowUpError": ("support.errors", "BlowUpError"),
+    "CompiledProblem": ("interface.compiled", "CompiledProblem"),
+    "ConvergenceError": ("support.errors", "ConvergenceError"),
     "CrossOptions": ("solvers.cross", "CrossOptions"),
-    "EvaluationError": ("errors", "EvaluationError"),
-    "ExportError": ("errors", "ExportError"),
+    "EvaluationError": ("support.errors", "EvaluationError"),
+    "ExportError": ("support.errors", "ExportError"),
     "FirstOrderSystem": ("symbolic", "FirstOrderSystem"),
     "Fit": ("estimation.fit", "Fit"),
-    "GeneralTerm": ("ir", "GeneralTerm"),
+    "GeneralTerm": ("ir.forms", "GeneralTerm"),
     "GreedyOptions": ("solvers.greedy", "GreedyOptions"),
     "Optimum": ("estimation.minimize", "Optimum"),
-    "OptionError": ("errors", "OptionError"),
+    "OptionError": ("support.errors", "OptionError"),
     "Posterior": ("estimation.posterior", "Posterior"),
-    "Problem": ("symbolic", "Problem"),
-    "ProblemError": ("errors", "ProblemError"),
-    "QuadraticSystem": ("ir", "QuadraticSystem"),
-    "RankoneError": ("errors", "RankoneError"),
-    "RankoneWarning": ("errors", "RankoneWarning"),
-    "SeparatedForm": ("ir", "SeparatedForm"),
-    "SeparationError": ("errors", "SeparationError"),
+    "Problem": ("frontend.problem", "Problem"),
+    "ProblemError": ("support.errors", "ProblemError"),
+    "QuadraticSystem": ("ir.forms", "QuadraticSystem"),
+    "RankoneError": ("support.errors", "RankoneError"),
+    "RankoneWarning": ("support.errors", "RankoneWarning"),
+    "SeparatedForm": ("ir.forms", "SeparatedForm"),
+    "SeparationError": ("support.errors", "SeparationError"),
     "Sobol": ("statistics.solution_statistics", "Sobol"),
-    "Solution": ("solution", "Solution"),
-    "Status": ("solvers.outcome", "Status"),
-    "StorageError": ("errors", "StorageError"),
+    "Solution": ("interface.solution", "Solution"),
+    "Status": ("ir.outcome", "Status"),
+    "StorageError": ("support.errors", "StorageError"),
     "TrainOptions": ("solvers.train", "TrainOptions"),
     "WeakForm": ("symbolic", "WeakForm"),
-    "__version__": ("version", "__version__"),
-    "compile": ("compiled", "compile_problem"),
-    "duration": ("symbolic.over_time", "duration"),
-    "first_crossing": ("symbolic.over_time", "first_crossing"),
+    "__version__": ("support.version", "__version__"),
+    "compile": ("interface.compiled", "compile_problem"),
+    "duration": ("frontend.over_time", "duration"),
+    "first_crossing": ("frontend.over_time", "first_crossing"),
     "first_order": ("symbolic", "first_order"),
-    "function": ("functions", "function"),
+    "function": ("ir.functions", "function"),
     "generate_source": ("codegen", "generate_source"),
-    "load": ("solution", "load"),
+    "load": ("interface.solution", "load"),
     "load_module": ("codegen", "load_module"),
-    "maximum": ("symbolic.over_time", "maximum"),
-    "minimum": ("symbolic.over_time", "minimum"),
-    "quadratic_system": ("lowering", "quadratic_system"),
+    "maximum": ("frontend.over_time", "maximum"),
+    "minimum": ("frontend.over_time", "minimum"),
+    "quadratic_system": ("codegen.lowering", "quadratic_system"),
     "separate": ("symbolic", "separate"),
-    "solve": ("compiled", "solve_problem"),
-    "table": ("functions", "table"),
+    "solve": ("interface.compiled", "solve_problem"),
+    "table": ("ir.functions", "table"),
     "weak_form": ("symbolic", "weak_form"),
 }
 """For each public name the module and its name there: imported when it is first asked for, so that

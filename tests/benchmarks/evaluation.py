@@ -26,9 +26,9 @@ import numpy as np
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
-from rankone.metadata import SolutionMetadata
-from rankone.solution import Solution
-from rankone.solvers.outcome import Outcome, Status
+from rankone.interface.solution import Solution
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
 

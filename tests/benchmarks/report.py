@@ -157,7 +157,7 @@ def _trajectory(system: Any, stiff: bool) -> dict[str, Callable[[], object]]:
     import numpy as np
     from scipy.integrate import solve_ivp
 
-    from rankone.solvers.integration import initial_values
+    from rankone.trajectories.integration import initial_values
 
     centre = np.array(system.BOX).mean(axis=1)
     start = initial_values(system, centre[:, None])[:, 0]
@@ -183,7 +183,7 @@ def _stack(system: Any, stiff: bool) -> Callable[[], object]:
     from scipy.integrate import solve_ivp
     from scipy.sparse import eye_array, kron
 
-    from rankone.solvers.integration import initial_values
+    from rankone.trajectories.integration import initial_values
 
     lower, upper = np.array(system.BOX).T
     points = np.random.default_rng(0).uniform(lower, upper, (STACKED, lower.size)).T

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 import rankone as ro  # noqa: E402
-from rankone.budget import limited  # noqa: E402
+from rankone.support.budget import limited  # noqa: E402
 from tests.honesty.cases import KINDS, case  # noqa: E402
 from tests.problems import EXAMPLES  # noqa: E402
 from tests.reference.published import PUBLISHED  # noqa: E402

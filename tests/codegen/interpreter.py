@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from rankone.arrays import Array
-from rankone.ir import SeparatedForm, Term
+from rankone.ir.forms import SeparatedForm, Term
+from rankone.support.arrays import Array
 
 
 @cache

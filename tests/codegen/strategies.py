@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy as sp
 from hypothesis import strategies as st
 
-from rankone.ir import SeparatedForm
+from rankone.ir.forms import SeparatedForm
 from tests.codegen.systems import Separated, separated, t
 
 COEFFICIENTS = st.sampled_from([1.0, -1.0, 2.0, -0.5, 1 / 3, 1e-5])

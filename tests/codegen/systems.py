@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from rankone.ir import Coordinate, Factor, SeparatedForm, State, Term
+from rankone.ir.forms import Coordinate, Factor, SeparatedForm, State, Term
 
 t = sp.Symbol("t")
 Separated = tuple[float, Mapping[sp.Symbol, sp.Expr], Sequence[str]]

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.arrays import Array
 from rankone.codegen import generate_source, load_module
-from rankone.ir import SeparatedForm, Term
-from rankone.lowering import quadratic_system
-from rankone.system import System
+from rankone.codegen.lowering import quadratic_system
+from rankone.ir.forms import SeparatedForm, Term
+from rankone.ir.system import System
+from rankone.support.arrays import Array
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.strategies import forms
 from tests.codegen.systems import kirchhoff

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.arrays import Array
 from rankone.codegen import generate_source, load_module
-from rankone.ir import SeparatedForm
-from rankone.system import System
+from rankone.ir.forms import SeparatedForm
+from rankone.ir.system import System
+from rankone.support.arrays import Array
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.strategies import forms
 from tests.codegen.systems import REFERENCE, driven, lotka_volterra, separated

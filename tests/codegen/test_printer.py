@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions, numpy_text
-from rankone.errors import SeparationError
+from rankone.support.errors import SeparationError
 
 k = sp.Symbol("k", real=True)
 

@@ -11,8 +11,8 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.expressions import quantities_of
-from rankone.solvers.integration import initial_values
+from rankone.codegen.output_expressions import quantities_of
+from rankone.trajectories.integration import initial_values
 from tests.codegen.random_expressions import sample
 
 pytestmark = pytest.mark.filterwarnings("ignore:parameter .* appears nowhere")

@@ -8,7 +8,7 @@ import sympy as sp
 import rankone as ro
 from rankone.codegen.events import moving_switches
 from rankone.codegen.switching import switches
-from rankone.ir import Coordinate
+from rankone.ir.forms import Coordinate
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)

@@ -153,7 +153,7 @@ def test_commands(path, tmp_path):
         lines.append("./main")
     programs = {
         "python": [sys.executable],
-        "rankone": [sys.executable, "-m", "rankone.cli"],
+        "rankone": [sys.executable, "-m", "rankone.commands.cli"],
         "cc": [shutil.which("cc") or shutil.which("gcc") or ""],
         "./main": ["./main"],
         "node": [shutil.which("node") or ""],
@@ -200,7 +200,7 @@ def test_the_site_has_the_docstrings_of_everything_public():
     for name in rankone.__all__:
         home = getattr(rankone, name)
         shown = re.search(rf"^\.\. auto(?:class|function):: {name}$", pages, re.M)
-        assert shown or name.startswith("__") or home.__module__ == "rankone.errors", name
+        assert shown or name.startswith("__") or home.__module__ == "rankone.support.errors", name
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.errors import EvaluationError, OptionError
+from rankone.support.errors import EvaluationError, OptionError
 from tests.estimation.systems import DOSE_TIMES, PERSON, decay, drug
 
 TIMES = np.linspace(0.1, 2, 8)

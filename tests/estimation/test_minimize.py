@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.errors import EvaluationError, OptionError
+from rankone.support.errors import EvaluationError, OptionError
 from tests.estimation.multimodal import CASES, LEAST
 from tests.estimation.systems import decay
 

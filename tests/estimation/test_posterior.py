@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 import rankone as ro
-from rankone.errors import OptionError
+from rankone.support.errors import OptionError
 from tests.estimation.systems import FALL, FALL_TIMES, decay, fall, line, noisy
 
 T = np.linspace(0, 1, 12)

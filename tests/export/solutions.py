@@ -9,8 +9,8 @@ import numpy as np
 
 import rankone as ro
 from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
-from rankone.metadata import SolutionMetadata
-from rankone.solvers.outcome import Outcome, Status
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
 

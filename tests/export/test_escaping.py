@@ -20,7 +20,7 @@ import sympy as sp
 import rankone as ro
 from rankone.codegen.text import commented, docstring, quoted
 from rankone.export.escaping import c_comment, c_string, js_comment, js_string
-from rankone.solution import Solution
+from rankone.interface.solution import Solution
 from tests.export.node import NODE, needs_node
 from tests.export.solutions import solved
 

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.cli import main
-from rankone.errors import ExportError, OptionError
+from rankone.commands.cli import main
 from rankone.export.explorer.content import curve_times
 from rankone.export.explorer.mathml import Notation
-from rankone.metadata import Role
+from rankone.ir.metadata import Role
+from rankone.ir.outcome import Status
 from rankone.plotting.style import PALETTE
-from rankone.solvers.outcome import Status
+from rankone.support.errors import ExportError, OptionError
 from tests.export.browser import NoBrowserError, browser, settle
 from tests.export.solutions import solved, synthetic, synthetic_with_breaks
 from tests.problems import GENERAL

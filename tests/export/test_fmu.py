@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.errors import ExportError, OptionError, RankoneWarning
 from rankone.export.model_fmu import checked_fmi
-from rankone.solvers.outcome import Status
+from rankone.ir.outcome import Status
+from rankone.support.errors import ExportError, OptionError, RankoneWarning
 from tests.export.solutions import points, solved, synthetic
 from tests.problems import EXAMPLES
 

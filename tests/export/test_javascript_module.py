@@ -13,8 +13,8 @@ import sympy as sp
 
 import rankone as ro
 import rankone.export
-from rankone.errors import ExportError
 from rankone.export.model_js import _packed
+from rankone.support.errors import ExportError
 from tests.export.node import NODE, close, needs_node, run_driver, script
 from tests.export.solutions import (
     points,

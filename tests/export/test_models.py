@@ -16,11 +16,11 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.errors import ExportError, OptionError
 from rankone.export.model_c import c_identifier
 from rankone.export.model_python import keywords
 from rankone.export.packing import pack
-from rankone.solvers.outcome import Status
+from rankone.ir.outcome import Status
+from rankone.support.errors import ExportError, OptionError
 from tests.export.solutions import (
     border_points,
     points,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.errors import OptionError
 from rankone.export.packing import pack
+from rankone.support.errors import OptionError
 from tests.export.solutions import points, solved, synthetic_with_breaks
 from tests.problems import EXAMPLES
 

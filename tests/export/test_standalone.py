@@ -16,14 +16,14 @@ import sympy as sp
 from threadpoolctl import threadpool_limits
 
 import rankone as ro
-from rankone.cli import main
+from rankone.commands.cli import main
 from rankone.discretization import ChebyshevBasis
-from rankone.errors import ExportError, OptionError
 from rankone.export.carry import _narrow, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.standalone import standalone_source
-from rankone.metadata import SolutionMetadata
+from rankone.ir.metadata import SolutionMetadata
 from rankone.solvers.greedy import ENGINE
+from rankone.support.errors import ExportError, OptionError
 from tests.export.solutions import compiled, points, solved
 from tests.problems import EXAMPLES
 
@@ -449,7 +449,7 @@ def test_sections_open_with_prose_of_their_own(method):
     """Prose stays as it is laid out, apart from what follows, without places of the sources."""
     source = source_of(compiled("kirchhoff"), method)
     assert "docs/" not in source
-    table = (ROOT / "src" / "rankone" / "system.py").read_text(encoding="utf-8")
+    table = (ROOT / "src" / "rankone" / "ir" / "system.py").read_text(encoding="utf-8")
     lines = table[table.index("=====") : table.index("``phi`` is")].splitlines()
     assert "\n".join(f"# {line}".rstrip() for line in lines) in source
     for section in source.split("\n# == ")[1:]:

@@ -34,7 +34,7 @@ def _no_points(system: object, domain: object) -> np.ndarray:
 
 def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> np.ndarray:
     """A quarter of the points, and nothing beside special values."""
-    from rankone.solvers.reference import check_points
+    from rankone.verification.reference import check_points
 
     options.pop("special", None)
     return check_points(box, count // 4, *arguments, **options)  # type: ignore[arg-type]
@@ -42,28 +42,28 @@ def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> 
 
 _EFFORT = 0.3
 """Limit of the work of each solve."""
-_SOLVERS = "rankone.solvers"
+_MEASURE = "rankone.verification.measure"
 PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
     "nothing": None,
     "switches and narrow functions of one coordinate": (
-        f"{_SOLVERS}.verification.system_breakpoints",
+        f"{_MEASURE}.system_breakpoints",
         lambda system, domain: _no_breakpoints(domain),
     ),
-    "three quarters of the evenly spread points": (f"{_SOLVERS}.verification.check_points", _few),
-    "points where products are active": (f"{_SOLVERS}.verification.active_points", _no_points),
+    "three quarters of the evenly spread points": (f"{_MEASURE}.check_points", _few),
+    "points where products are active": (f"{_MEASURE}.active_points", _no_points),
     "points on surfaces of several parameters": (
-        f"{_SOLVERS}.verification.surface_points",
+        f"{_MEASURE}.surface_points",
         _no_points,
     ),
-    "points of the residual": (f"{_SOLVERS}.attempts.doubtful_points", _nothing),
-    "steep points and narrow elements": (f"{_SOLVERS}.cross.engine.suspects", _nothing),
-    "steps made again": (f"{_SOLVERS}.watch.Watch.missed", lambda *_: False),
+    "points of the residual": ("rankone.solvers.attempts.doubtful_points", _nothing),
+    "steep points and narrow elements": ("rankone.solvers.cross.engine.suspects", _nothing),
+    "steps made again": ("rankone.trajectories.watch.Watch.missed", lambda *_: False),
 }
 """For each part what it is, and what stands in for it."""
 
 
 def _no_breakpoints(domain: object) -> tuple[object, ...]:
-    from rankone.solvers.breakpoints import Breakpoints
+    from rankone.verification.breakpoints import Breakpoints
 
     return (Breakpoints(),) * (1 + len(domain.box))  # type: ignore[attr-defined]
 
@@ -71,7 +71,7 @@ def _no_breakpoints(domain: object) -> tuple[object, ...]:
 def without(part: str, made: tuple[str, int]) -> str:
     """The verdict on a case with a part left out."""
     import rankone.solvers.cross.engine  # what is replaced must be there
-    import rankone.solvers.watch  # noqa: F401
+    import rankone.trajectories.watch  # noqa: F401
 
     replaced = PARTS[part]
     with mock.patch(*replaced) if replaced else contextlib.nullcontext():

@@ -9,7 +9,7 @@ import scipy.optimize
 import sympy as sp
 
 import rankone as ro
-from rankone.errors import EvaluationError, OptionError, RankoneError
+from rankone.support.errors import EvaluationError, OptionError, RankoneError
 from tests.problems import EXAMPLES
 
 t, x0, y0, k = sp.symbols("t x0 y0 k")

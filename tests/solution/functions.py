@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
-from rankone.metadata import SolutionMetadata
-from rankone.solution import Solution
-from rankone.solvers.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.interface.solution import Solution
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Measured, Outcome, SlabRecord, Status
 from rankone.tensors.slab import SlabTrain
 
 Array = NDArray[np.float64]

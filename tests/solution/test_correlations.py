@@ -8,8 +8,8 @@ import scipy.stats
 import sympy as sp
 
 import rankone as ro
-from rankone.errors import OptionError
 from rankone.statistics import conditional
+from rankone.support.errors import OptionError
 from tests.problems import EXAMPLES
 
 SIGMA = 0.1

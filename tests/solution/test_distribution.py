@@ -7,9 +7,9 @@ import pytest
 import scipy.stats
 
 import rankone as ro
-from rankone.errors import EvaluationError, OptionError
 from rankone.statistics import higher
 from rankone.statistics.measures import Measure, gauss_rule
+from rankone.support.errors import EvaluationError, OptionError
 from tests.problems import EXAMPLES
 
 TIMES = np.array([0.5, 1.0, 2.0])

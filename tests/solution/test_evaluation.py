@@ -12,9 +12,9 @@ import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rankone.coordinates import Coordinates
-from rankone.errors import EvaluationError
-from rankone.solution import Solution
+from rankone.discretization.coordinates import Coordinates
+from rankone.interface.solution import Solution
+from rankone.support.errors import EvaluationError
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 t, s, x0, y0, k = sp.symbols("t s x0 y0 k")

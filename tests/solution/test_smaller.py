@@ -10,7 +10,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.discretization import BASES
-from rankone.errors import OptionError, RankoneError
+from rankone.support.errors import OptionError, RankoneError
 from tests.problems import EXAMPLES, GENERAL
 
 

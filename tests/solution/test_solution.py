@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from rankone.errors import EvaluationError, RankoneWarning
-from rankone.solution import Solution
-from rankone.solvers.outcome import Status
+from rankone.interface.solution import Solution
+from rankone.ir.outcome import Status
+from rankone.support.errors import EvaluationError, RankoneWarning
 from tests.solution.functions import decay, oscillator, two_unknowns
 
 SOLUTION = two_unknowns().solution

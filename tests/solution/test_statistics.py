@@ -11,8 +11,8 @@ import scipy.stats
 import sympy as sp
 
 import rankone as ro
-from rankone.errors import EvaluationError, OptionError
 from rankone.statistics.measures import Measure
+from rankone.support.errors import EvaluationError, OptionError
 from tests.problems import EXAMPLES
 
 TIMES = np.array([0.0, 0.5, 1.0, 2.0])

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.domain import Domain
-from rankone.errors import RankoneError
-from rankone.options import Options, integer
-from rankone.progress import quiet
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import Outcome, SlabRecord, Status
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.engine import Report, Request
 from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Outcome, SlabRecord, Status
-from rankone.solvers.verification import Yardstick
+from rankone.support.errors import RankoneError
+from rankone.support.options import Options, integer
+from rankone.support.progress import quiet
 from rankone.tensors.slab import SlabTrain
+from rankone.verification.measure import Yardstick
 from tests.problems import REFERENCE
 
 

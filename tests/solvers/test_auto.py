@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import rankone as ro
-from rankone.budget import NORMAL
+from rankone.support.budget import NORMAL
 from tests.problems import EXAMPLES
 
 LORENZ = ro.Problem.from_strings(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rankone.progress import ProgressEvent
+from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.march import March, Span, Trial
-from rankone.solvers.outcome import SlabRecord, Status
+from rankone.support.progress import ProgressEvent
 from rankone.tensors.slab import SlabTrain
 
 

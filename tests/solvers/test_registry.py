@@ -8,13 +8,13 @@ import typing
 import pytest
 
 import rankone as ro
-from rankone.domain import Domain
-from rankone.errors import OptionError
-from rankone.options import Options
-from rankone.progress import ProgressEvent
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import SlabRecord
 from rankone.solvers.greedy import GreedySlabRecord
-from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.registry import ENGINES, engines_for
+from rankone.support.errors import OptionError
+from rankone.support.options import Options
+from rankone.support.progress import ProgressEvent
 from tests.problems import REFERENCE
 
 

@@ -4,7 +4,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.errors import OptionError
+from rankone.support.errors import OptionError
 
 t, k = sp.symbols("t k")
 x, y = (sp.Function(name)(t) for name in "xy")

@@ -3,8 +3,8 @@
 import pytest
 
 import rankone as ro
+from rankone.ir.outcome import Measured, Status
 from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Measured, Status
 from rankone.solvers.verdict import Verdict
 
 STATES = ("x", "x_t", "y", "y_t")

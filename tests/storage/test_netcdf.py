@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.errors import StorageError
-from rankone.solution import Solution, load
+from rankone.interface.solution import Solution, load
 from rankone.storage.netcdf import sealed
+from rankone.support.errors import StorageError
 from tests.solution.functions import decay, oscillator, two_unknowns
 
 xarray = pytest.importorskip("xarray")

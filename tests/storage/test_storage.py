@@ -19,12 +19,12 @@ import pytest
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
-from rankone.errors import StorageError
-from rankone.files import write_files
-from rankone.solution import Solution, load
-from rankone.solvers.outcome import Status
+from rankone.interface.solution import Solution, load
+from rankone.ir.outcome import Status
 from rankone.storage.header import digest_of
 from rankone.storage.netcdf import sealed
+from rankone.support.errors import StorageError
+from rankone.support.files import write_files
 from tests.problems import REFERENCE
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 

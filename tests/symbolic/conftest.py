@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rankone.symbolic import Problem
+from rankone.frontend.problem import Problem
 from tests.problems import REFERENCE
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import sympy as sp
 
-from rankone.symbolic import FirstOrderSystem, Problem, first_order
+from rankone.frontend.problem import Problem
+from rankone.symbolic import FirstOrderSystem, first_order
 
 t, k = sp.symbols("t k")
 x, y = sp.Function("x")(t), sp.Function("y")(t)

@@ -10,11 +10,11 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
-from rankone.domain import Domain
-from rankone.solvers.drift import drift
-from rankone.solvers.integration import initial_values
+from rankone.ir.domain import Domain
 from rankone.solvers.registry import ENGINES
 from rankone.symbolic.lifting import NotLiftable, lift
+from rankone.trajectories.integration import initial_values
+from rankone.verification.drift import drift
 from tests.reference.quadratization import PROBLEMS
 
 AROUND = (0.7, 1.3)

@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rankone as ro
-from rankone.errors import ProblemError, SeparationError
-from rankone.ir import SeparatedForm
-from rankone.symbolic import Problem, separate
+from rankone.frontend.problem import Problem
+from rankone.ir.forms import SeparatedForm
+from rankone.support.errors import ProblemError, SeparationError
+from rankone.symbolic import separate
 
 t, k, m, a, b = sp.symbols("t k m a b")
 x, y = sp.Function("x")(t), sp.Function("y")(t)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rankone.discretization import ChebyshevBasis, LegendreBasis
-from rankone.errors import OptionError, RankoneWarning
+from rankone.support.errors import OptionError, RankoneWarning
 from rankone.tensors.canonical import CanonicalForm, canonical_form
 from rankone.tensors.slab import SlabTrain
 from tests.solution.functions import TIME_MODES, Array, Known, known, one, slab_train, two_unknowns

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rankone.agreement.points import Points
-from rankone.system import System
+from rankone.ir.system import System
 
 __all__ = ["disagreeing_rate"]
 

@@ -9,9 +9,9 @@ import sympy as sp
 
 from rankone.agreement.comparison import Comparison
 from rankone.agreement.precise import number
-from rankone.arrays import Array
-from rankone.errors import OptionError
-from rankone.wording import quote
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import quote
 
 __all__ = ["check_outputs"]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.solvers.integration import initial_values
-from rankone.system import System
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.trajectories.integration import initial_values
 
 __all__ = ["STILL", "Points"]
 

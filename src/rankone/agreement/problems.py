@@ -12,13 +12,14 @@ from sympy.core.function import AppliedUndef
 from rankone.agreement.comparison import LOST, Comparison, sides
 from rankone.agreement.points import STILL, Points
 from rankone.agreement.precise import NoValueError, Number, number
-from rankone.arrays import Array
-from rankone.errors import ProblemError
-from rankone.ir import Jump
-from rankone.solvers.integration import initial_values
-from rankone.symbolic import FirstOrderSystem, Problem
-from rankone.system import System
-from rankone.wording import quote
+from rankone.frontend.problem import Problem
+from rankone.ir.forms import Jump
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote
+from rankone.symbolic import FirstOrderSystem
+from rankone.trajectories.integration import initial_values
 
 __all__ = ["DisagreementError", "check_problem"]
 

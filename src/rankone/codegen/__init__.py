@@ -1,4 +1,4 @@
-"""Code generation: from a :class:`~rankone.ir.QuadraticSystem` to a plain NumPy module.
+"""Code generation: from a :class:`~rankone.ir.forms.QuadraticSystem` to a plain NumPy module.
 
 ==================  ================================================================================
 ``header``          what the module is, for a person who opens it

@@ -8,8 +8,8 @@ import sympy as sp
 
 from rankone.codegen.switching import switches
 from rankone.codegen.text import docstring, literal, nested, quoted, table
-from rankone.functions import known_applied
-from rankone.ir import Coordinate
+from rankone.ir.forms import Coordinate
+from rankone.ir.functions import known_applied
 
 __all__ = ["constants", "cut_table", "definitions", "module_source"]
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import AppliedUndef, ArgumentIndexError
 
-from rankone.budget import check_time
-from rankone.errors import ProblemError
-from rankone.wording import quote
+from rankone.support.budget import check_time
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote
 
 __all__ = ["Differentiator", "slope"]
 

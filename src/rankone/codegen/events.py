@@ -16,7 +16,7 @@ from sympy.core.function import AppliedUndef
 from rankone.codegen.derivatives import slope
 from rankone.codegen.narrow import moving_middles, peaks, steps, valleys
 from rankone.codegen.switching import CONTINUOUS, JUMPS, boundaries
-from rankone.ir import Coordinate
+from rankone.ir.forms import Coordinate
 
 __all__ = ["event_functions", "moving_switches", "parameter_surfaces"]
 

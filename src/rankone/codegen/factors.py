@@ -9,7 +9,7 @@ import sympy as sp
 from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions, factor_text
 from rankone.codegen.text import assignment, docstring, table
-from rankone.ir import Coordinate
+from rankone.ir.forms import Coordinate
 
 __all__ = ["coordinate_functions"]
 

@@ -16,15 +16,15 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
-from rankone.arrays import Array
 from rankone.codegen.switching import switches
 from rankone.codegen.text import quoted, table
 from rankone.codegen.variables import Variables
-from rankone.errors import ProblemError
-from rankone.ir import Coordinate, Jump, State
-from rankone.lowering.branches import gaps
-from rankone.spread import spread
-from rankone.wording import number, quote
+from rankone.expressions.branches import gaps
+from rankone.ir.forms import Coordinate, Jump, State
+from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
+from rankone.support.spread import spread
+from rankone.support.wording import number, quote
 
 __all__ = ["REMEDY", "Named", "check_gaps", "gap_functions", "gap_tables", "gap_text"]
 

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from rankone.codegen.jumps import jumps_text
 from rankone.codegen.printer import factor_text
 from rankone.codegen.text import paragraph
-from rankone.ir import Coordinate, QuadraticSystem, State, Term
-from rankone.wording import number
+from rankone.ir.forms import Coordinate, QuadraticSystem, State, Term
+from rankone.support.wording import number
 
 __all__ = ["equation_texts", "header", "opening", "signature_text", "sum_text"]
 

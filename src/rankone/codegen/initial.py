@@ -8,7 +8,7 @@ from rankone.codegen.names import Names
 from rankone.codegen.pointwise import mask
 from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import assignment, docstring, unpacking
-from rankone.ir import QuadraticSystem
+from rankone.ir.forms import QuadraticSystem
 
 __all__ = ["coupled_initial"]
 

@@ -9,9 +9,9 @@ from sympy.core.function import AppliedUndef
 
 from rankone.codegen.text import INDENT, assignment, docstring, nested, table
 from rankone.codegen.variables import Variables
-from rankone.decimals import plain_text
-from rankone.ir import Coordinate, Jump, State
-from rankone.wording import number
+from rankone.expressions.decimals import plain_text
+from rankone.ir.forms import Coordinate, Jump, State
+from rankone.support.wording import number
 
 __all__ = ["jump_function", "jump_table", "jumped_values", "jumps_text"]
 

@@ -14,7 +14,7 @@ from rankone.codegen.header import signature_text
 from rankone.codegen.names import Names
 from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import assignment, commented, docstring
-from rankone.ir import Group, QuadraticSystem
+from rankone.ir.forms import Group, QuadraticSystem
 
 __all__ = ["KERNELS", "KernelWriter", "helpers"]
 

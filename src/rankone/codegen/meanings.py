@@ -8,7 +8,7 @@ import sympy as sp
 
 from rankone.codegen.pointwise import shape_line
 from rankone.codegen.variables import Variables
-from rankone.ir import Coordinate, State
+from rankone.ir.forms import Coordinate, State
 
 __all__ = ["meanings_function"]
 

@@ -19,16 +19,16 @@ from rankone.codegen.header import header, sum_text
 from rankone.codegen.initial import coupled_initial
 from rankone.codegen.jumps import jump_function, jump_table, jumped_values
 from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
+from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.meanings import meanings_function
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import factor_text
 from rankone.codegen.text import described_table, nested, table
 from rankone.codegen.variables import Variables
-from rankone.errors import OptionError, check_kind
-from rankone.ir import QuadraticSystem, SeparatedForm, Term
-from rankone.lowering import quadratic_system
-from rankone.system import System
-from rankone.wording import number, quote
+from rankone.ir.forms import QuadraticSystem, SeparatedForm, Term
+from rankone.ir.system import System
+from rankone.support.errors import OptionError, check_kind
+from rankone.support.wording import number, quote
 
 __all__ = ["generate_source", "load_module"]
 
@@ -52,7 +52,7 @@ def generate_source(
     Returns
     -------
     str
-        A module that fulfils :class:`rankone.system.System` and imports NumPy alone, or SciPy as
+        A module that fulfils :class:`rankone.ir.system.System` and imports NumPy alone, or SciPy as
         well where functions need it. The same form gives the same text, byte for byte.
 
     Raises

@@ -12,7 +12,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.codegen.derivatives import slope
-from rankone.ir import Coordinate
+from rankone.ir.forms import Coordinate
 
 __all__ = ["Variables", "moving_middles", "peaks", "steps", "valleys"]
 

@@ -15,7 +15,7 @@ from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import assignment, commented, docstring, unpacking
-from rankone.ir import QuadraticSystem, Term
+from rankone.ir.forms import QuadraticSystem, Term
 
 __all__ = ["Index", "PointwiseWriter", "mask", "shape_line"]
 

@@ -14,10 +14,10 @@ from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
 
 from rankone.codegen.text import literal
-from rankone.decimals import plain_text
-from rankone.errors import ProblemError, SeparationError
-from rankone.stable import fraction, scaled_power, stable
-from rankone.wording import quote
+from rankone.expressions.decimals import plain_text
+from rankone.expressions.stable import fraction, scaled_power, stable
+from rankone.support.errors import ProblemError, SeparationError
+from rankone.support.wording import quote
 
 __all__ = ["common_subexpressions", "factor_text", "numpy_text"]
 

@@ -12,7 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from rankone.codegen.module import load_module
-from rankone.system import System
+from rankone.ir.system import System
 
 __all__ = ["Recipe"]
 
@@ -22,7 +22,7 @@ _KEPT = 8
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a generated module is loaded from; fulfils :class:`rankone.system.Recipe`.
+    """What a generated module is loaded from; fulfils :class:`rankone.ir.system.Recipe`.
 
     Attributes
     ----------

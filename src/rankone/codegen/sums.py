@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+from rankone.codegen.pairs import extract_pairs
 from rankone.codegen.text import literal
-from rankone.lowering.pairs import extract_pairs
 
 __all__ = ["Addend", "SharedSums", "share"]
 

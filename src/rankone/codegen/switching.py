@@ -21,13 +21,13 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
-from rankone.arrays import Array
-from rankone.budget import check_time
 from rankone.codegen.derivatives import slope
 from rankone.codegen.narrow import peaks, steps
-from rankone.functions import Table
-from rankone.ir import Coordinate
-from rankone.stable import NUMPY, stable
+from rankone.expressions.stable import NUMPY, stable
+from rankone.ir.forms import Coordinate
+from rankone.ir.functions import Table
+from rankone.support.arrays import Array
+from rankone.support.budget import check_time
 
 __all__ = ["CONTINUOUS", "JUMPS", "Switches", "boundaries", "switches"]
 

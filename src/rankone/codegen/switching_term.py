@@ -7,7 +7,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.codegen.general import ExplicitSystem
 from rankone.codegen.switching import JUMPS, boundaries
-from rankone.wording import quote
+from rankone.support.wording import quote
 
 __all__ = ["switching_term"]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import TypeAlias
 
-from rankone.wording import number
+from rankone.support.wording import number
 
 __all__ = [
     "INDENT",

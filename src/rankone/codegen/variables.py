@@ -10,7 +10,7 @@ from rankone.codegen.names import Names
 from rankone.codegen.pointwise import mask
 from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import assignment, docstring, unpacking
-from rankone.ir import Coordinate, State
+from rankone.ir.forms import Coordinate, State
 
 __all__ = ["Variables"]
 

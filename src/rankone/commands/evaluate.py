@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from rankone.commands.inputs import SOLVED_HELP, solution_of, status_of
 
 if TYPE_CHECKING:
-    from rankone.arrays import Array
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
+    from rankone.support.arrays import Array
 
 __all__ = ["register", "run"]
 
@@ -65,9 +65,9 @@ def register(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate and print or write the values."""
-    from rankone.errors import OptionError, StorageError
     from rankone.export.program import pairs_of
-    from rankone.files import free_target, write_files
+    from rankone.support.errors import OptionError, StorageError
+    from rankone.support.files import free_target, write_files
 
     at = pairs_of("--at", arguments.at, float)
     grid = pairs_of("--grid", arguments.grid, _axis, _AXIS)
@@ -120,7 +120,7 @@ def _values(
     """For each state the values of all combinations, an axis for each coordinate."""
     import numpy as np
 
-    from rankone.errors import OptionError
+    from rankone.support.errors import OptionError
 
     size = math.prod(map(len, given.values())) * len(names)
     if size > _LARGEST_GRID:

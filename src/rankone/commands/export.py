@@ -76,9 +76,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _write_solver(arguments: argparse.Namespace) -> int:
     """Write a standalone solver."""
     import rankone
-    from rankone.errors import OptionError
     from rankone.export import solver_target
-    from rankone.problem_files import load_problem
+    from rankone.frontend.problem_files import load_problem
+    from rankone.support.errors import OptionError
 
     for name in ("rtol", "allow_failed", "model_rtol", "states", "fmi"):
         if getattr(arguments, name):

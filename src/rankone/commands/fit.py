@@ -10,14 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rankone.budget import effort_of
 from rankone.commands.inputs import FAILURE, SOLVED_HELP, SUCCESS, solution_of
-from rankone.errors import OptionError
-from rankone.wording import did_you_mean, listing, quote
+from rankone.support.budget import effort_of
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote
 
 if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["register"]
 

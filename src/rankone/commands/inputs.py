@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import argparse
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = [
     "BAD_INPUT",
@@ -40,7 +40,7 @@ _DEFAULT_RTOL = 1e-6
 
 def layout() -> str:
     """The layout of a TOML file, for the help."""
-    from rankone.problem_files import TOML_LAYOUT
+    from rankone.frontend.problem_files import TOML_LAYOUT
 
     return "layout of a TOML file:\n" + "".join(
         f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()
@@ -65,9 +65,9 @@ def solution_of(
         If there is no such file, or it holds something else.
     """
     import rankone
-    from rankone.budget import preparing
-    from rankone.errors import OptionError, ProblemError
-    from rankone.problem_files import load_problem
+    from rankone.frontend.problem_files import load_problem
+    from rankone.support.budget import preparing
+    from rankone.support.errors import OptionError, ProblemError
 
     if is_saved(path):
         given = {"--rtol": rtol, "--method": method}

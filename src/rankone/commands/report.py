@@ -16,7 +16,7 @@ from rankone.commands.inputs import SOLVED_HELP, complain, solution_of, status_o
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["register", "run"]
 
@@ -59,8 +59,8 @@ def register(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print, and write files if there are plots or a directory is given."""
-    from rankone.errors import StorageError
-    from rankone.files import Content, write_files
+    from rankone.support.errors import StorageError
+    from rankone.support.files import Content, write_files
 
     plots = arguments.plots and _can_plot()
     folder: Path | None = arguments.output
@@ -93,8 +93,8 @@ def _texts(folder: Path) -> tuple[Path, Path]:
 
 def _check_place(folder: Path, overwrite: bool) -> None:
     """Raise a StorageError if the directory cannot be made, or has a report that has to stay."""
-    from rankone.errors import StorageError
-    from rankone.files import free_target
+    from rankone.support.errors import StorageError
+    from rankone.support.files import free_target
 
     try:
         there, made = folder.exists(), folder.is_dir()
@@ -112,7 +112,7 @@ def _check_place(folder: Path, overwrite: bool) -> None:
 
 
 def _make(folder: Path) -> None:
-    from rankone.errors import StorageError
+    from rankone.support.errors import StorageError
 
     try:
         folder.mkdir(exist_ok=True)
@@ -210,7 +210,7 @@ def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the plots that can be made; what cannot is said."""
     from matplotlib.figure import Figure
 
-    from rankone.errors import RankoneError
+    from rankone.support.errors import RankoneError
 
     if not solution.outcome.slabs:
         return

@@ -40,7 +40,7 @@ def register(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the stages."""
     import rankone
-    from rankone.problem_files import load_problem
+    from rankone.frontend.problem_files import load_problem
 
     compiled = rankone.compile(load_problem(arguments.file))
     chosen = vars(arguments)

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from rankone.budget import EFFORT_HELP, effort_of
 from rankone.commands.inputs import FAILURE, PROBLEM_HELP, SUCCESS, complain, layout
+from rankone.support.budget import EFFORT_HELP, effort_of
 
 __all__ = ["ARGUMENTS", "register", "run"]
 
@@ -112,12 +112,12 @@ def _count(text: str) -> int:
 def run(arguments: argparse.Namespace) -> int:
     """Solve, save and print the summary."""
     import rankone
-    from rankone.budget import preparing
     from rankone.commands.summary import summary
-    from rankone.errors import ConvergenceError
     from rankone.export.program import box_of, options_of
-    from rankone.problem_files import load_problem
+    from rankone.frontend.problem_files import load_problem
     from rankone.storage import target
+    from rankone.support.budget import preparing
+    from rankone.support.errors import ConvergenceError
 
     box, options = box_of(arguments.box), options_of(arguments.options, ARGUMENTS)
     if arguments.save is not None:  # find out before the solve, not after it

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rankone.solution import Solution
+from rankone.interface.solution import Solution
 
 __all__ = ["number", "summary"]
 

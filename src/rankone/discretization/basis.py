@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 
 __all__ = [
     "BASES",

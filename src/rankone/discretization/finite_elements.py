@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import legendre as npl
 
-from rankone.arrays import Array
 from rankone.discretization.basis import LegendreBasis, legendre_values
+from rankone.support.arrays import Array
 
 __all__ = ["LagrangeElements", "lobatto_points"]
 

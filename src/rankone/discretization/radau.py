@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre as npl
 
-from rankone.arrays import Array
 from rankone.discretization.basis import legendre_values
+from rankone.support.arrays import Array
 
 __all__ = ["RadauCollocation", "inset"]
 

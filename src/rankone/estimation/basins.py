@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 
 __all__ = ["basins", "evolved", "screened"]
 

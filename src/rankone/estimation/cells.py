@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 
 __all__ = ["Cells", "adapted"]
 

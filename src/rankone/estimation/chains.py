@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import scipy.stats
 
-from rankone.arrays import Array
-from rankone.errors import RankoneError
 from rankone.estimation.likelihood import Posterity
+from rankone.support.arrays import Array
+from rankone.support.errors import RankoneError
 
 __all__ = ["Chain", "chain"]
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import OptionError
-from rankone.wording import did_you_mean, listing, quote
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote
 
 __all__ = ["Quantity", "gradient", "quantity"]
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.wording import listing, quote
+from rankone.support.arrays import Array
+from rankone.support.wording import listing, quote
 
 if TYPE_CHECKING:
     from rankone.estimation.observations import Observations
-    from rankone.solution_core import SolutionCore
+    from rankone.solution.core import SolutionCore
 
 __all__ = ["findings_of"]
 

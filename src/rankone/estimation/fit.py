@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import scipy.stats
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import OptionError
+from rankone.discretization.coordinates import name_of
 from rankone.estimation.expressions import gradient, quantity
 from rankone.estimation.findings import findings_of
 from rankone.estimation.identification import Identification
 from rankone.estimation.least_squares import LeastSquares
 from rankone.estimation.observations import Observations
 from rankone.estimation.profiles import Best, Profile, Stop, profiles
-from rankone.options import checked_number
-from rankone.solution_core import SolutionCore
-from rankone.wording import count, did_you_mean, listing, quote
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import count, did_you_mean, listing, quote
 
 __all__ = ["Fit", "checked_level", "quantile_of"]
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import OptionError
-from rankone.solution_core import SolutionCore
-from rankone.wording import did_you_mean, listing, quote
+from rankone.discretization.coordinates import name_of
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote
 
 __all__ = ["Free", "free_parameters"]
 

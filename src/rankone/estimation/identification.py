@@ -14,9 +14,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.estimation.least_squares import LeastSquares
 from rankone.estimation.profiles import Best, Profile, profiles
+from rankone.support.arrays import Array
 
 __all__ = ["Identification", "identify"]
 

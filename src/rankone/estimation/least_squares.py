@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
 from rankone.estimation.free import Free
 from rankone.estimation.model import TrainModel
 from rankone.estimation.observations import Observations
+from rankone.support.arrays import Array
 
 __all__ = ["LeastSquares", "Minima"]
 

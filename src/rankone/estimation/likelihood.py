@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import OptionError
+from rankone.discretization.coordinates import name_of
 from rankone.estimation.free import Free
 from rankone.estimation.least_squares import LeastSquares
 from rankone.statistics.measures import Measure
 from rankone.statistics.solution_statistics import measures_of
-from rankone.wording import quote
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import quote
 
 __all__ = ["Posterity", "priors"]
 

@@ -9,7 +9,7 @@ from rankone.estimation.fit import Fit
 from rankone.estimation.minimize import Optimum, minimize
 from rankone.estimation.posterior import Posterior, posterior
 from rankone.estimation.search import fit
-from rankone.solution_core import SolutionCore
+from rankone.solution.core import SolutionCore
 
 __all__ = ["EstimationFromData"]
 

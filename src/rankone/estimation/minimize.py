@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize as scipy_minimize
 
-from rankone.arrays import Array
-from rankone.budget import NORMAL, operations_for
-from rankone.errors import OptionError
 from rankone.estimation.basins import basins, evolved, screened
 from rankone.estimation.free import Free, free_parameters
 from rankone.estimation.model import TrainModel
 from rankone.estimation.observations import checked_times, state_name
-from rankone.options import checked_number
-from rankone.solution_core import SolutionCore
-from rankone.wording import count, listing, quote, shown
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.budget import NORMAL, operations_for
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import count, listing, quote, shown
 
 __all__ = ["Optimum", "minimize"]
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import right_orthonormal, truncated
 

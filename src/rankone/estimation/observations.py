@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import OptionError
-from rankone.solution_core import SolutionCore
-from rankone.wording import count, did_you_mean, listing, quote, shown
+from rankone.discretization.coordinates import name_of
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import count, did_you_mean, listing, quote, shown
 
 __all__ = ["Observations", "checked_times", "observed", "state_name"]
 

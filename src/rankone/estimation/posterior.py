@@ -9,10 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.distributions import from_text
-from rankone.errors import OptionError
+from rankone.discretization.coordinates import name_of
 from rankone.estimation.cells import Cells, adapted
 from rankone.estimation.chains import chain
 from rankone.estimation.fit import Fit
@@ -20,11 +17,14 @@ from rankone.estimation.least_squares import LeastSquares
 from rankone.estimation.likelihood import Posterity, priors
 from rankone.estimation.model import TrainModel
 from rankone.estimation.search import fit
-from rankone.options import checked_count, checked_number
-from rankone.solution_core import SolutionCore
-from rankone.spread import spread
+from rankone.solution.core import SolutionCore
+from rankone.statistics.distributions import from_text
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_count, checked_number
+from rankone.support.spread import spread
+from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.calculus import fixed
-from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["Posterior", "posterior"]
 

@@ -13,8 +13,8 @@ from enum import Enum
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.estimation.least_squares import LeastSquares
+from rankone.support.arrays import Array
 
 __all__ = ["Best", "End", "Profile", "Stop", "profiles"]
 

@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import NORMAL, operations_for
-from rankone.errors import OptionError
 from rankone.estimation.fit import Fit, checked_level, quantile_of
 from rankone.estimation.free import Free, free_parameters
 from rankone.estimation.identification import identify
 from rankone.estimation.least_squares import LeastSquares, Minima
 from rankone.estimation.model import TrainModel
 from rankone.estimation.observations import Observations, observed
-from rankone.options import checked_number
-from rankone.solution_core import SolutionCore
-from rankone.spread import spread
-from rankone.wording import count, listing
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.budget import NORMAL, operations_for
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.spread import spread
+from rankone.support.wording import count, listing
 
 __all__ = ["fit"]
 

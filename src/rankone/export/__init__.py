@@ -30,14 +30,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rankone.errors import ExportError
 from rankone.export.fmu_description import FMI
 from rankone.export.packing import PackedModel, States, check_states, checked_rtol, pack
 from rankone.export.standalone import standalone_source
-from rankone.files import Content, as_path, free_target, write_files
-from rankone.solution_core import SolutionCore
+from rankone.solution.core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
-from rankone.wording import quote
+from rankone.support.errors import ExportError
+from rankone.support.files import Content, as_path, free_target, write_files
+from rankone.support.wording import quote
 
 __all__ = [
     "MODELS",

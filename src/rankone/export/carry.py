@@ -16,8 +16,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rankone.codegen.text import WIDTH, tuple_lines
-from rankone.errors import ExportError
 from rankone.export.modules import Import, SourceModule, Statement, read_module, resolve
+from rankone.support.errors import ExportError
 
 __all__ = ["Section", "banner", "carry", "import_lines"]
 

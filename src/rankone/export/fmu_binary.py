@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
-from rankone.errors import ExportError
+from rankone.support.errors import ExportError
 
 __all__ = ["CannotCompile", "Platform", "compiled_library", "this_platform"]
 

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.errors import ExportError
 from rankone.export.escaping import c_comment, c_string
 from rankone.export.packing import PackedModel
 from rankone.export.templates import LINE, TERMS, comment, filled, wrapped
-from rankone.files import Content
-from rankone.version import __version__
+from rankone.support.errors import ExportError
+from rankone.support.files import Content
+from rankone.support.version import __version__
 
 __all__ = ["c_identifier", "c_model"]
 

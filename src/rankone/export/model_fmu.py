@@ -14,7 +14,6 @@ from typing import get_args
 from uuid import UUID
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-from rankone.errors import OptionError, warn
 from rankone.export.fmu_binary import CannotCompile, compiled_library, this_platform
 from rankone.export.fmu_description import (
     FMI,
@@ -26,9 +25,10 @@ from rankone.export.fmu_description import (
 from rankone.export.model_c import c_identifier, c_model
 from rankone.export.packing import PackedModel
 from rankone.export.templates import TERMS, filled
-from rankone.files import Content
-from rankone.version import __version__
-from rankone.wording import shown
+from rankone.support.errors import OptionError, warn
+from rankone.support.files import Content
+from rankone.support.version import __version__
+from rankone.support.wording import shown
 
 __all__ = ["FMI", "checked_fmi", "fmu_model"]
 

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.coordinates import round_off
-from rankone.errors import ExportError
+from rankone.discretization.coordinates import round_off
 from rankone.export.escaping import js_comment, js_string
 from rankone.export.packing import PackedCore, PackedModel
 from rankone.export.templates import LINE, TERMS, comment, filled
-from rankone.files import Content
-from rankone.version import __version__
+from rankone.support.arrays import Array
+from rankone.support.errors import ExportError
+from rankone.support.files import Content
+from rankone.support.version import __version__
 
 __all__ = ["javascript_model"]
 

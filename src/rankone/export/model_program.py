@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.coordinates import round_off
+from rankone.discretization.coordinates import round_off
+from rankone.support.arrays import Array
 
 __all__ = ["Model"]
 

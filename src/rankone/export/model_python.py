@@ -15,8 +15,8 @@ from rankone.export.carry import banner, carry, import_lines
 from rankone.export.modules import Import
 from rankone.export.packing import PackedCore, PackedModel
 from rankone.export.templates import TERMS
-from rankone.files import Content, npz
-from rankone.version import __version__
+from rankone.support.files import Content, npz
+from rankone.support.version import __version__
 
 __all__ = ["python_model"]
 

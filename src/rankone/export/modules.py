@@ -14,7 +14,7 @@ from functools import cache, cached_property
 from importlib.util import find_spec
 from typing import Any, cast
 
-from rankone.errors import ExportError
+from rankone.support.errors import ExportError
 
 __all__ = ["PACKAGE", "Import", "SourceModule", "Statement", "read_module", "resolve"]
 

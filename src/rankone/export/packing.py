@@ -12,14 +12,14 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
-from rankone.arrays import Array
-from rankone.errors import ExportError, OptionError
 from rankone.export.rounding import Rounding, rounded_slabs
-from rankone.options import checked_number
-from rankone.solution_core import SolutionCore
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import ExportError, OptionError
+from rankone.support.options import checked_number
+from rankone.support.units import with_unit
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
-from rankone.units import with_unit
 
 __all__ = ["PackedCore", "PackedModel", "States", "check_states", "checked_rtol", "pack"]
 

@@ -15,19 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import EFFORT_HELP, effort_of
-from rankone.errors import ConvergenceError, OptionError, RankoneError, StorageError
-from rankone.files import npz, write_files
-from rankone.metadata import SolutionMetadata
-from rankone.options import check_points
-from rankone.solution_core import SolutionCore, raise_blow_up
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import SlabRecord
+from rankone.ir.system import System
+from rankone.solution.core import SolutionCore, raise_blow_up
 from rankone.solvers.engine import Engine
-from rankone.solvers.outcome import SlabRecord
 from rankone.solvers.task import Asked, Task
 from rankone.storage.npz import read, target
-from rankone.system import System
-from rankone.wording import quote
+from rankone.support.arrays import Array
+from rankone.support.budget import EFFORT_HELP, effort_of
+from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError
+from rankone.support.files import npz, write_files
+from rankone.support.options import check_points
+from rankone.support.wording import quote
 
 __all__ = ["box_of", "load_solution", "options_of", "pairs_of", "run", "solve_system"]
 

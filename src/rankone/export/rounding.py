@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.solvers.cross.sweep import rounded
+from rankone.support.arrays import Array
+from rankone.tensors.cross import rounded
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
 from rankone.tensors.train import thinned

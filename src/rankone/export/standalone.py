@@ -19,11 +19,11 @@ from rankone.codegen.text import INDENT, WIDTH, docstring, literal, quoted, tupl
 from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names, imported
 from rankone.export.templates import TERMS
-from rankone.metadata import SolutionMetadata
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.system import System
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
-from rankone.system import System
-from rankone.version import __version__
+from rankone.support.version import __version__
 
 __all__ = ["standalone_source"]
 
@@ -31,20 +31,23 @@ __all__ = ["standalone_source"]
 _PROGRAM = "rankone.export.program"
 _PARTS: dict[str, tuple[str, ...]] = {
     "Foundations": (
-        *("arrays", "errors", "wording", "options", "progress", "domain", "system"),
+        *(f"support.{name}" for name in ("arrays", "errors", "wording", "options", "progress")),
+        *("ir.domain", "ir.system"),
         *(f"discretization.{name}" for name in ("basis", "finite_elements", "radau")),
     ),
     "Engine": (),
-    "Evaluation": ("tensors.evaluator", "coordinates", "metadata", "solution_core"),
-    "Files": ("files", "plain_data", "storage.header", "storage.npz"),
+    "Evaluation": (
+        *("tensors.evaluator", "discretization.coordinates", "ir.metadata", "solution.core"),
+    ),
+    "Files": ("support.files", "support.plain_data", "storage.header", "storage.npz"),
     "Command line": ("export.program",),
 }
 """Modules in each part of the file; the engine has all that are in no other."""
 _TITLES = {
-    "rankone.errors": "Errors: what was given, what was expected, what to do",
-    "rankone.progress": "Progress",
-    "rankone.domain": "Domain: horizon, box and known factors on it",
-    "rankone.solution_core": "Solutions: evaluation, how good they are, saving",
+    "rankone.support.errors": "Errors: what was given, what was expected, what to do",
+    "rankone.support.progress": "Progress",
+    "rankone.ir.domain": "Domain: horizon, box and known factors on it",
+    "rankone.solution.core": "Solutions: evaluation, how good they are, saving",
     _PROGRAM: "Solve, load and the command line",
 }
 """Titles of sections whose module says more than the part of it that is carried over."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.domain import Domain
+from rankone.ir.domain import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solvers.cross.time_grid import TimeGrid
-from rankone.spread import spread
+from rankone.support.arrays import Array
+from rankone.support.spread import spread
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Check", "CheckPoints", "critical_points", "split", "spread_over"]

@@ -11,31 +11,31 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import (
+from rankone.discretization import Basis1D
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import Measured, Outcome, Status
+from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
+from rankone.outputs.quantities import Quantities
+from rankone.outputs.sampling import Sampler
+from rankone.solution.core import SolutionCore
+from rankone.solvers.cross.nodes import divided, more_nodes, resolving_bases
+from rankone.solvers.cross.options import CrossOptions
+from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
+from rankone.support.arrays import Array
+from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
     limited,
     seconds_left,
     work_left,
 )
-from rankone.discretization import Basis1D
-from rankone.domain import Domain
-from rankone.errors import ConvergenceError
-from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
-from rankone.outputs.quantities import Quantities
-from rankone.outputs.sampling import Sampler
-from rankone.solution_core import SolutionCore
-from rankone.solvers.cross.growing_basis import GrowingBasis
-from rankone.solvers.cross.nodes import divided, more_nodes, resolving_bases
-from rankone.solvers.cross.options import CrossOptions
-from rankone.solvers.cross.samples import Samples
-from rankone.solvers.cross.sweep import interpolate, left_points, rounded, with_points
-from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
-from rankone.solvers.outcome import Measured, Outcome, Status
+from rankone.support.errors import ConvergenceError
+from rankone.support.wording import quote
+from rankone.tensors.cross import interpolate, left_points, rounded, with_points
+from rankone.tensors.growing_basis import GrowingBasis
+from rankone.tensors.samples import Samples
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, mode_norms
-from rankone.wording import quote
 
 __all__ = ["solved_quantities"]
 

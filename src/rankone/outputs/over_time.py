@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
 from rankone.discretization import legendre_derivative, legendre_values
 from rankone.outputs.quantities import Kind
 from rankone.solvers.cross.time_grid import TimeGrid
+from rankone.support.arrays import Array
 
 __all__ = ["Polynomials"]
 

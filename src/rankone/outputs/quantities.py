@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 
 __all__ = ["Kind", "Quantities", "Reduction", "Source"]
 

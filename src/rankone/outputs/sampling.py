@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import CALL
-from rankone.errors import EvaluationError
 from rankone.outputs.over_time import Polynomials
 from rankone.outputs.quantities import Kind, Quantities, Reduction
 from rankone.solvers.cross.time_grid import TimeGrid
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import CALL
+from rankone.support.errors import EvaluationError
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Sampler"]

@@ -8,16 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import operations_for
-from rankone.errors import OptionError
-from rankone.metadata import Role, SolutionMetadata
-from rankone.options import checked_number
+from rankone.ir.metadata import Role, SolutionMetadata
+from rankone.ir.outcome import Outcome
 from rankone.outputs.interpolation import solved_quantities
 from rankone.outputs.quantities import Quantities
-from rankone.solution_core import SolutionCore
-from rankone.solvers.outcome import Outcome
-from rankone.wording import did_you_mean, quote
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.budget import operations_for
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import did_you_mean, quote
 
 __all__ = ["samples_of", "with_outputs"]
 

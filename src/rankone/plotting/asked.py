@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import EvaluationError, OptionError
-from rankone.solution_core import SolutionCore
-from rankone.wording import listing, quote, shown
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.wording import listing, quote, shown
 
 if TYPE_CHECKING:
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = [
     "check_solution",

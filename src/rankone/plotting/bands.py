@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import OptionError
-from rankone.options import checked_number
 from rankone.plotting.asked import (
     check_solution,
     label_of,
@@ -19,12 +16,15 @@ from rankone.plotting.asked import (
     unknowns_of,
 )
 from rankone.plotting.style import axes_for, beside, colours_for, name_ends
-from rankone.wording import shown
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_bands"]
 

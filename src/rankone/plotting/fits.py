@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import OptionError
 from rankone.estimation.fit import Fit
 from rankone.plotting.asked import fine_times, label_of, labels_of, needs_time
 from rankone.plotting.style import axes_for, colours_for, name_ends, stacked
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_fit"]
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.errors import EvaluationError, OptionError
+from rankone.ir.outcome import SlabRecord
 from rankone.plotting.asked import check_solution
 from rankone.plotting.style import several_axes
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
-from rankone.solvers.outcome import SlabRecord
-from rankone.wording import count
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.wording import count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_history"]
 

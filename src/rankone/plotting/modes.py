@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.errors import OptionError
 from rankone.plotting.asked import check_solution, only_unknown
 from rankone.plotting.style import several_axes
+from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_modes"]
 

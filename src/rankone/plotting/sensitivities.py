@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import EvaluationError, OptionError
 from rankone.plotting.asked import (
     check_solution,
     label_of,
@@ -19,12 +17,14 @@ from rankone.plotting.asked import (
     value_of,
 )
 from rankone.plotting.style import PALETTE, axes_for, beside, colours_for, name_ends
-from rankone.wording import did_you_mean, quote, shown
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.wording import did_you_mean, quote, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_main_effects", "plot_sobol"]
 

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.errors import OptionError, RankoneError
-from rankone.wording import shown
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError, RankoneError
+from rankone.support.wording import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import EvaluationError, OptionError
-from rankone.options import checked_number
+from rankone.discretization.coordinates import name_of
 from rankone.plotting.asked import check_solution, label_of, only_unknown, states_of, value_of
 from rankone.plotting.style import axes_for
-from rankone.smaller import merged
-from rankone.wording import did_you_mean, listing, quote, shown
+from rankone.solution.smaller import merged
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import did_you_mean, listing, quote, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_surface"]
 

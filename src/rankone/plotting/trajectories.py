@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import OptionError
 from rankone.plotting.asked import (
     check_solution,
     label_of,
@@ -27,12 +25,14 @@ from rankone.plotting.style import (
     name_ends,
     shades,
 )
-from rankone.smaller import merged
+from rankone.solution.smaller import merged
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rankone.solution import Solution
+    from rankone.interface.solution import Solution
 
 __all__ = ["plot_trajectories"]
 

@@ -12,20 +12,20 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
-from rankone.domain import Domain
-from rankone.options import Options
-from rankone.progress import Report
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import Measured, Outcome, SafeInterval, SlabRecord, Status
+from rankone.ir.system import System
 from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Measured, Outcome, SafeInterval, SlabRecord, Status
-from rankone.solvers.residual import doubtful_points
-from rankone.solvers.survival import safe_intervals
 from rankone.solvers.verdict import Verdict, spent_sentence
-from rankone.solvers.verification import Yardstick
-from rankone.system import System
-from rankone.wording import quote
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
+from rankone.support.options import Options
+from rankone.support.progress import Report
+from rankone.support.wording import quote
+from rankone.verification.measure import Yardstick
+from rankone.verification.residual import doubtful_points
+from rankone.verification.survival import safe_intervals
 
 __all__ = ["Attempt", "Marcher", "Progress", "solve_in_attempts"]
 

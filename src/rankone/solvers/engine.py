@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from rankone.domain import Domain
-from rankone.errors import OptionError
-from rankone.options import Options, checked_number
-from rankone.progress import Report, quiet
-from rankone.solvers.outcome import Outcome, SlabRecord
-from rankone.system import System
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import Outcome, SlabRecord
+from rankone.ir.system import System
+from rankone.support.errors import OptionError
+from rankone.support.options import Options, checked_number
+from rankone.support.progress import Report, quiet
 
 __all__ = ["Engine", "Report", "Request"]
 

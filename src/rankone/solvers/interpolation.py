@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.solvers.cross.samples import Integers
-from rankone.solvers.cross.sweep import Nodes, interpolate, left_points
-from rankone.solvers.integration import initial_values
-from rankone.system import System
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.tensors.cross import Nodes, interpolate, left_points
+from rankone.tensors.samples import Integers
+from rankone.trajectories.integration import initial_values
 
 logger = logging.getLogger("rankone")
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from rankone.arrays import Array
-from rankone.budget import OutOfBudgetError
-from rankone.progress import ProgressEvent, Report
-from rankone.solvers.outcome import SlabRecord, Status
+from rankone.ir.outcome import SlabRecord, Status
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError
+from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Lengths", "March", "MarchResult", "SlabSolver", "Span", "Trial"]

@@ -6,10 +6,10 @@ from collections.abc import Collection
 from difflib import SequenceMatcher
 from typing import Any
 
-from rankone.errors import OptionError
 from rankone.solvers import cross, greedy, train
 from rankone.solvers.engine import Engine
-from rankone.wording import did_you_mean
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean
 
 __all__ = ["AUTO", "ENGINES", "engines_for"]
 

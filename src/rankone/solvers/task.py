@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from rankone.budget import (
+from rankone.discretization.coordinates import name_of
+from rankone.ir.domain import Domain, check_factors
+from rankone.ir.jumps import warn_of_last
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, Status
+from rankone.ir.system import Recipe, System
+from rankone.solvers.engine import Engine, Request
+from rankone.support.budget import (
     LEAST_EFFORT,
     NORMAL,
     OutOfBudgetError,
@@ -19,19 +26,12 @@ from rankone.budget import (
     unlimited,
     work_left,
 )
-from rankone.coordinates import name_of
-from rankone.domain import Domain, check_factors
-from rankone.errors import EvaluationError, OptionError
-from rankone.metadata import SolutionMetadata
-from rankone.options import checked_number
-from rankone.progress import Report, quiet
-from rankone.solvers.drift import drift
-from rankone.solvers.engine import Engine, Request
-from rankone.solvers.jumps import warn_of_last
-from rankone.solvers.outcome import Outcome, Status
-from rankone.solvers.verification import Yardstick
-from rankone.system import Recipe, System
-from rankone.wording import did_you_mean, listing, quote
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.options import checked_number
+from rankone.support.progress import Report, quiet
+from rankone.support.wording import did_you_mean, listing, quote
+from rankone.verification.drift import drift
+from rankone.verification.measure import Yardstick
 
 __all__ = ["Asked", "Task", "counted_states"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from rankone.ir.outcome import Measured, Status
 from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Measured, Status
-from rankone.wording import listing, quote
+from rankone.support.wording import listing, quote
 
 __all__ = ["Verdict", "spent_sentence"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.wording import quote
+from rankone.support.arrays import Array
+from rankone.support.wording import quote
 
 __all__ = ["Certainty"]
 

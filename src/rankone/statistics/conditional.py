@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.budget import check_time
 from rankone.discretization import Basis1D
-from rankone.errors import warn
 from rankone.statistics.copula import Copula
 from rankone.statistics.measures import Measure
 from rankone.statistics.moments import TrainMoments
+from rankone.support.arrays import Array
+from rankone.support.budget import check_time
+from rankone.support.errors import warn
 
 __all__ = ["ConditionalMoments"]
 

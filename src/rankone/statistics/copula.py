@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import OptionError
-from rankone.spread import spread
-from rankone.wording import did_you_mean, listing, quote, shown
+from rankone.discretization.coordinates import name_of
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.spread import spread
+from rankone.support.wording import did_you_mean, listing, quote, shown
 
 __all__ = ["Copula", "copula_of"]
 

@@ -9,7 +9,7 @@ from scipy.fft import dct
 from scipy.optimize import brentq
 from scipy.signal import fftconvolve
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 
 __all__ = ["Density", "Probability", "density_of"]
 

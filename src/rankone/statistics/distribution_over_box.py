@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
-from rankone.errors import EvaluationError, OptionError
-from rankone.options import checked_count, checked_number
+from rankone.discretization.coordinates import name_of
 from rankone.statistics.densities import Density, Probability, density_of
 from rankone.statistics.over_box import StatisticsOverBox
 from rankone.statistics.solution_statistics import Statistics
-from rankone.wording import did_you_mean, listing, quote, shown
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.options import checked_count, checked_number
+from rankone.support.wording import did_you_mean, listing, quote, shown
 
 __all__ = ["DistributionOverBox", "MainEffects"]
 

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import check_time
 from rankone.discretization import Basis1D
-from rankone.errors import warn
 from rankone.statistics.measures import Measure
+from rankone.support.arrays import Array
+from rankone.support.budget import check_time
+from rankone.support.errors import warn
 from rankone.tensors.train import right_orthonormal, truncated
 
 __all__ = ["HigherMoments"]

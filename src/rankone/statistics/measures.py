@@ -11,11 +11,11 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from scipy.special import ndtri
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D
-from rankone.distributions import is_frozen
-from rankone.errors import OptionError, warn
-from rankone.wording import quote
+from rankone.statistics.distributions import is_frozen
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError, warn
+from rankone.support.wording import quote
 
 __all__ = ["Measure", "gauss_rule"]
 

@@ -15,9 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D
 from rankone.statistics.measures import Measure
+from rankone.support.arrays import Array
 
 __all__ = ["TrainMoments"]
 

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.distributions import from_text
-from rankone.errors import EvaluationError, OptionError, warn
-from rankone.options import checked_count, checked_number
-from rankone.solution_core import SolutionCore
+from rankone.solution.core import SolutionCore
 from rankone.statistics.certainty import Certainty
 from rankone.statistics.copula import Copula, copula_of
+from rankone.statistics.distributions import from_text
 from rankone.statistics.measures import Measure
 from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError, warn
+from rankone.support.options import checked_count, checked_number
 
 __all__ = ["StatisticsOverBox"]
 

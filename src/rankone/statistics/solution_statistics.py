@@ -9,18 +9,18 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.coordinates import name_of
 from rankone.discretization import Basis1D
-from rankone.errors import OptionError
-from rankone.spread import spread
+from rankone.discretization.coordinates import name_of
 from rankone.statistics.conditional import ConditionalMoments
 from rankone.statistics.copula import Copula
 from rankone.statistics.higher import HigherMoments
 from rankone.statistics.measures import Measure
 from rankone.statistics.moments import TrainMoments
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.spread import spread
+from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.slab import SlabTrain
-from rankone.wording import did_you_mean, listing, quote
 
 __all__ = ["Sobol", "Statistics", "measures_of"]
 

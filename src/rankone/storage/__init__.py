@@ -15,12 +15,12 @@ from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
-from rankone.errors import StorageError
-from rankone.files import as_path
-from rankone.metadata import SolutionMetadata
-from rankone.solvers.outcome import Outcome, SlabRecord
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.storage import netcdf, npz
 from rankone.storage.header import FORMAT, FORMAT_VERSION
+from rankone.support.errors import StorageError
+from rankone.support.files import as_path
 
 __all__ = ["FORMAT", "FORMAT_VERSION", "SUFFIXES", "read", "target", "write"]
 

@@ -1,8 +1,8 @@
 """What a file of a solution holds, whatever its container: a header and cores.
 
 The array ``header`` is a text that holds what was asked
-(:class:`~rankone.metadata.SolutionMetadata`, and ``unknowns``), the bases of every slab and the
-:class:`~rankone.solvers.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of
+(:class:`~rankone.ir.metadata.SolutionMetadata`, and ``unknowns``), the bases of every slab and the
+:class:`~rankone.ir.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of
 each :class:`~rankone.tensors.slab.SlabTrain`. Readers refuse versions newer than their own and pass
 over entries they do not know; the version grows when an old reader could misunderstand a file.
 """
@@ -24,14 +24,14 @@ from zlib import error as ZlibError
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
-from rankone.errors import StorageError
-from rankone.files import as_path
-from rankone.metadata import SolutionMetadata
-from rankone.naming import is_line, name_defect
-from rankone.plain_data import plain, rebuilt
-from rankone.solvers.outcome import Outcome, SlabRecord, Status
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.support.errors import StorageError
+from rankone.support.files import as_path
+from rankone.support.naming import is_line, name_defect
+from rankone.support.plain_data import plain, rebuilt
+from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
-from rankone.wording import quote
 
 __all__ = [
     "FORMAT",

@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import StorageError
-from rankone.files import as_path, free_target, write_files
-from rankone.metadata import SolutionMetadata
-from rankone.solvers.outcome import Outcome, SlabRecord, Status
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, SlabRecord, Status
 from rankone.storage.header import FORMAT, not_a_solution, packed, reading, unpacked
-from rankone.wording import clip
+from rankone.support.arrays import Array
+from rankone.support.errors import StorageError
+from rankone.support.files import as_path, free_target, write_files
+from rankone.support.wording import clip
 
 __all__ = ["SIGNATURE", "SUFFIX", "read", "sealed", "target", "write"]
 

@@ -14,12 +14,12 @@ from zipfile import ZIP_STORED, ZipFile, is_zipfile
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.errors import StorageError
-from rankone.files import as_path, free_target, npz, write_files
-from rankone.metadata import SolutionMetadata
-from rankone.solvers.outcome import Outcome, SlabRecord
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.storage.header import not_a_solution, packed, reading, unpacked
+from rankone.support.arrays import Array
+from rankone.support.errors import StorageError
+from rankone.support.files import as_path, free_target, npz, write_files
 
 __all__ = ["read", "target", "write"]
 

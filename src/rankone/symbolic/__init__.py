@@ -20,13 +20,11 @@ Only this package and :mod:`rankone.codegen` import SymPy.
 from rankone.symbolic.first_order import FirstOrderSystem, first_order
 from rankone.symbolic.general import check_known, check_start, check_tables
 from rankone.symbolic.moving import check_moved
-from rankone.symbolic.problem import Problem
 from rankone.symbolic.separation import separate
 from rankone.symbolic.weak_form import WeakForm, weak_form
 
 __all__ = [
     "FirstOrderSystem",
-    "Problem",
     "WeakForm",
     "check_known",
     "check_moved",

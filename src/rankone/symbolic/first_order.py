@@ -11,17 +11,17 @@ from dataclasses import dataclass, field
 
 import sympy as sp
 
-from rankone.coordinates import name_of
-from rankone.display import aligned_equations
-from rankone.errors import check_kind
-from rankone.ir import Coordinate, Jump, Role, State
-from rankone.symbolic.impulses import without_impulses
-from rankone.symbolic.jumps import at_start, jump_latex, jump_texts, system_jumps
-from rankone.symbolic.mass import MassForm
-from rankone.symbolic.notation import initial_latex, initial_texts, latex_of, text_of
-from rankone.symbolic.numbers import exact
-from rankone.symbolic.problem import Problem
-from rankone.wording import count, number, quote
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
+from rankone.expressions.numbers import exact
+from rankone.frontend.impulses import without_impulses
+from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps
+from rankone.frontend.mass import MassForm
+from rankone.frontend.problem import Problem
+from rankone.ir.forms import Coordinate, Jump, Role, State
+from rankone.support.display import aligned_equations
+from rankone.support.errors import check_kind
+from rankone.support.wording import count, number, quote
 
 __all__ = ["FirstOrderSystem", "Stage", "first_order"]
 

@@ -13,17 +13,17 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.arrays import Array
-from rankone.errors import ProblemError
-from rankone.functions import Table, known_applied
-from rankone.gaps import refuse_gap
-from rankone.ir import Coordinate
-from rankone.lowering.known import known_functions
-from rankone.stable import NUMPY, stable
-from rankone.symbolic.admissible import located_defect
+from rankone.expressions.admissible import located_defect
+from rankone.expressions.stable import NUMPY, stable
+from rankone.ir.forms import Coordinate
+from rankone.ir.functions import Table, known_applied
+from rankone.ir.gaps import refuse_gap
+from rankone.ir.known import known_functions
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
+from rankone.support.wording import number, quote
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.system import System
-from rankone.wording import number, quote
 
 __all__ = ["check_known", "check_start", "check_tables"]
 

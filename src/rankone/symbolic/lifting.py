@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import sympy as sp
 from sympy.core.relational import Relational
 
-from rankone.budget import check_time
-from rankone.ir import Jump, Role, State
+from rankone.expressions.notation import text_of
+from rankone.expressions.numbers import exact
+from rankone.ir.forms import Jump, Role, State
+from rankone.support.budget import check_time
+from rankone.support.wording import count
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.symbolic.notation import text_of
-from rankone.symbolic.numbers import exact
 from rankone.symbolic.splitting import Indivisible, Splitter
-from rankone.wording import count
 
 __all__ = ["Lifting", "NotLiftable", "lift"]
 

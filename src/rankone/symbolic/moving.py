@@ -5,14 +5,14 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 
-from rankone.domain import Domain
-from rankone.errors import OptionError, ProblemError, RankoneWarning
-from rankone.ir import SeparatedForm
-from rankone.symbolic.admissible import located_defect
+from rankone.expressions.admissible import located_defect
+from rankone.frontend.problem import Problem
+from rankone.ir.domain import Domain
+from rankone.ir.forms import SeparatedForm
+from rankone.ir.system import System
+from rankone.support.errors import OptionError, ProblemError, RankoneWarning
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.general import check_known, check_start, check_tables
-from rankone.symbolic.problem import Problem
-from rankone.system import System
 
 __all__ = ["check_moved"]
 

@@ -14,11 +14,11 @@ from functools import reduce
 
 import sympy as sp
 
-from rankone.budget import check_time
-from rankone.ir import Coordinate
-from rankone.symbolic.admissible import largest, sign
-from rankone.symbolic.monomials import Monomial, MonomialSum
-from rankone.symbolic.numbers import exact
+from rankone.expressions.admissible import largest, sign
+from rankone.expressions.monomials import Monomial, MonomialSum
+from rankone.expressions.numbers import exact
+from rankone.ir.forms import Coordinate
+from rankone.support.budget import check_time
 
 __all__ = ["Indivisible", "Splitter"]
 

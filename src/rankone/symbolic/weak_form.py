@@ -11,11 +11,11 @@ from dataclasses import dataclass, fields
 
 import sympy as sp
 
-from rankone.display import aligned_equations
-from rankone.errors import check_kind
+from rankone.expressions.notation import latex_of, text_of
+from rankone.frontend.problem import Problem
+from rankone.support.display import aligned_equations
+from rankone.support.errors import check_kind
 from rankone.symbolic.first_order import FirstOrderSystem, Stage, first_order
-from rankone.symbolic.notation import latex_of, text_of
-from rankone.symbolic.problem import Problem
 
 __all__ = ["WeakForm", "weak_form"]
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D
+from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["at_one_time", "differentiated", "fixed", "restricted"]

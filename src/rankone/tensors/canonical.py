@@ -27,14 +27,14 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from rankone.arrays import Array
-from rankone.coordinates import Coordinates, name_of, round_off
 from rankone.discretization import Basis1D, legendre_values
-from rankone.errors import EvaluationError, warn
-from rankone.options import checked_number
+from rankone.discretization.coordinates import Coordinates, name_of, round_off
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, warn
+from rankone.support.options import checked_number
+from rankone.support.wording import did_you_mean, listing
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import block_diagonal, right_orthonormal, truncated
-from rankone.wording import did_you_mean, listing
 
 __all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
 
@@ -269,7 +269,8 @@ def canonical_form(
 ) -> CanonicalForm:
     """Write one state of consecutive slabs in canonical form.
 
-    Tolerance, errors and warnings are those of :meth:`~rankone.solution.Solution.to_canonical`.
+    Tolerance, errors and warnings are those of
+    :meth:`~rankone.interface.solution.Solution.to_canonical`.
 
     Parameters
     ----------

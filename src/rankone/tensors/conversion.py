@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
+from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import right_orthonormal, truncated

@@ -21,8 +21,8 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D, LegendreBasis
+from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain, sharing
 
 __all__ = ["Rows", "TrainEvaluator"]

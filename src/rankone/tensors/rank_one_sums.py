@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import product, qr
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import product, qr
 
 __all__ = ["RankOneSum"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import CALL, Cost, product
 from rankone.discretization import Basis1D, legendre_derivative, legendre_values
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import CALL, Cost, product
 
 __all__ = ["SlabTrain", "sharing"]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rankone.arrays import Array
+from rankone.support.arrays import Array
 from rankone.tensors.truncation import independent
 
 __all__ = [

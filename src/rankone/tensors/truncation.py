@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import product, qr, svd
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import product, qr, svd
 
 __all__ = ["independent", "truncated_svd"]
 

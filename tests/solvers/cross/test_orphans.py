@@ -16,7 +16,7 @@ fcntl = pytest.importorskip("fcntl")  # locks, which the system lifts when a pro
 
 PARENT = '''\
 import fcntl, os, pathlib, sys, time
-from rankone.solvers.cross.workers import open_workers
+from rankone.trajectories.workers import open_workers
 
 folder = pathlib.Path(sys.argv[1])
 locks = []

@@ -7,14 +7,14 @@ import pytest
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
-from rankone.domain import Domain
+from rankone.ir.domain import Domain
 from rankone.solvers.cross.nodes import needed
-from rankone.solvers.cross.samples import Samples
-from rankone.solvers.cross.sweep import _skeleton, interpolate, left_points, rounded
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import Trajectories
-from rankone.solvers.integration import Stack
-from rankone.solvers.verification import Yardstick
+from rankone.tensors.cross import _skeleton, interpolate, left_points, rounded
+from rankone.tensors.samples import Samples
+from rankone.trajectories.integration import Stack
+from rankone.verification.measure import Yardstick
 from tests.problems import EXAMPLES
 
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.integrate
 
 import rankone as ro
-from rankone.solvers.cross.growing_basis import _span
+from rankone.tensors.growing_basis import _span
 
 
 def problem(rates, initial, box, end):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rankone as ro
+from rankone.ir.outcome import Outcome
 from rankone.solvers.greedy import ENGINE
-from rankone.solvers.outcome import Outcome
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import pytest
 import rankone as ro
 from examples import kirchhoff
 from rankone import Status
-from rankone.errors import OptionError
+from rankone.ir.outcome import Outcome
 from rankone.solvers.greedy import GreedyOptions, GreedySlabRecord
-from rankone.solvers.outcome import Outcome
-from rankone.solvers.reference import integrate_reference
+from rankone.support.errors import OptionError
+from rankone.verification.reference import integrate_reference
 from tests.problems import REFERENCE
 from tests.solvers.greedy.support import solve
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from rankone.ir.outcome import Status
 from rankone.solvers.greedy.length import SlabLengths
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.march import Span
-from rankone.solvers.outcome import Status
 
 
 def trial(accepted: bool, iterations: int = 12, limits: Any = ()) -> Any:

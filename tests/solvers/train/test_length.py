@@ -10,10 +10,10 @@ import pytest
 
 import rankone as ro
 from rankone.discretization import RadauCollocation
-from rankone.domain import Domain
-from rankone.solvers.outcome import SlabRecord, Status
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths, TrainSpan
-from rankone.solvers.verification import Yardstick
+from rankone.verification.measure import Yardstick
 
 COLLOCATION = RadauCollocation.of(8)
 

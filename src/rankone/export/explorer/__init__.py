@@ -30,14 +30,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rankone.errors import ExportError, OptionError
 from rankone.export.explorer.content import content, with_derivatives
 from rankone.export.explorer.mathml import Notation
 from rankone.export.explorer.page import page
 from rankone.export.explorer.sentences import place, quality
 from rankone.export.packing import pack
-from rankone.files import as_path, free_target, write_files
-from rankone.wording import is_text, shown
+from rankone.support.errors import ExportError, OptionError
+from rankone.support.files import as_path, free_target, write_files
+from rankone.support.wording import is_text, shown
 
 __all__ = ["export_page", "page_target"]
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.distributions import from_text
 from rankone.export.explorer.mathml import Notation
 from rankone.export.packing import PackedModel
-from rankone.metadata import Role
+from rankone.ir.metadata import Role
+from rankone.statistics.distributions import from_text
 from rankone.statistics.measures import Measure
+from rankone.support.arrays import Array
 
 if TYPE_CHECKING:
     from rankone.statistics.distribution_over_box import DistributionOverBox

@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from rankone.metadata import Role, SolutionMetadata
+from rankone.ir.metadata import Role, SolutionMetadata
 
 __all__ = ["Notation"]
 

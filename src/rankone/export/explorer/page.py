@@ -17,7 +17,7 @@ from rankone.export.explorer.sentences import lead, spread
 from rankone.export.model_js import javascript_model
 from rankone.export.packing import PackedModel
 from rankone.export.templates import filled
-from rankone.version import __version__
+from rankone.support.version import __version__
 
 __all__ = ["page"]
 

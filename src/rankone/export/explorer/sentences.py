@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rankone.export.packing import PackedModel
-from rankone.wording import listing
+from rankone.support.wording import listing
 
 __all__ = ["lead", "place", "quality", "spread"]
 

@@ -8,35 +8,35 @@ from typing import ClassVar
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import OutOfBudgetError, unlimited
 from rankone.discretization import BASES, Basis1D
-from rankone.domain import Domain
-from rankone.progress import ProgressEvent
+from rankone.ir.domain import Domain
+from rankone.ir.outcome import Outcome, Status
+from rankone.ir.system import System
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.pace import Pace
 from rankone.solvers.cross.record import CrossRecord
-from rankone.solvers.cross.samples import Samples
 from rankone.solvers.cross.steep import steepest_front
-from rankone.solvers.cross.sweep import (
+from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
+from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
+from rankone.solvers.engine import Engine, Report, Request
+from rankone.solvers.march import MarchResult
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, unlimited
+from rankone.support.progress import ProgressEvent
+from rankone.tensors.cross import (
     Interpolation,
     interpolate,
     left_points,
     rounded,
     with_points,
 )
-from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
-from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
-from rankone.solvers.cross.workers import Workers, open_workers
-from rankone.solvers.engine import Engine, Report, Request
-from rankone.solvers.march import MarchResult
-from rankone.solvers.outcome import Outcome, Status
-from rankone.solvers.suspects import steepest_point, suspects
-from rankone.solvers.verification import Yardstick
-from rankone.system import System
+from rankone.tensors.samples import Samples
 from rankone.tensors.train import apply_to_modes, mode_norms
+from rankone.trajectories.workers import Workers, open_workers
+from rankone.verification.measure import Yardstick
+from rankone.verification.suspects import steepest_point, suspects
 
 __all__ = ["ENGINE", "solve_cross"]
 

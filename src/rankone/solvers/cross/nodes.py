@@ -14,12 +14,12 @@ from functools import partial
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
-from rankone.domain import Domain
-from rankone.solvers.breakpoints import Breakpoints, resolving_pieces
+from rankone.ir.domain import Domain
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
+from rankone.support.arrays import Array
+from rankone.verification.breakpoints import Breakpoints, resolving_pieces
 
 __all__ = ["Sampled", "divided", "first_bases", "more_nodes", "resolving_bases"]
 

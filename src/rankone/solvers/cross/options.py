@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rankone.discretization import BASES
-from rankone.errors import OptionError
-from rankone.options import Options, checked_number, choice, integer
+from rankone.support.errors import OptionError
+from rankone.support.options import Options, checked_number, choice, integer
 
 __all__ = ["CrossOptions"]
 

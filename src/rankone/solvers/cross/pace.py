@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rankone.progress import ProgressEvent, Report
+from rankone.support.progress import ProgressEvent, Report
 
 __all__ = ["Pace"]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import OutOfBudgetError
-from rankone.domain import Domain
-from rankone.wording import quote
+from rankone.ir.domain import Domain
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError
+from rankone.support.wording import quote
 
 __all__ = ["Front", "steepest_front"]
 

@@ -10,8 +10,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D, legendre_values
+from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["TimeGrid", "resolving_breaks"]

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import charge, work_done
-from rankone.costs import Cost
-from rankone.solvers.cross.growing_basis import GrowingBasis
+from rankone.ir.system import Recipe, System
 from rankone.solvers.cross.time_grid import TimeGrid
-from rankone.solvers.cross.workers import Workers
-from rankone.solvers.integration import Stack, quickest
-from rankone.solvers.verification import Yardstick
-from rankone.system import Recipe, System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge, work_done
+from rankone.support.costs import Cost
+from rankone.tensors.growing_basis import GrowingBasis
+from rankone.trajectories.integration import Stack, quickest
+from rankone.trajectories.workers import Workers
+from rankone.verification.measure import Yardstick
 
 __all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
 

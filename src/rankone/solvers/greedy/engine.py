@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rankone.progress import Report
+from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.greedy.history import GreedySlabRecord
@@ -19,9 +19,9 @@ from rankone.solvers.greedy.nodes import first_nodes
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import LaggedSlabs
 from rankone.solvers.march import March, MarchResult
-from rankone.solvers.outcome import SlabRecord, Status
-from rankone.solvers.sensitivity import amplification
-from rankone.solvers.verification import Yardstick
+from rankone.support.progress import Report
+from rankone.verification.measure import Yardstick
+from rankone.verification.sensitivity import amplification
 
 __all__ = ["ENGINE"]
 

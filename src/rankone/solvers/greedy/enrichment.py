@@ -22,12 +22,12 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import CALL, product
 from rankone.solvers.greedy.history import ModeRecord
 from rankone.solvers.greedy.operators import Equation
 from rankone.solvers.greedy.options import GreedyOptions
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import CALL, product
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["Enriched", "Enrichment"]

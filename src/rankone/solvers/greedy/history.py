@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rankone.solvers.outcome import SlabRecord
+from rankone.ir.outcome import SlabRecord
 
 __all__ = ["EquationRecord", "GreedySlabRecord", "ModeRecord"]
 

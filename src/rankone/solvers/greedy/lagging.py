@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.arrays import Array
+from rankone.ir.system import System
 from rankone.solvers.greedy.enrichment import Enrichment
 from rankone.solvers.greedy.history import EquationRecord
 from rankone.solvers.greedy.operators import Equation, ShapeSpace, assemble
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.terms import evaluation_order, source_terms
-from rankone.system import System
+from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["Coupling", "LaggedSlab", "SlabResult", "compressed"]

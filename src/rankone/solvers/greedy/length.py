@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rankone.ir.outcome import Status
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import GreedyTrial
 from rankone.solvers.march import Span
-from rankone.solvers.outcome import Status
 
 __all__ = ["SlabLengths"]
 

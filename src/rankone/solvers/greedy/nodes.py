@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization import LegendreBasis
-from rankone.domain import Domain
+from rankone.ir.domain import Domain
+from rankone.ir.system import System
 from rankone.solvers.greedy.options import GreedyOptions
-from rankone.system import System
 
 __all__ = ["Nodes", "first_nodes"]
 

@@ -18,11 +18,11 @@ from functools import cached_property
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization.finite_elements import LagrangeElements
+from rankone.ir.system import System
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.terms import SourceTerm
-from rankone.system import System
+from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["Equation", "ShapeSpace", "assemble", "named_matrices"]

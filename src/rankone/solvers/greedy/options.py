@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 from rankone.discretization.finite_elements import LagrangeElements
-from rankone.errors import OptionError
-from rankone.options import Options, choice, integer, integers, number
+from rankone.support.errors import OptionError
+from rankone.support.options import Options, choice, integer, integers, number
 
 __all__ = ["GreedyOptions"]
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.domain import Domain
-from rankone.solvers.cross.samples import Integers
+from rankone.ir.domain import Domain
+from rankone.ir.jumps import jump_kind
+from rankone.ir.outcome import Status
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.lagging import Coupling, LaggedSlab, SlabResult, compressed
 from rankone.solvers.greedy.nodes import Nodes
@@ -23,11 +23,11 @@ from rankone.solvers.interpolation import (
     interpolated,
     interpolated_initial,
 )
-from rankone.solvers.jumps import jump_kind
 from rankone.solvers.march import Span, Trial
-from rankone.solvers.outcome import Status
+from rankone.support.arrays import Array
 from rankone.tensors.conversion import element_trains
 from rankone.tensors.rank_one_sums import RankOneSum
+from rankone.tensors.samples import Integers
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["GreedyTrial", "LaggedSlabs"]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rankone.system import System
+from rankone.ir.system import System
 
 __all__ = ["SourceTerm", "evaluation_order", "source_terms"]
 

@@ -8,18 +8,18 @@ from functools import partial
 from typing import ClassVar
 
 from rankone.discretization import RadauCollocation
-from rankone.progress import Report
+from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.march import March, MarchResult
-from rankone.solvers.outcome import SlabRecord, Status
-from rankone.solvers.sensitivity import amplification
-from rankone.solvers.suspects import suspects
 from rankone.solvers.train.iteration import SlabIteration
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
 from rankone.solvers.train.options import TrainOptions
-from rankone.solvers.verification import Yardstick
+from rankone.support.progress import Report
+from rankone.verification.measure import Yardstick
+from rankone.verification.sensitivity import amplification
+from rankone.verification.suspects import suspects
 
 __all__ = ["ENGINE"]
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D
-from rankone.system import System
+from rankone.ir.system import System
+from rankone.support.arrays import Array
 
 __all__ = ["CONSTANT", "LINEAR", "QUADRATIC", "GroupKernels", "ParameterOperators", "term_groups"]
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D, RadauCollocation
-from rankone.solvers.jumps import jump_kind
-from rankone.solvers.outcome import SlabRecord, Status
+from rankone.ir.jumps import jump_kind
+from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.train.convergence import Convergence
 from rankone.solvers.train.groups import term_groups
 from rankone.solvers.train.jump import after_jump
@@ -17,9 +16,10 @@ from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
 from rankone.solvers.train.nodes import FEW_PARAMETERS, ParameterNodes
 from rankone.solvers.train.slab import SlabOperator
 from rankone.solvers.train.sweep import Sweeper
-from rankone.solvers.verification import Yardstick
+from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, widened
+from rankone.verification.measure import Yardstick
 
 __all__ = ["SlabIteration"]
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.solvers.cross.samples import Integers
 from rankone.solvers.interpolation import interpolated
 from rankone.solvers.train.nodes import ParameterNodes
+from rankone.support.arrays import Array
+from rankone.tensors.samples import Integers
 from rankone.tensors.train import apply_to_modes, mode_norms, right_orthonormal
 
 __all__ = ["after_jump"]

@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import Basis1D, RadauCollocation
+from rankone.ir.outcome import Status
 from rankone.solvers.march import Span, Trial
-from rankone.solvers.outcome import Status
-from rankone.solvers.reference import times_within
 from rankone.solvers.train.sweep import Sweeper
-from rankone.solvers.verification import Yardstick
+from rankone.support.arrays import Array
+from rankone.verification.measure import Yardstick
+from rankone.verification.reference import times_within
 
 __all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
 

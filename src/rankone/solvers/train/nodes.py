@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.arrays import Array
 from rankone.discretization import BASES, Basis1D
-from rankone.domain import Domain
+from rankone.ir.domain import Domain
+from rankone.ir.system import System
 from rankone.solvers.interpolation import interpolated_initial
 from rankone.solvers.train.groups import ParameterOperators
 from rankone.solvers.train.options import TrainOptions
-from rankone.system import System
+from rankone.support.arrays import Array
 from rankone.tensors.train import right_orthonormal
 
 __all__ = ["FEW_PARAMETERS", "ParameterNodes", "first_bases"]

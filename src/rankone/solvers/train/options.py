@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rankone.discretization import BASES
-from rankone.options import Options, choice, integer, number
+from rankone.support.options import Options, choice, integer, number
 
 __all__ = ["TrainOptions"]
 

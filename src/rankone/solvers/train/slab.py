@@ -14,10 +14,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from rankone.arrays import Array
 from rankone.discretization import RadauCollocation
+from rankone.ir.system import System
 from rankone.solvers.train.groups import CONSTANT, LINEAR, GroupKernels
-from rankone.system import System
+from rankone.support.arrays import Array
 
 __all__ = ["SlabOperator"]
 

@@ -17,9 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import CALL, Cost, product
 from rankone.solvers.train.groups import (
     CONSTANT,
     LINEAR,
@@ -30,6 +27,9 @@ from rankone.solvers.train.groups import (
 )
 from rankone.solvers.train.slab import SlabOperator
 from rankone.solvers.train.symmetric import left_products, multiplicity, right_products, unpack
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import CALL, Cost, product
 from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper"]

@@ -12,9 +12,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.arrays import Array
-from rankone.budget import charge
-from rankone.costs import product
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import product
 
 __all__ = ["left_products", "multiplicity", "right_products", "unpack"]
 

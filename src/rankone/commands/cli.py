@@ -1,0 +1,99 @@
+"""The command line: parsing and dispatch; the commands are in :mod:`rankone.commands`.
+
+Exit status: 0 if the measured error is within the tolerance, 1 if it is not or is not known,
+2 for bad input, 130 after an interrupt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from rankone.commands import evaluate, explore, export, fit, report, show, solve
+from rankone.commands.inputs import BAD_INPUT, FAILURE, complain
+
+__all__ = ["main"]
+
+_BROKEN_PIPE, _INTERRUPTED = 141, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the program's name; those of the process by default.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
+    try:
+        arguments = _parser().parse_args(argv)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            return int(arguments.run(arguments))
+    except SystemExit as stop:  # of argparse
+        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return _INTERRUPTED
+    except BrokenPipeError:
+        # the reader has gone (`| head`); keep Python from flushing into the closed pipe at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    except Exception as error:
+        from rankone.support.errors import ConvergenceError, RankoneError
+
+        if not isinstance(error, RankoneError):
+            raise
+        complain(f"error: {error}")
+        return FAILURE if isinstance(error, ConvergenceError) else BAD_INPUT
+
+
+class _Parser(argparse.ArgumentParser):
+    """Errors in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="rankone",
+        description="Solve a parametric ODE system once, for every parameter value of a box.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    solve.register(commands)
+    show.register(commands)
+    evaluate.register(commands)
+    report.register(commands)
+    fit.register(commands)
+    export.register(commands)
+    explore.register(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Look the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from rankone.support.version import __version__
+
+        print(f"rankone {__version__}")
+        parser.exit()
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    complain(f"warning: {message}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""SymPy expressions, whatever the problem: numbers, parsing, stable forms, decimals."""

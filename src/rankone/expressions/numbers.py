@@ -1,0 +1,136 @@
+"""Exact arithmetic: a decimal number means what it says, so that 0.1 + 0.2 - 0.3 is zero.
+
+The front end makes every number exact; from there to the printer no floating-point number enters
+an expression, because SymPy evaluates those at once: ``exp(2.5*x - 750.0)`` becomes a number too
+small for any computer times ``exp(2.5*x)``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import sympy as sp
+
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote
+
+__all__ = ["check_size", "exact"]
+
+_DIGITS = 15
+"""Significant digits that every floating-point number holds."""
+_TAKEN_OUT = 1e30
+"""Numbers beyond, or below its reciprocal, go back into the exponential they came from."""
+_LARGEST_SCALE = 6
+"""Decimal logarithm of scales s in powers (x/s)**n that are looked for."""
+_ROUNDING = 2
+"""Units in the last place by which sums of a few decimal numbers miss the decimal result."""
+_LARGEST_EXPONENT = 1e5
+"""Logarithm beyond which the value of a function of numbers is not computed."""
+_GROWING = (sp.exp, sp.cosh, sp.sinh)
+_FACTORIALS = (sp.gamma, sp.factorial, sp.loggamma)
+
+
+def exact(expression: sp.Expr) -> sp.Expr:
+    """Replace floating-point numbers by the decimal fractions they stand for.
+
+    That is the shortest decimal that rounds to the number, or one of 15 digits that the number
+    misses by no more than rounding: 0.6 - 0.9 is -0.3, not -0.30000000000000004. Numbers that SymPy
+    took out of exponentials go back in first: ``exp(1000.0*a - 1000.0)`` becomes
+    ``5.07e-435*exp(1000.0*a)`` when it is written.
+
+    Raises
+    ------
+    ProblemError
+        If a number, or a function of numbers, is out of the range of floating-point numbers.
+    """
+    if expression.is_Rational or expression.is_Symbol:
+        return expression
+    if expression.is_Float:
+        return _decimal(expression)
+    check_size(expression)
+    floats = sorted(expression.atoms(sp.Float))
+    if any(_beyond(number) for number in floats):
+        expression = expression.replace(lambda part: part.is_Mul and _beyond(part.args[0]), _joined)
+        floats = sorted(expression.atoms(sp.Float))
+    return expression.xreplace({f: _decimal(f) for f in floats}) if floats else expression
+
+
+def _decimal(number: sp.Float) -> sp.Rational:
+    value = float(number)
+    if not math.isfinite(value) or (value == 0.0 and not number.is_zero):
+        raise _out_of_range(number)
+    rounded = f"{value:.{_DIGITS}g}"
+    near = abs(float(rounded) - value) <= _ROUNDING * math.ulp(value)
+    return sp.Rational(rounded if near else repr(value))
+
+
+def _beyond(number: sp.Expr) -> bool:
+    """Whether a number may have been taken out of an exponential."""
+    size = abs(number) if number.is_Float else 0
+    return bool(size and not 1 / _TAKEN_OUT < size < _TAKEN_OUT)
+
+
+def _joined(product: sp.Mul) -> sp.Expr:
+    """A product whose number is again in the exponential, if it has one."""
+    number, *factors = product.args
+    powers = [factor.exp for factor in factors if factor.is_Pow and factor.exp.is_number]
+    highest = max(map(abs, powers), default=1)
+    from_power = abs(sp.log(abs(number), 10)) < _LARGEST_SCALE * highest
+    for i, factor in enumerate(factors):
+        if isinstance(factor, sp.exp) and not from_power:
+            shift = sp.Rational(str(sp.N(sp.log(abs(number)), 20)))
+            others = factors[:i] + factors[i + 1 :]
+            return sp.Mul(sp.sign(number), sp.exp(exact(factor.exp) + shift), *others)
+    if powers:  # the printer puts it there: (x/310.15)**125
+        digits = sp.N(number, _DIGITS + 2)
+        return sp.Mul(sp.Rational(str(digits)), *factors)
+    if not 0.0 < abs(float(number)) < math.inf:
+        raise _out_of_range(number)
+    return product
+
+
+def _out_of_range(number: sp.Expr) -> ProblemError:
+    size = "large" if abs(number) > 1 else "small"
+    return ProblemError(
+        f"the number {number} is too {size}", term=number, remedy="change the units"
+    )
+
+
+def check_size(expression: sp.Basic) -> mpmath.mpf | None:
+    """The value of an expression of numbers alone, None of others.
+
+    Raises
+    ------
+    ProblemError
+        If SymPy would not come to an end with a number as large as ``exp(exp(exp(100)))``.
+    """
+    if expression.is_Rational:
+        return mpmath.mpf(int(expression.p)) / int(expression.q)
+    if isinstance(expression, sp.Float | sp.NumberSymbol):
+        return mpmath.mpf(str(sp.N(expression, _DIGITS)))
+    if not isinstance(expression, sp.Expr):
+        return None
+    values = [check_size(argument) for argument in expression.args]
+    if not values or any(value is None for value in values):
+        return None
+    if _logarithm(expression, values) > _LARGEST_EXPONENT:
+        raise ProblemError(
+            f"{quote(expression)} is out of the range of floating-point numbers",
+            term=expression,
+            remedy="change the units",
+        )
+    value = sp.N(expression, _DIGITS)
+    return mpmath.mpf(str(value)) if value.is_Float or value.is_Rational else None
+
+
+def _logarithm(expression: sp.Basic, values: list[mpmath.mpf]) -> float:
+    """How large the logarithm of a function of numbers is, at most."""
+    first = abs(values[0])
+    if isinstance(expression, _GROWING):
+        return float(first)
+    if expression.is_Pow:
+        return float(abs(values[1] * mpmath.log(first))) if first else 0.0
+    if isinstance(expression, _FACTORIALS):
+        return float(first * mpmath.log(first + 2))
+    return 0.0

@@ -1,0 +1,1 @@
+"""What users write: problems in SymPy or text, and problem files; validated here."""

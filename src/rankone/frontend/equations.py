@@ -1,0 +1,308 @@
+"""The equations of a problem: residuals in known symbols, and the unknowns they are for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from rankone.expressions.numbers import exact
+from rankone.support.errors import ProblemError
+from rankone.support.naming import name_defect
+from rankone.support.wording import count, did_you_mean, listing, quote
+
+__all__ = [
+    "as_expression",
+    "check_equations",
+    "check_lengths",
+    "check_names",
+    "check_symbols",
+    "check_unknowns",
+    "explain_symbol",
+    "highest_orders",
+    "state_expressions",
+]
+
+_MOST_TERMS = 5000
+"""Terms of a sum: each takes some milliseconds to compile."""
+_NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
+
+
+def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ...], list[sp.Expr]]:
+    """Return the equations as given and their residuals (left minus right).
+
+    In the residuals every derivative is one of an unknown: ``Derivative(x**2, t)`` is carried out.
+    """
+    if isinstance(equations, sp.Basic) and not isinstance(equations, sp.Tuple | sp.MatrixBase):
+        raise ProblemError(
+            f"equations are {quote(equations)}, not a list", term=equations, remedy="write [...]"
+        )
+    try:
+        if isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
+            raise TypeError
+        given = tuple(equations)
+    except TypeError:
+        raise ProblemError(
+            f"equations are {quote(equations)}, not a list of SymPy equations",
+            term=equations,
+            remedy="give a list of sympy.Eq; Problem.from_strings takes text",
+        ) from None
+    if not given:
+        raise ProblemError(
+            "the list of equations is empty", remedy="give one equation for each unknown"
+        )
+    check_lengths((each for each in given if isinstance(each, sp.Basic)), len(given))
+    return given, [_residual(equation, i, time) for i, equation in enumerate(given, 1)]
+
+
+def _is_matrix(value: sp.Basic) -> bool:
+    return isinstance(value, sp.MatrixExpr) or bool(getattr(value, "is_Matrix", False))
+
+
+def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
+    def error(message: str, term: object, remedy: str) -> ProblemError:
+        return ProblemError(message, equation=number, term=term, remedy=remedy)
+
+    if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
+        raise error(
+            f"{quote(equation)} is a truth value, not an equation",
+            equation,
+            "write sympy.Eq(left, right); `left == right` compares the two as they stand, and of "
+            "sides that are the same, or numbers, SymPy makes a truth value too",
+        )
+    if isinstance(equation, sp.Eq) and not any(map(_is_matrix, equation.args)):
+        residual = equation.lhs - equation.rhs
+    elif isinstance(equation, sp.Expr) and not _is_matrix(equation):
+        residual = equation
+    else:
+        kind = type(equation).__name__
+        raise error(
+            f"{quote(equation)} is a {kind}, not a scalar equation",
+            equation,
+            "write sympy.Eq(left, right), or an expression that vanishes, for each scalar equation",
+        )
+    for kind in (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs):
+        for part in residual.atoms(kind):
+            raise error(
+                f"{quote(part)} is not supported in an equation",
+                part,
+                "integrals can be written as unknowns with equations of their own",
+            )
+    residual = _carry_out_derivatives(residual, time, error)
+    for applied in _in_order(residual.atoms(AppliedUndef)):
+        if applied.args != (time,):
+            raise error(*_wrong_argument(applied, time))
+    if residual.has(sp.I):
+        raise error(f"{quote(equation)} has complex coefficients", equation, "write real equations")
+    if residual.has(*_NOT_FINITE):
+        raise error(f"{quote(equation)} is not finite", equation, "check the coefficients")
+    try:
+        return exact(residual)
+    except ProblemError as out_of_range:
+        what = str(out_of_range).removesuffix(f"; remedy: {out_of_range.remedy}")
+        raise error(what, out_of_range.term, str(out_of_range.remedy)) from None
+
+
+def _carry_out_derivatives(
+    residual: sp.Expr, time: sp.Symbol, error: Callable[..., ProblemError]
+) -> sp.Expr:
+    """Leave only derivatives of unknowns in time."""
+    for _ in range(2):
+        carried_out = {}
+        for derivative in _in_order(residual.atoms(sp.Derivative)):
+            if any(
+                variable != time or not count.is_Integer
+                for variable, count in derivative.variable_count
+            ):
+                raise error(
+                    f"{quote(derivative)} is not a derivative in the time {quote(time)}",
+                    derivative,
+                    f"only derivatives with respect to {time} are possible (ordinary equations)",
+                )
+            if not isinstance(derivative.expr, AppliedUndef):
+                carried_out[derivative] = derivative.doit()
+        if not carried_out:
+            break
+        residual = residual.xreplace(carried_out)
+    return residual
+
+
+def _wrong_argument(applied: sp.Expr, time: sp.Symbol) -> tuple[str, sp.Expr, str]:
+    """Say what is wrong with x(s), x(t - 1), x(0) or x(t, k)."""
+    name = applied.func.__name__
+    wanted = f"{name}({time})"
+    if len(applied.args) == 1:
+        argument = applied.args[0]
+        if isinstance(argument, sp.Symbol) and argument.name == time.name:
+            return (
+                f"{quote(applied)} uses another symbol {quote(argument)} than the time, "
+                "with different assumptions",
+                applied,
+                "use one symbol for the time everywhere",
+            )
+        if time in argument.free_symbols:
+            return (
+                f"{quote(applied)} takes the unknown at another time than {quote(time)}; "
+                "delays are not supported",
+                applied,
+                f"write {wanted}",
+            )
+    return (
+        f"{quote(applied)} is not a function of the time {quote(time)} alone",
+        applied,
+        f"write {wanted}; parameters are symbols of their own",
+    )
+
+
+def _in_order(expressions: Iterable[sp.Expr]) -> list[sp.Expr]:
+    """Sort, so that what is reported does not depend on hashes."""
+    return sorted(expressions, key=sp.default_sort_key)
+
+
+def highest_orders(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
+    """Return the order of the highest derivative of each function that is differentiated."""
+    highest: dict[sp.Expr, int] = {}
+    for _, unknown, order in _derivatives(residuals):
+        highest[unknown] = max(order, highest.get(unknown, 0))
+    return highest
+
+
+def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, int]]:
+    """Yield (equation from 0, unknown, order of the derivative), equation by equation."""
+    for number, residual in enumerate(residuals):
+        for derivative in _in_order(residual.atoms(sp.Derivative)):
+            yield number, derivative.expr, int(derivative.derivative_count)
+
+
+def check_lengths(expressions: Iterable[sp.Expr], equations: int) -> None:
+    """Raise if a sum is longer than can be compiled; the first expressions are the equations."""
+    for number, expression in enumerate(expressions, 1):
+        longest = max((len(part.args) for part in expression.atoms(sp.Add)), default=0)
+        if longest > _MOST_TERMS:
+            raise ProblemError(
+                f"a sum has {longest} terms; at most {_MOST_TERMS} are compiled",
+                equation=number if number <= equations else None,
+                remedy="gather like terms, or give what they add up to as a table (rankone.table)",
+            )
+
+
+def check_unknowns(residuals: list[sp.Expr], initial: Any, time: sp.Symbol) -> tuple[sp.Expr, ...]:
+    """Return the unknowns in order.
+
+    Unknowns come in the order in which their highest derivatives enter the equations; those that
+    enter in the same equation come in the order of ``initial``.
+    """
+    highest = highest_orders(residuals)
+    first: dict[sp.Expr, int] = {}
+    for number, unknown, order in _derivatives(residuals):
+        if order == highest[unknown]:
+            first.setdefault(unknown, number)
+    for number, residual in enumerate(residuals, 1):
+        for applied in _in_order(residual.atoms(AppliedUndef)):
+            if applied not in first:
+                raise ProblemError(
+                    f"{quote(applied)} has no equation: its derivative appears nowhere",
+                    equation=number,
+                    term=applied,
+                    remedy=f"add an equation with {applied}.diff({time}), "
+                    f"or use a symbol and declare it in `parameters`",
+                )
+    if not isinstance(initial, Mapping):
+        raise ProblemError(
+            f"initial is {quote(initial)}, not a mapping",
+            term=initial,
+            remedy="give {unknown: value, ...}, for example {x: 1}",
+        )
+    if len(first) != len(residuals):
+        raise ProblemError(
+            f"{count(len(residuals), 'equation')} for {count(len(first), 'unknown')} "
+            f"({listing(first) if first else 'nothing is differentiated'})",
+            remedy="give one equation for each unknown",
+        )
+    place = {key: i for i, key in enumerate(initial)}
+    return tuple(
+        sorted(first, key=lambda unknown: (first[unknown], place.get(unknown, len(place))))
+    )
+
+
+def state_expressions(
+    residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], time: sp.Symbol
+) -> list[sp.Expr]:
+    """What needs an initial value: the unknowns, then their lower derivatives, by order."""
+    highest = highest_orders(residuals)
+    return [
+        unknown.diff(time, order) if order else unknown
+        for order in range(max(highest.values()))
+        for unknown in unknowns
+        if order < highest[unknown]
+    ]
+
+
+def check_names(
+    states: Iterable[tuple[str, sp.Expr]], parameters: Iterable[sp.Symbol], time: sp.Symbol
+) -> None:
+    """Raise unless all names differ and can be printed: results are labelled by name."""
+    named = [(time.name, "the time")]
+    named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
+    named += [(name, f"unknown {quote(expression)}") for name, expression in states]
+    defect = name_defect(named)
+    if defect is not None:
+        name, message = defect
+        raise ProblemError(message, term=name, remedy="rename it")
+
+
+def check_symbols(
+    residuals: Iterable[sp.Expr],
+    unknowns: Iterable[sp.Expr],
+    parameters: Iterable[sp.Symbol],
+    time: sp.Symbol,
+) -> None:
+    """Raise if an equation has a symbol that is neither the time nor a parameter."""
+    parameters, unknowns = list(parameters), list(unknowns)
+    for number, residual in enumerate(residuals, 1):
+        for symbol in _in_order(residual.free_symbols - {time, *parameters}):
+            message, remedy = explain_symbol(symbol, unknowns, [time, *parameters])
+            raise ProblemError(message, equation=number, term=symbol, remedy=remedy)
+
+
+def as_expression(value: Any, what: str, remedy: str) -> sp.Expr:
+    """A number or a SymPy expression as the latter, or an error that says what it is for."""
+    try:
+        expression = sp.sympify(value, strict=True)
+    except (sp.SympifyError, TypeError):
+        expression = None
+    if not isinstance(expression, sp.Expr):
+        raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
+    return expression
+
+
+def explain_symbol(
+    symbol: sp.Symbol, unknowns: Iterable[sp.Expr], known: Iterable[sp.Symbol]
+) -> tuple[str, str]:
+    """Say what a symbol that is not known was probably meant for: (message, remedy)."""
+    by_name = {coordinate.name: coordinate for coordinate in known}
+    applied = {unknown.func.__name__: unknown for unknown in unknowns}
+    if symbol.name in by_name:
+        return (
+            f"symbol {quote(symbol)} has other assumptions than the {quote(symbol)} declared "
+            f"({_assumptions(symbol)} here, {_assumptions(by_name[symbol.name])} there)",
+            "create the symbol once and use it everywhere",
+        )
+    if symbol.name in applied:
+        return (
+            f"symbol {quote(symbol)} is not the unknown {quote(applied[symbol.name])}",
+            f"write {applied[symbol.name]}",
+        )
+    hint = did_you_mean(symbol.name, [*by_name, *applied])
+    return (
+        f"unknown symbol {quote(symbol)}{hint}",
+        f"declare it in `parameters`, for example {{{symbol}: (0.5, 1.5)}}, or put a number in",
+    )
+
+
+def _assumptions(symbol: sp.Symbol) -> str:
+    """Return the assumptions stated for a symbol, as they are written."""
+    given = dict(symbol._assumptions_orig)
+    return ", ".join(f"{k}={v}" for k, v in sorted(given.items())) or "none"

@@ -1,0 +1,165 @@
+"""The mass matrix: equations are linear in the highest derivatives, and determine them.
+
+A problem is held as ``M(t, p, u) v + rest = 0`` for the highest derivatives v of its unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+from sympy.polys.matrices import DomainMatrix
+
+from rankone.expressions.admissible import zero
+from rankone.expressions.numbers import exact
+from rankone.frontend.equations import highest_orders
+from rankone.ir.forms import Coordinate
+from rankone.support.errors import ProblemError
+from rankone.support.wording import listing, quote
+
+__all__ = ["MassForm", "Row", "check_mass"]
+
+Row = dict[int, sp.Expr]
+"""The entries of a row of the mass matrix that are not zero, by column."""
+
+
+@dataclass(frozen=True)
+class MassForm:
+    """Equations linear in the highest derivatives, in the user's order.
+
+    Attributes
+    ----------
+    leading : tuple of Expr
+        The highest derivative of each unknown.
+    rows : tuple of dict
+        For each equation its row of the mass matrix: entries by the position in ``leading``.
+    rests : tuple of list of Expr
+        For each equation the terms without highest derivatives.
+    """
+
+    leading: tuple[sp.Expr, ...]
+    rows: tuple[Row, ...]
+    rests: tuple[list[sp.Expr], ...]
+
+    @cached_property
+    def places(self) -> dict[int, int] | None:
+        """For each unknown the equation that has its derivative alone; None if any has several."""
+        places = {next(iter(row)): number for number, row in enumerate(self.rows)}
+        alone = len(places) == len(self.rows) and all(len(row) == 1 for row in self.rows)
+        return places if alone else None
+
+    @cached_property
+    def matrix(self) -> DomainMatrix:
+        """The mass matrix over the field of its entries, which cancels common factors."""
+        n = len(self.rows)
+        entries = sp.Matrix(n, n, lambda i, j: exact(self.rows[i].get(j, sp.S.Zero)))
+        return DomainMatrix.from_Matrix(entries).to_field()
+
+
+def check_mass(
+    residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], coordinates: Sequence[Coordinate]
+) -> MassForm:
+    """Split the residuals, one for each unknown, into mass matrix and rest.
+
+    Raises
+    ------
+    ProblemError
+        If an equation is not linear in the highest derivatives, their matrix is singular, or a
+        mass vanishes on the interval of its coordinate.
+    """
+    highest = highest_orders(residuals)
+    time = coordinates[0].symbol
+    leading = tuple(unknown.diff(time, highest[unknown]) for unknown in unknowns)
+    stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
+    rows, rests = [], []
+    for number, residual in enumerate(residuals, 1):
+        row, rest = _linear_in(stand_in, residual, number)
+        _check_row(row, leading, coordinates, number)
+        rows.append(row)
+        rests.append(rest)
+    form = MassForm(leading, tuple(rows), tuple(rests))
+    if form.places is None and form.matrix.rank() < len(rows):
+        matrix = form.matrix.to_Matrix()
+        raise ProblemError(
+            f"the mass matrix of {listing(leading)} is singular: {matrix.tolist()}",
+            term=matrix,
+            remedy="the equations determine these derivatives only in some combination; "
+            "give one independent equation for each",
+        )
+    return form
+
+
+def _linear_in(
+    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, number: int
+) -> tuple[Row, list[sp.Expr]]:
+    """Split a residual into a row of the mass matrix and the terms of the rest.
+
+    ``stand_in`` has a symbol for each of the highest derivatives, in their order.
+    """
+    leading = list(stand_in)
+    found = residual.atoms(sp.Derivative, AppliedUndef)
+    own = {i: symbol for i, (v, symbol) in enumerate(stand_in.items()) if v in found}
+    absent = dict.fromkeys(own.values(), sp.S.Zero)
+    row: Row = {}
+    rest: list[sp.Expr] = []
+    for term in sp.Add.make_args(residual):
+        replaced = term.xreplace(stand_in)
+        symbols = replaced.free_symbols
+        present = [i for i, symbol in own.items() if symbol in symbols]
+        if not present:
+            rest.append(term)
+            continue
+        for i in present:
+            slope = sp.diff(replaced, own[i])
+            if not slope.free_symbols.isdisjoint(absent):
+                slope = sp.expand(slope)
+            if not slope.free_symbols.isdisjoint(absent):
+                raise ProblemError(
+                    f"term {quote(term)} is not linear in {listing(leading[j] for j in present)}",
+                    equation=number,
+                    term=term,
+                    remedy="solve the equation for the derivative by hand",
+                )
+            row[i] = row.get(i, sp.S.Zero) + slope
+        constant = replaced.xreplace(absent)
+        rest.extend(a for a in sp.Add.make_args(constant) if a != 0)
+    return {i: entry for i, entry in sorted(row.items()) if entry != 0}, rest
+
+
+def _check_row(
+    row: Row, leading: Sequence[sp.Expr], coordinates: Sequence[Coordinate], number: int
+) -> None:
+    """Raise if a row of the mass matrix is empty, or its one entry vanishes somewhere."""
+    if not row:
+        raise ProblemError(
+            "the mass matrix is singular: this equation has no highest derivative "
+            f"(of {listing(leading)})",
+            equation=number,
+            remedy="differential-algebraic systems are not supported; eliminate the unknown",
+        )
+    for i, entry in row.items():
+        if entry.has(sp.DiracDelta):
+            raise ProblemError(
+                f"an impulse, {quote(entry)}, is in front of {quote(leading[i])}",
+                equation=number,
+                term=entry,
+                remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
+            )
+    if len(row) > 1:
+        return
+    ((i, mass),) = row.items()
+    for c in coordinates:
+        if mass.free_symbols == {c.symbol} and not mass.has(AppliedUndef):
+            point = zero(mass, c)
+            if point is not None:
+                raise ProblemError(
+                    f"the mass matrix is singular: the coefficient {quote(mass)} of "
+                    f"{quote(leading[i])} vanishes at {c.name} = {point:.6g}, "
+                    f"inside [{c.lower:g}, {c.upper:g}]",
+                    equation=number,
+                    term=mass,
+                    remedy="change the interval so that the coefficient keeps its sign",
+                )

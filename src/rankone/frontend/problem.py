@@ -1,0 +1,392 @@
+"""Problem: what the user wrote, validated once and immutable."""
+
+from __future__ import annotations
+
+import numbers
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import sympy as sp
+
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.branches import closed
+from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
+from rankone.expressions.parsing import parse_expression
+from rankone.frontend.box import check_correlation, check_parameters, check_time
+from rankone.frontend.equations import (
+    check_equations,
+    check_lengths,
+    check_names,
+    check_symbols,
+    check_unknowns,
+    state_expressions,
+)
+from rankone.frontend.initial import check_initial
+from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
+from rankone.frontend.mass import MassForm, check_mass
+from rankone.frontend.units import check_units
+from rankone.ir.forms import Coordinate, Jump
+from rankone.ir.functions import check_distinct
+from rankone.support.display import aligned_equations
+from rankone.support.errors import ProblemError, bounded_depth, warn
+from rankone.support.naming import is_line
+from rankone.support.units import with_unit
+from rankone.support.wording import count, did_you_mean, listing, quote, shown
+
+__all__ = ["Problem"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem:
+    """A parametric initial value problem.
+
+    Parameters
+    ----------
+    equations : sequence of Eq or Expr
+        One for each unknown: an equation, or an expression that vanishes. Unknowns are applied
+        functions of time such as ``x(t)``. The equations are linear in the highest derivatives
+        with any coefficients (a mass matrix), and polynomial in everything below.
+    time : tuple
+        ``(t, t0, t1)``: the symbol of time, the start and the end.
+    parameters : mapping of Symbol to (float, float) or distribution
+        The box: an interval for each parameter; may be empty. A frozen continuous distribution of
+        scipy.stats stands for its support, or where that is unbounded for the interval between
+        two quantiles, see ``tail``; statistics of solutions are then those under it.
+    initial : mapping of Expr to Expr or number
+        For each unknown its value at ``t0``, a number or an expression of the parameters. Unknowns
+        of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``.
+    name : str, optional
+        A title.
+    jumps : mapping of float to mapping, optional
+        Times at which unknowns are reset, such as doses: ``{8.0: {x: x + dose}}`` gives the values
+        right after that time in terms of those right before it. A tuple of times stands for
+        several. A ``DiracDelta(t - 8)`` in an equation means the same. At such a time a solution
+        has its value after the jump.
+    units : mapping to str, optional
+        Units of time, parameters, unknowns and derivatives that are states, by symbols, functions
+        or names: ``{x: "m", t: "s", k: "1/s"}``. They are shown with results; nothing is
+        converted. A derivative of which none is given has ``m/s``.
+    tail : float
+        The probability that is left out on either side of a distribution with unbounded support.
+    correlation : mapping of (Symbol, Symbol) to float, optional
+        Correlations of the Gaussian copula that joins parameters, ``{(k, c): 0.6}``; statistics of
+        solutions are then those of correlated parameters.
+
+    Attributes
+    ----------
+    equations, time, parameters, initial, name, jumps, units, tail, correlation
+        As given, with numbers as floats, parameters as intervals, initial values in the order of
+        the states, jumps by time, units and correlations by name.
+    distributions : mapping of str to str
+        For the names of parameters that were given a distribution, that as text.
+    unknowns : tuple of Expr
+        In the order in which their highest derivatives enter the equations; those that enter in
+        the same equation are in the order of ``initial``.
+    residuals : tuple of Expr
+        For each equation its left minus its right side.
+    mass : MassForm
+        The residuals as mass matrix times highest derivatives, and the rest.
+
+    Raises
+    ------
+    ProblemError
+        If the problem is incomplete or contradictory; the message says where and what to do.
+
+    Warns
+    -----
+    RankoneWarning
+        If a parameter appears nowhere.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> t, k = sp.symbols("t k")
+    >>> u = sp.Function("u")(t)
+    >>> Problem([sp.Eq(u.diff(t) + k * u, 0)], (t, 0, 2), {k: (0.5, 5)}, {u: 1})
+    Problem: 1 unknown, 1 parameter
+      du/dt + k*u = 0
+      u(0) = 1
+      t in [0, 2], k in [0.5, 5]
+    """
+
+    equations: Sequence[sp.Basic]
+    time: tuple[sp.Symbol, float, float]
+    parameters: Mapping[sp.Symbol, tuple[float, float]]
+    initial: Mapping[sp.Expr, Any]
+    name: str | None = None
+    jumps: Mapping[Any, Mapping[sp.Expr, Any]] | None = None
+    units: Mapping[Any, str] | None = None
+    tail: float = 1e-6
+    correlation: Mapping[Any, float] | None = None
+    distributions: Mapping[str, str] = field(init=False)
+    unknowns: tuple[sp.Expr, ...] = field(init=False)
+    residuals: tuple[sp.Expr, ...] = field(init=False)
+    mass: MassForm = field(init=False)
+
+    def __post_init__(self) -> None:
+        with bounded_depth():
+            self._check()
+
+    def _check(self) -> None:
+        """Validate what was given, and set what follows from it."""
+        if self.name is not None and not is_line(self.name):
+            raise ProblemError(
+                f"the name is {shown(self.name)}, not text in one line",
+                term=self.name,
+                remedy="give a title",
+            )
+        time = check_time(self.time)
+        box, distributions = check_parameters(self.parameters, time[0], self.tail)
+        equations, residuals = check_equations(self.equations, time[0])
+        residuals = [closed(residual) for residual in residuals]
+        unknowns = check_unknowns(residuals, self.initial, time[0])
+        states = state_expressions(residuals, unknowns, time[0])
+        check_names([(name_of(state), state) for state in states], box, time[0])
+        check_symbols(residuals, unknowns, box, time[0])
+        initial = check_initial(self.initial, states, unknowns, box, time)
+        initial = {state: closed(value) for state, value in initial.items()}
+        jumps = {
+            at: {state: closed(value) for state, value in reset.items()}
+            for at, reset in check_jumps(self.jumps, states, unknowns, box, time).items()
+        }
+        values = [value for reset in jumps.values() for value in reset.values()]
+        check_lengths([*initial.values(), *values], 0)
+        known = [*residuals, *initial.values(), *values]
+        check_distinct(known)
+        used = sp.Tuple(*known).free_symbols
+        for symbol in (symbol for symbol in box if symbol not in used):
+            warn(
+                f"parameter {quote(symbol)} appears nowhere in the problem; "
+                "remedy: remove it from `parameters`"
+            )
+        units = check_units(self.units, time[0], box, states)
+        checked = {
+            "equations": equations,
+            "time": time,
+            "parameters": MappingProxyType(box),
+            "distributions": MappingProxyType(distributions),
+            "correlation": MappingProxyType(check_correlation(self.correlation, box)),
+            "initial": MappingProxyType(initial),
+            "jumps": MappingProxyType(jumps),
+            "units": MappingProxyType(units),
+            "unknowns": unknowns,
+            "residuals": tuple(residuals),
+            "mass": check_mass(residuals, unknowns, _coordinates(time, box)),
+        }
+        for attribute, value in checked.items():
+            object.__setattr__(self, attribute, value)
+
+    @classmethod
+    def from_strings(
+        cls,
+        rhs: Mapping[str, str],
+        initial: Mapping[str, str | float],
+        parameters: Mapping[str, Any],
+        time: tuple[float, float],
+        name: str | None = None,
+        jumps: Mapping[Any, Mapping[str, str | float]] | None = None,
+        units: Mapping[str, str] | None = None,
+        tail: float = 1e-6,
+        correlation: Mapping[tuple[str, str], float] | None = None,
+    ) -> Problem:
+        """Build a problem from text.
+
+        Parameters
+        ----------
+        rhs : mapping of str to str
+            For each unknown the right-hand side of its derivative, for example
+            ``{"x": "x*(1.5 - y)", "y": "-y*(3 - x)"}``. ``t`` is time.
+        initial : mapping of str to str or float
+            For each unknown its initial value, a number or a formula of the parameters.
+        parameters : mapping of str to (float, float), distribution or str
+            The box; a distribution of scipy.stats may be a text such as ``"norm(1, 0.1)"``.
+        time : tuple of float
+            ``(t0, t1)``.
+        name : str, optional
+            A title.
+        jumps : mapping of float to mapping, optional
+            Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``.
+        units : mapping of str to str, optional
+            Units by name: ``{"x": "m", "t": "s"}``.
+        tail, correlation
+            As for the class, by name.
+
+        Raises
+        ------
+        ProblemError
+            As for the class, and if a text is not a formula.
+        """
+        t = sp.Symbol("t")
+        if not isinstance(time, tuple | list) or len(time) != 2:
+            raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
+        for what, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters)):
+            if not isinstance(mapping, Mapping) or not all(isinstance(key, str) for key in mapping):
+                raise ProblemError(
+                    f"{what} is {quote(mapping)}, not a mapping from names",
+                    term=mapping,
+                    remedy="use names (text) as keys",
+                )
+        for state in initial:
+            if state not in rhs:
+                raise ProblemError(
+                    f"`initial` has a value for {quote(state)}, which has no equation"
+                    f"{did_you_mean(state, rhs)}",
+                    term=state,
+                    remedy="remove it, or give its derivative in `rhs`",
+                )
+        rhs, initial, parameters = (
+            _normalised(what, mapping)
+            for what, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters))
+        )
+        unknowns = {state: sp.Function(state)(t) for state in rhs}
+        symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
+        check_names(list(unknowns.items()), symbols.values(), t)
+        names = {"t": t, **symbols, **unknowns}
+        if isinstance(units, Mapping) and all(isinstance(name, str) for name in units):
+            units = _normalised("units", units)
+        return cls(
+            equations=[
+                sp.Eq(
+                    unknowns[state].diff(t),
+                    _formula(text, names, f"right-hand side of {quote(state)}", number),
+                    evaluate=False,
+                )
+                for number, (state, text) in enumerate(rhs.items(), 1)
+            ],
+            time=(t, time[0], time[1]),
+            parameters={symbols[parameter]: bounds for parameter, bounds in parameters.items()},
+            initial={
+                unknowns[state]: _formula(
+                    initial[state], names, f"initial value of {quote(state)}", None
+                )
+                for state in rhs
+                if state in initial
+            },
+            name=name,
+            jumps=_jumps(jumps, names, unknowns),
+            units=units,
+            tail=tail,
+            correlation=correlation,
+        )
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The dimensions of the box: time, then the parameters in the order given."""
+        return _coordinates(self.time, self.parameters)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        texts = self.distributions
+        box = {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()}
+        given = (self.equations, self.time, box, dict(self.initial), self.name)
+        return type(self), (
+            *given,
+            dict(self.jumps or {}),
+            dict(self.units or {}),
+            self.tail,
+            dict(self.correlation or {}),
+        )
+
+    def __repr__(self) -> str:
+        title = "Problem" if self.name is None else f"Problem {self.name!r}"
+        unknowns = count(len(self.unknowns), "unknown")
+        lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
+        lines += [f"  {text_of(equation)}" for equation in self._shown()]
+        at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
+        units = self.units or {}
+        intervals = [
+            with_unit(f"{c.name} in [{c.lower:g}, {c.upper:g}]", units, c.name)
+            + (f" ~ {self.distributions[c.name]}" if c.name in self.distributions else "")
+            for c in self.coordinates
+        ]
+        lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
+        measured = [name for name in map(name_of, self.initial) if name in units]
+        if measured:
+            lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in measured))
+        texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
+        return "\n".join([*lines, *(f"  {text}" for text in texts)])
+
+    def _repr_latex_(self) -> str:
+        lines = [latex_of(equation) for equation in self._shown()]
+        lines += initial_latex(self.initial, self.time[1], self.initial.values())
+        lines += [
+            rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
+        ]
+        lines += jump_latex(list(self.initial), self._jumps(), self.time[0])
+        return aligned_equations(lines)
+
+    def _jumps(self) -> tuple[Jump, ...]:
+        """The jumps that were given, in the states as they are written."""
+        states = {state: state for state in self.initial}
+        return system_jumps(self.jumps or {}, {}, states, self.time)
+
+    def _shown(self) -> list[sp.Eq]:
+        """Return the equations as equations, in full."""
+        return [
+            equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
+            for equation in self.equations
+        ]
+
+
+def _coordinates(
+    time: tuple[sp.Symbol, float, float], box: Mapping[sp.Symbol, tuple[float, float]]
+) -> tuple[Coordinate, ...]:
+    intervals = [time, *((symbol, *bounds) for symbol, bounds in box.items())]
+    return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
+
+
+def _jumps(given: Any, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
+    """Jumps with formulas instead of texts; what is no mapping is left to the checks."""
+    if not isinstance(given, Mapping):
+        return given
+    found: dict[Any, Any] = {}
+    for time, values in given.items():
+        if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
+            found[time] = values
+            continue
+        for name in _normalised("jumps", values):
+            if name not in unknowns:
+                raise ProblemError(
+                    f"the jump at {shown(time)} resets {quote(name)}, which has no equation"
+                    f"{did_you_mean(name, unknowns)}",
+                    term=name,
+                    remedy=f"it may reset {listing(unknowns)}",
+                )
+        found[time] = {
+            unknowns[name]: _formula(
+                text, names, f"value of {quote(name)} after the jump at {shown(time)}", None
+            )
+            for name, text in _normalised("jumps", values).items()
+        }
+    return found
+
+
+def _formula(
+    text: Any, names: Mapping[str, sp.Expr], where: str, equation: int | None
+) -> sp.Expr | float:
+    """Parse a text; let numbers pass."""
+    if isinstance(text, str):
+        return parse_expression(text, names, where=where, equation=equation)
+    if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
+        number: sp.Expr = sp.sympify(text)
+        return number
+    raise ProblemError(
+        f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
+    )
+
+
+def _normalised(what: str, mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with names as Python reads them: NFKC, so that a micro sign is a Greek mu."""
+    found: dict[str, Any] = {}
+    for name, value in mapping.items():
+        same = unicodedata.normalize("NFKC", name)
+        if same in found:
+            raise ProblemError(
+                f"{what} has two names that Python reads as {quote(same)}",
+                term=name,
+                remedy="rename one of them",
+            )
+        found[same] = value
+    return found

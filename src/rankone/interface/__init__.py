@@ -1,0 +1,1 @@
+"""What users hold: compiled problems and solutions."""

@@ -1,0 +1,517 @@
+"""The pipeline: from a problem to a generated module, and to a solution.
+
+===============  =====================  ==========================================================
+stage            result                 what happens
+===============  =====================  ==========================================================
+first order      ``.first_order``       orders reduced, masses inverted: u' = f(t, p, u)
+weak form        ``.weak_form``         residual times test function, integrated over all dimensions
+separation       ``.separated``         every term factored into functions of one coordinate
+lowering         ``.quadratic``         products of at most two states, terms grouped by factors;
+                                        None if there are terms that do not separate
+lifting          ``.lifted``            for those, functions of unknowns as further unknowns
+code generation  ``.source``            kernels, factors and pointwise functions as readable text
+import           ``.system``            the text is run as a module
+solve            a ``Solution``         an engine enriches separated tensors over a domain
+===============  =====================  ==========================================================
+
+Each stage takes what the one before made, and nothing else. Each is timed in ``.timings`` (seconds)
+and in the log ``rankone``.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import sympy as sp
+from threadpoolctl import ThreadpoolController
+
+from rankone.agreement.problems import DisagreementError, check_problem
+from rankone.codegen import (
+    equation_texts,
+    general_equation_texts,
+    general_source,
+    generate_source,
+    switching_term,
+)
+from rankone.codegen.gaps import check_gaps
+from rankone.codegen.lowering import quadratic_system
+from rankone.codegen.recipe import Recipe
+from rankone.frontend.problem import Problem
+from rankone.interface.lifted import LiftedProblem, lifted_problem
+from rankone.interface.solution import Solution
+from rankone.ir.domain import Domain
+from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
+from rankone.ir.functions import namespace_of
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Status
+from rankone.ir.system import System
+from rankone.solution.core import raise_blow_up
+from rankone.solvers.registry import AUTO, ENGINES, engines_for
+from rankone.solvers.task import Asked, Task
+from rankone.support.budget import preparing
+from rankone.support.errors import (
+    ConvergenceError,
+    OptionError,
+    ProblemError,
+    SeparationError,
+    bounded_depth,
+    check_kind,
+)
+from rankone.support.options import check_points, refuse_positional
+from rankone.support.progress import Report, resolve_progress
+from rankone.support.version import __version__
+from rankone.support.wording import count, quote
+from rankone.symbolic import (
+    FirstOrderSystem,
+    WeakForm,
+    check_known,
+    check_moved,
+    check_start,
+    check_tables,
+    first_order,
+    separate,
+    weak_form,
+)
+
+__all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
+
+logger = logging.getLogger("rankone")
+_KEPT = 1e-10
+"""Part of the largest rate up to which separated terms may be off; others are not separated."""
+
+_ANY_SYSTEM = (AUTO, "cross")
+"""Methods that need no separated terms."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledProblem:
+    """A problem with everything that was derived from it before numbers come in.
+
+    Made by :func:`rankone.compile`.
+
+    Attributes
+    ----------
+    first_order : FirstOrderSystem
+        The equations solved for the derivatives.
+    weak_form : WeakForm
+        Residual times test function, integrated over every dimension.
+    separated : SeparatedForm
+        The terms, each a product of functions of one coordinate and a monomial.
+    quadratic : QuadraticSystem or None
+        The right-hand side with products of at most two states, its terms in groups; None if
+        there are terms that do not separate.
+    source : str
+        Text of the generated module.
+    timings : dict of str to float
+        Seconds by stage.
+    """
+
+    problem: Problem
+    first_order: FirstOrderSystem
+    weak_form: WeakForm
+    separated: SeparatedForm
+    quadratic: QuadraticSystem | None
+    source: str
+    timings: dict[str, float]
+
+    @cached_property
+    def system(self) -> System:
+        """The generated module; run again from its source after unpickling."""
+        return Recipe(self.source, self.problem.name or "system", self.user_functions).load()
+
+    @cached_property
+    def lifted(self) -> LiftedProblem | None:
+        """Functions of the unknowns as further unknowns, for the methods that need separated terms.
+
+        None where all terms separate, or where something cannot be lifted. Printed, it gives for
+        each further unknown its meaning, its equation and its initial value.
+        """
+        return self._lifting if isinstance(self._lifting, LiftedProblem) else None
+
+    @cached_property
+    def _lifting(self) -> LiftedProblem | sp.Expr | None:
+        """The lifted form, what cannot be lifted, or None where there is nothing to lift."""
+        if self.quadratic is not None:
+            return None
+        return lifted_problem(self.first_order, self.system, self.problem.name or "")
+
+    def form_for(self, method: str) -> CompiledProblem | LiftedProblem:
+        """What a method takes: an object with ``separated``, ``source`` and ``system``.
+
+        Raises
+        ------
+        SeparationError
+            If the method needs separated terms, and there is no lifted form.
+        """
+        if method in _ANY_SYSTEM or self.quadratic is not None:
+            return self
+        if self.lifted is None:
+            raise SeparationError(
+                str(self.methods[method]),
+                equation=self.separated.general[0].origin,
+                term=self._lifting,
+                remedy=_without_lifting(self._lifting),
+            )
+        return self.lifted
+
+    @property
+    def user_functions(self) -> Mapping[str, Callable[..., Any]]:
+        """The functions of the user that the source calls, by the names it calls them by."""
+        jumps = (value for jump in self.first_order.jumps for value in jump.values)
+        return namespace_of([*self.first_order.rhs, *self.first_order.initial, *jumps])
+
+    @property
+    def methods(self) -> dict[str, str | None]:
+        """For each method None if it applies, else the reason why not."""
+        reason = None
+        if self.quadratic is None and self.lifted is None:
+            reason = (
+                f"{self.separated.general[0].reason}; {quote(self._lifting)} has no lifted form"
+            )
+        return {name: None if name in _ANY_SYSTEM else reason for name in ENGINES}
+
+    @property
+    def automatic(self) -> tuple[str, ...]:
+        """The methods that ``method="auto"`` tries one after the other."""
+        parameters, separated = len(self.problem.parameters), self.quadratic is not None
+        tried = engines_for(AUTO, parameters=parameters, separated=separated)
+        return tuple(engine.name for engine in tried)
+
+    def __getstate__(self) -> dict[str, Any]:
+        made = ("system", "_lifting")
+        return {name: value for name, value in self.__dict__.items() if name not in made}
+
+    def __repr__(self) -> str:
+        clock, *parameters = self.separated.coordinates
+        names = ", ".join(state.name for state in self.separated.states)
+        box = ", ".join(f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in (clock, *parameters))
+        general = count(len(self.separated.general), "general term")
+        general = f"{general}, " if self.separated.general else ""
+        return (
+            f"CompiledProblem of {names} over {box}\n"
+            f"{len(self.separated.terms)} separated terms, "
+            f"{general}"
+            f"{self.source.count(chr(10))} lines generated, "
+            f"compiled in {sum(self.timings.values()):.2f} s"
+        )
+
+    def solve(
+        self,
+        rtol: float = 1e-6,
+        *arguments: Any,
+        method: Literal["auto", "cross", "train", "greedy"] = "auto",
+        parameters: Mapping[Any, Sequence[float]] | None = None,
+        t_final: float | None = None,
+        progress: bool | Report = False,
+        check: bool | int = True,
+        cover: Literal["interior", "box"] | None = None,
+        effort: str | float = "normal",
+        max_seconds: float | None = None,
+        unknowns: Sequence[Any] | None = None,
+        on_failure: Literal["return", "raise"] = "return",
+        **options: Any,
+    ) -> Solution:
+        """Solve for every parameter of the box at once.
+
+        Parameters
+        ----------
+        rtol : float
+            Largest error asked for, relative to the largest value of each unknown, between 1e-10
+            and 0.1. It is measured against SciPy trajectories after the solve.
+        method : {"auto", "train", "cross", "greedy"}
+            The engine. "auto" tries cross and train, which first depends on the number of
+            parameters. "train" is the tensor train on the preconditioned Volterra form; "cross"
+            interpolates trajectories at chosen parameter points; "greedy" is the classic proper
+            generalized decomposition with rank-one enrichments. Right-hand sides that do not
+            separate need "cross".
+        parameters : mapping, optional
+            Other intervals of parameters, by symbols or names; nothing is compiled again.
+        t_final : float, optional
+            Another end of the horizon.
+        progress : bool or callable
+            True shows a bar on stderr; a callable gets a
+            :class:`~rankone.support.progress.ProgressEvent` after each slab, or batch of samples.
+        check : bool or int
+            Number of check points in the interior, spread evenly (96 for True, at most 100000).
+            False skips the check; the solution then does not count as a success.
+        cover : {"interior", "box"}, optional
+            What success covers: points of the interior, or corners of the box as well. By
+            default "box" up to three parameters; beyond, corners are measured and stated.
+        effort : {"low", "normal", "high"} or float
+            Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or
+            another factor; ten times as much where functions of the user are called. When it is
+            spent, the best solution so far is returned, with ``success`` False. It is counted, not
+            measured, so the result does not depend on how busy the machine is.
+        max_seconds : float, optional
+            Time limit on the clock besides; the result then depends on the machine.
+        unknowns : sequence, optional
+            The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
+            derivatives or names. By default all count, derivatives that are states too.
+        on_failure : {"return", "raise"}
+            What to do when the tolerance is not reached: return the solution with ``success``
+            False, or raise ConvergenceError, which carries it.
+        **options
+            Limits and discretisation of the engine: :class:`rankone.CrossOptions`,
+            :class:`rankone.TrainOptions` or :class:`rankone.GreedyOptions`; for the latter also
+            ``preset="slides"``.
+
+        Raises
+        ------
+        BlowUpError
+            A trajectory blows up inside the horizon. ``.solution`` holds the part up to there.
+        ConvergenceError
+            Only with ``on_failure="raise"``.
+        OptionError
+            An option is unknown or out of its range, or there is no such domain.
+        SeparationError
+            The method needs separated terms, and some term does not separate.
+        """
+        if not isinstance(on_failure, str) or on_failure not in ("return", "raise"):
+            raise OptionError(
+                f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
+            )
+        refuse_positional(arguments, "method")
+        separated = not self.separated.general
+        count = len(self.separated.coordinates) - 1
+        engines = engines_for(method, options, count, separated=separated)
+        form = self.form_for(str(method))
+        check_points(check)
+        asked = Asked(
+            rtol, parameters, t_final, check, cover, max_seconds, options, unknowns, effort
+        )
+        task = Task.of(engines, form.system, asked, "method", "progress", "on_failure")
+        if form is not self:
+            task = replace(task, truth=self.system)
+        if parameters or t_final is not None:
+            self._check_gaps(task.domain)
+            check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
+        began = time.perf_counter()
+        with resolve_progress(progress) as report, _one_blas_thread():
+            outcome, metadata = task.run(self.metadata(), report)
+        seconds = time.perf_counter() - began
+        logger.info("solve: %.3f s, %s", seconds, outcome.message)
+        timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
+        message, smoothing = outcome.message, None
+        if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
+            smoothing = switching_term(self.first_order, outcome.switching)
+            message = "; ".join(filter(None, [message, smoothing]))
+        solution = Solution(replace(outcome, timings=timings, message=message), metadata)
+
+        def again(intervals: Mapping[str, tuple[float, float]], factor: float) -> Solution:
+            smaller = asked.on_part(intervals, factor)
+            given = {name: getattr(smaller, name) for name in asked.keywords()}
+            return self.solve(**given, method=method, **options)
+
+        raise_blow_up(solution, again, smoothing)
+        if on_failure == "raise" and not solution.success:
+            raise ConvergenceError(message, solution=solution)
+        return solution
+
+    def _check_gaps(self, domain: Domain) -> None:
+        """Raise an OptionError if a piecewise function has a gap on another domain."""
+        intervals = zip(self.separated.coordinates, (domain.horizon, *domain.box), strict=True)
+        moved = [replace(c, lower=lower, upper=upper) for c, (lower, upper) in intervals]
+        try:
+            check_gaps(self.first_order.piecewise(), moved)
+        except ProblemError as error:
+            raise OptionError(str(error), term=error.term) from error
+
+    def export(
+        self,
+        path: str | PathLike[str],
+        *arguments: Any,
+        method: str = "auto",
+        overwrite: bool = False,
+    ) -> Path:
+        """Write a standalone solver: one Python file that needs only NumPy and SciPy.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.py``.
+        method : {"auto", "train", "cross", "greedy"}
+            The engine; ``"auto"`` takes the one that :meth:`solve` tries first.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ExportError
+            If the path has another suffix, exists or cannot be written, the method does not apply
+            to the problem, or the problem has functions of the user.
+        OptionError
+            If there is no such method.
+        """
+        refuse_positional(arguments, "method")
+        from rankone.export import export_solver
+
+        return export_solver(self, path, method=method, overwrite=overwrite)
+
+    def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
+        """What a solution of the problem says was asked."""
+        form = self.separated
+        clock, *parameters = form.coordinates
+        return SolutionMetadata(
+            states=tuple(state.name for state in form.states),
+            roles=tuple(state.role for state in form.states),
+            parameters=tuple(c.name for c in parameters),
+            box=tuple((c.lower, c.upper) for c in parameters),
+            time=clock.name,
+            horizon=(clock.lower, clock.upper),
+            rtol=rtol,
+            method=method,
+            equations=tuple(
+                general_equation_texts(self.first_order)
+                if self.quadratic is None
+                else equation_texts(self.quadratic)
+            ),
+            version=__version__,
+            source=self.source,
+            units=tuple((self.problem.units or {}).items()),
+            distributions=tuple(self.problem.distributions.items()),
+            correlations=tuple(
+                (*pair, rho) for pair, rho in (self.problem.correlation or {}).items()
+            ),
+            name=self.problem.name or "",
+        )
+
+
+def _without_lifting(part: Any) -> str:
+    """What to do about an expression that has no lifted form."""
+    remedy = "method='cross', the default, takes it as it is"
+    if not isinstance(part, sp.Abs | sp.sign):
+        return remedy
+    (argument,) = part.args
+    plain = argument if isinstance(part, sp.Abs) else sp.S.One
+    return (
+        f"{remedy}; where {quote(argument)} keeps its sign, write {quote(plain)} or {quote(-plain)}"
+    )
+
+
+def compile_problem(problem: Problem) -> CompiledProblem:
+    """Compile a problem: every stage up to the generated module.
+
+    Raises
+    ------
+    ProblemError
+        A coefficient is complex or not finite somewhere in the box, or a function cannot be
+        written with NumPy or SciPy.
+    """
+    remedy = "build one with rankone.Problem(...) or Problem.from_strings(...)"
+    if isinstance(problem, CompiledProblem):
+        remedy = "this one is compiled already; call its .solve(...)"
+    check_kind("compile", problem, Problem, remedy=remedy)
+    with bounded_depth():
+        return _compiled(problem)
+
+
+def _compiled(problem: Problem) -> CompiledProblem:
+    """Every stage up to the generated module."""
+    timings: dict[str, float] = {}
+    with _timed(timings, "first order"):
+        system = first_order(problem)
+        check_tables(system, system.coordinates)
+        check_gaps(system.piecewise(), system.coordinates)
+    with _timed(timings, "weak form"):
+        weak = weak_form(system)
+    with _timed(timings, "separation"):
+        separated = separate(weak)
+    if separated.general:
+        check_known(system, system.coordinates)
+    with _timed(timings, "lowering"):
+        quadratic = None if separated.general else quadratic_system(separated)
+    with _timed(timings, "code generation"):
+        if quadratic is None:
+            source = general_source(system, problem.name)
+        else:
+            source = generate_source(quadratic, problem.name)
+    compiled = CompiledProblem(problem, system, weak, separated, quadratic, source, timings)
+    with _timed(timings, "import"):
+        _ = compiled.system
+    if separated.general:
+        check_start(system, compiled.system, system.coordinates)
+    with _timed(timings, "agreement"):
+        return _agreeing(compiled)
+
+
+def _agreeing(compiled: CompiledProblem) -> CompiledProblem:
+    """What was compiled, checked; without separation where that loses digits.
+
+    A power of ``x - 310`` that is multiplied out is a difference of large numbers.
+    """
+    problem, first_order = compiled.problem, compiled.first_order
+    if compiled.quadratic is not None:
+        try:
+            check_problem(problem, first_order, compiled.system, _KEPT)
+            return compiled
+        except DisagreementError as error:
+            as_written = _not_separated(compiled, error)
+        try:
+            check_problem(problem, first_order, as_written.system, _KEPT)
+            return as_written
+        except DisagreementError:
+            pass  # no form keeps more digits
+    check_problem(problem, first_order, compiled.system)
+    return compiled
+
+
+def _not_separated(compiled: CompiledProblem, error: DisagreementError) -> CompiledProblem:
+    """The problem with functions as they are written, since multiplied out they lose digits."""
+    first_order = compiled.first_order
+    origins = first_order.origins
+    state = origins.index(error.equation) if error.equation in origins else 0
+    rate = first_order.rhs[state]
+    reason = f"{quote(rate)} loses digits when it is multiplied out"
+    remedy = "method='cross' takes it as it is; count the unknowns from where they are"
+    term = GeneralTerm(state, rate, False, reason, remedy, error.equation)
+    return replace(
+        compiled,
+        separated=replace(compiled.separated, general=(term,)),
+        quadratic=None,
+        source=general_source(first_order, compiled.problem.name),
+    )
+
+
+def solve_problem(
+    problem: Problem, rtol: float = 1e-6, *arguments: Any, **options: Any
+) -> Solution:
+    """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
+
+    See :meth:`CompiledProblem.solve` for the options; ``max_seconds`` includes compiling.
+    """
+    with preparing(options.get("max_seconds")):
+        return compile_problem(problem).solve(rtol, *arguments, **options)
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    began = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - began
+    logger.info("%s: %.3f s", stage, timings[stage])
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    """The BLAS pools of this process; looking for them takes milliseconds."""
+    return ThreadpoolController()
+
+
+@contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Small products run fastest on one thread, and two busy pools slow each other down."""
+    with _thread_pools().limit(limits=1, user_api="blas"):
+        yield

@@ -1,0 +1,474 @@
+"""Solution: what users hold after a solve, for every parameter value and time at once."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from functools import cached_property, partial
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from rankone.estimation.methods import EstimationFromData
+from rankone.ir.outcome import SlabRecord
+from rankone.outputs.solved import samples_of, with_outputs
+from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
+from rankone.solution.summary import summary_html, summary_text
+from rankone.solvers.registry import ENGINES
+from rankone.statistics.copula import copula_of
+from rankone.statistics.distribution_over_box import DistributionOverBox
+from rankone.statistics.distributions import from_text
+from rankone.storage import read, write
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError, RankoneError, StorageError
+from rankone.tensors.canonical import CanonicalForms, canonical_form
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+__all__ = ["Solution", "load"]
+
+
+class Solution(DistributionOverBox, EstimationFromData):
+    """The unknowns as functions of time and of all parameters.
+
+    It is evaluated like :class:`~rankone.solution.core.SolutionCore`, whose methods it has:
+    ``solution(t=1.0, x0=9.0, y0=5.0)``, ``solution[x](...)``, ``solution.grid(...)``. Beside
+    that it says how it was found, and can be written in other forms.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        What the engine returned.
+    metadata : SolutionMetadata
+        What was asked.
+    """
+
+    # --- how it was found ----------------------------------------------------------------------
+
+    @property
+    def ranks(self) -> tuple[tuple[int, ...], ...]:
+        """For each slab the ranks of its train: time | parameter 1 | parameter 2 | ..."""
+        return tuple(slab.ranks for slab in self.outcome.slabs)
+
+    @property
+    def rank(self) -> int:
+        """The largest rank; 1 without parameters, 0 if nothing was solved."""
+        return max((max(ranks, default=1) for ranks in self.ranks), default=0)
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """For each parameter the largest number of nodes over the slabs."""
+        sizes = [[basis.size for basis in slab.bases] for slab in self.outcome.slabs]
+        return tuple(max(column) for column in zip(*sizes, strict=True))
+
+    @property
+    def history(self) -> tuple[SlabRecord, ...]:
+        """Every slab tried, accepted or not, over all attempts."""
+        return self.outcome.history
+
+    @property
+    def timings(self) -> dict[str, float]:
+        """Seconds by stage."""
+        return dict(self.outcome.timings)
+
+    @property
+    def work(self) -> dict[str, float]:
+        """Operations counted by stage: what of the budget that ``effort`` sets each one took."""
+        return dict(self.outcome.work)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the tensor trains."""
+        return sum(core.nbytes for slab in self.outcome.slabs for core in slab.cores)
+
+    # --- other forms ---------------------------------------------------------------------------
+
+    def to_canonical(self, rtol: float = 1e-6, *, max_rank: int = 500) -> CanonicalForms:
+        """Write each unknown as a sum of products of functions of one coordinate.
+
+        ``u(t, p_1, ..., p_d) = sum_i amplitudes[i] T_i(t) P_i^1(p_1) ... P_i^d(p_d)`` over the
+        whole horizon, with factors of unit mean square. In one parameter this is the singular
+        value decomposition: the modes are orthonormal, the amplitudes its singular values.
+
+        Parameters
+        ----------
+        rtol : float
+            Largest error of each unknown in the mean square over box and horizon, relative to
+            its own mean square.
+        max_rank : int
+            Most terms for each unknown.
+
+        Returns
+        -------
+        CanonicalForms
+            A mapping from unknowns to :class:`~rankone.tensors.canonical.CanonicalForm`. The form
+            of a derivative that is a state is computed when it is asked for:
+            ``forms[x.diff(t)]`` or ``forms["x_t"]``.
+
+        Raises
+        ------
+        OptionError
+            If an option is out of its range.
+
+        Warns
+        -----
+        RankoneWarning
+            If ``max_rank`` terms do not suffice; the form says the error reached.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        names = (self.metadata.time, *self.metadata.parameters)
+        form = partial(canonical_form, self.outcome.slabs, names, rtol=rtol, max_rank=max_rank)
+        return CanonicalForms(form, self.states, self.unknowns)
+
+    @cached_property
+    def modes(self) -> CanonicalForms:
+        """The canonical form of each unknown to 1e-3, for plots; see :meth:`to_canonical`."""
+        return self.to_canonical(1e-3)
+
+    def to_xarray(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> xr.Dataset:
+        """The unknowns on the grid of all combinations of values, with labels.
+
+        Parameters
+        ----------
+        values, **named
+            For time and each parameter, by symbols or names, a number or one-dimensional values.
+            Without times there are 101 over the horizon, if the solution depends on time.
+
+        Returns
+        -------
+        xarray.Dataset
+            A variable for each unknown with its measured error as an attribute, a dimension for
+            each coordinate that is not a number.
+
+        Raises
+        ------
+        RankoneError
+            If xarray is not installed.
+        EvaluationError
+            As for a call.
+        """
+        from rankone.solution.labelled import dataset
+
+        return dataset(self, merged(values, named))
+
+    def to_dataframe(
+        self, values: Mapping[Any, Any] | None = None, /, **named: Any
+    ) -> pd.DataFrame:
+        """The same as :meth:`to_xarray` as a table, a row for each point of the grid."""
+        data = self.to_xarray(values, **named)
+        names = self.metadata.coordinates
+        return (data if data.sizes or not names else data.expand_dims(names[0])).to_dataframe()
+
+    def export(
+        self,
+        path: str | PathLike[str],
+        *,
+        states: Literal["unknowns", "all"] = "unknowns",
+        rtol: float | None = None,
+        overwrite: bool = False,
+        allow_failed: bool = False,
+        fmi: Literal["2.0", "3.0"] | None = None,
+    ) -> Path:
+        """Write a model for evaluation only: in Python, C99 or JavaScript, an FMU, or a page.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.py`` writes a Python module that needs only NumPy, with an ``.npz`` beside it if
+            there are many coefficients; ``.c`` writes C99 source and its header ``.h``; ``.js`` or
+            ``.mjs`` writes an ES module for Node and browsers and its TypeScript declarations;
+            ``.html`` writes a page, as :meth:`explore` does; ``.fmu`` writes an FMU for
+            co-simulation, with a binary if there is a C compiler.
+        states : {"unknowns", "all"}
+            Whether the model evaluates the unknowns alone or derivatives that are states as well,
+            as a page always does.
+        rtol : float, optional
+            By how much the model may differ from the solution, relative to the size of each
+            unknown, to be smaller and faster; 1e-12 to 0.1. The difference is measured at 4200
+            random points and by climbing from the worst of them, and said in the model. Without
+            it the model is the solution.
+        overwrite : bool
+            Whether to replace existing files.
+        allow_failed : bool
+            Whether a solution may be exported that is not a success.
+        fmi : {"2.0", "3.0"}, optional
+            Version of FMI for an FMU, by default 2.0.
+
+        Returns
+        -------
+        Path
+            The file, or the first of several.
+
+        Raises
+        ------
+        ExportError
+            If the solution is not a success, or the path has another suffix, exists or cannot be
+            written; for a page also if nothing depends on time.
+        OptionError
+            If there is no such choice of states or no such version of FMI, or ``rtol`` is out of
+            its range.
+
+        Warns
+        -----
+        RankoneWarning
+            If an FMU has no binary, because nothing could be compiled.
+        """
+        from rankone.export import export_model
+
+        options = {"overwrite": overwrite, "allow_failed": allow_failed}
+        return export_model(self, path, states=states, rtol=rtol, fmi=fmi, **options)
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the solution to a file in an open format, without pickle.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.npz``, or in ``.nc`` for netCDF, which needs h5netcdf and h5py.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        StorageError
+            If the name has another suffix, the file exists and is not to be replaced, it cannot be
+            written, or a package that it needs is not installed. A file is either complete or not
+            there, also after an interrupt.
+        """
+        return write(path, self.outcome, self.metadata, overwrite)
+
+    # --- derivatives and smaller solutions -----------------------------------------------------
+
+    def diff(self, coordinate: Any) -> Solution:
+        """The derivatives of all unknowns with respect to a parameter or to time, as a solution.
+
+        Exact for the trains: they are polynomials on elements. The error is not measured, so that
+        ``success`` is False; it is about that of the solution times the degree squared over the
+        width of the elements.
+
+        Parameters
+        ----------
+        coordinate : str or Symbol
+
+        Raises
+        ------
+        OptionError
+            If there is no such coordinate.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        return Solution(*derived(self.outcome, self.metadata, coordinate))
+
+    def gradient(self, *at: Any, **named: Any) -> Array:
+        """Derivatives of all unknowns with respect to all parameters, at times and values.
+
+        Arguments and errors are those of a call.
+
+        Returns
+        -------
+        ndarray (unknowns, parameters, *broadcast shape of the values)
+        """
+        given = self._coordinates.gather(at, named)
+        parts = [part._evaluate(given, part._unknowns) for part in self._slopes]
+        if not parts:
+            value = self._evaluate(given, self._unknowns)
+            return np.zeros((len(value), 0, *value.shape[1:]))
+        return np.stack(parts, axis=1)
+
+    @cached_property
+    def _slopes(self) -> list[Solution]:
+        """The derivative with respect to each parameter."""
+        return [self.diff(name) for name in self.metadata.parameters]
+
+    def output(
+        self,
+        quantities: Mapping[str, Any],
+        *,
+        rtol: float | None = None,
+        effort: str | float = "normal",
+        max_seconds: float | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Solution:
+        """Quantities of interest as a solution of their own.
+
+        Parameters
+        ----------
+        quantities : mapping of str to Expr or str
+            For each name an expression of unknowns, their time derivatives, parameters and time.
+            ``Integral(x, (t, a, b))`` is an integral over time, to ``t`` as upper limit a running
+            one; :func:`rankone.maximum`, :func:`rankone.minimum`, :func:`rankone.duration` and
+            :func:`rankone.first_crossing` are functions of a whole function of time. In a text
+            write ``integral(x, a, b)``, ``maximum(x)`` and so on.
+        rtol : float, optional
+            Tolerance, relative to the largest value of each quantity. By default 1.5 times what
+            errors of the solution's tolerance in every unknown would bring, or that tolerance.
+        effort : {"low", "normal", "high"} or float
+            Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or
+            another factor. When it is spent, the best so far is returned.
+        max_seconds : float, optional
+            Time limit on the clock besides.
+        units : mapping of str to str, optional
+            Units of quantities.
+
+        Returns
+        -------
+        Solution
+            Of the parameters alone if no quantity depends on time. Its error is that of the
+            interpolation, measured, and what the errors of the solution change the quantities
+            by; that of time derivatives is not known, unless they are states.
+
+        Raises
+        ------
+        OptionError
+            If an expression has something that the solution does not hold.
+        EvaluationError
+            If a quantity is not finite somewhere in the box, or a level is not crossed.
+        ConvergenceError
+            If the budget is spent, or the time limit reached, before there is anything.
+        RankoneError
+            If SymPy is not installed.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        asked = _expressions().quantities_of(quantities, self.metadata, self.time, samples_of(self))
+        return Solution(*with_outputs(self, asked, rtol, effort, max_seconds, units or {}))
+
+    def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
+        """The solution for given values of some parameters, as a solution of the others.
+
+        Nothing is sampled. ``errors`` are those measured on the whole box, relative to the sizes
+        there; where corners did not count and are above the tolerance, ``success`` is False.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or its value is outside of its range.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        given = merged(values, named)
+        return Solution(*with_fixed(self.outcome, self.metadata, given))
+
+    def at(self, t: float) -> Solution:
+        """The solution at one time, as a solution of the parameters alone.
+
+        Nothing is sampled; ``errors`` are as for :meth:`fix`.
+
+        Raises
+        ------
+        EvaluationError
+            If the time is no number, or outside of the horizon.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        time = self._times(t)
+        if time.ndim:
+            raise EvaluationError(
+                f"t={t!r} is not a number", term=t, remedy="evaluate the solution at several times"
+            )
+        return Solution(*at_time(self.outcome, self.metadata, float(time)))
+
+    def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
+        """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.
+
+        Nothing is sampled. ``errors`` are as for :meth:`fix`.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or an interval is not a part of its range.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        given = merged(intervals, named)
+        return Solution(*with_restricted(self.outcome, self.metadata, given))
+
+    # --- exploring -----------------------------------------------------------------------------
+
+    def explore(
+        self,
+        path: str | PathLike[str],
+        *,
+        title: str | None = None,
+        rtol: float | None = None,
+        overwrite: bool = False,
+        allow_failed: bool = False,
+    ) -> Path:
+        """Write a page with a slider for each parameter, and the curves that follow.
+
+        It is one HTML file that works offline, in any browser of the last years.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.html``.
+        title : str, optional
+            The heading; by default the name of the problem, or else that of the file.
+        rtol : float, optional
+            By how much the curves may differ from the solution, relative to the size of each
+            unknown, to make the file smaller; 1e-12 to 0.1.
+        overwrite : bool
+            Whether to replace an existing file.
+        allow_failed : bool
+            Whether to write a page of a solution that is not a success; the page says so.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ExportError
+            If the solution is not a success or does not depend on time, or the path has another
+            suffix, exists or cannot be written.
+        OptionError
+            If the title is no text, or ``rtol`` is out of its range.
+        """
+        from rankone.export.explorer import export_page
+
+        options = {"overwrite": overwrite, "allow_failed": allow_failed}
+        return export_page(self, path, title=title, rtol=rtol, **options)
+
+    # --- display -------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return summary_text(self)
+
+    def _repr_html_(self) -> str:
+        return summary_html(self)
+
+
+def load(path: str | PathLike[str]) -> Solution:
+    """Read a solution that was saved by :meth:`Solution.save`.
+
+    Nothing in the file is executed.
+
+    Returns
+    -------
+    Solution
+        Evaluates to exactly the same values as the one saved.
+
+    Raises
+    ------
+    StorageError
+        As for :func:`rankone.storage.read`.
+    """
+    outcome, metadata = read(path, {name: engine.record for name, engine in ENGINES.items()})
+    try:
+        for _, text in metadata.distributions:
+            from_text(text)
+        copula_of(metadata.parameters, {(a, b): rho for a, b, rho in metadata.correlations})
+    except OptionError as error:
+        raise StorageError(f"`{path}` is damaged: {error}", term=path) from error
+    return Solution(outcome, metadata)
+
+
+def _expressions() -> Any:
+    """The translation of expressions: the one part of solutions that needs SymPy."""
+    try:
+        return importlib.import_module("rankone.codegen.output_expressions")
+    except ImportError:
+        raise RankoneError(
+            "outputs are given as SymPy expressions, and SymPy is not installed",
+            remedy="pip install sympy",
+        ) from None

@@ -1,0 +1,1 @@
+"""Frozen data that pass between the front end, code generation, engines and solutions."""

@@ -1,0 +1,422 @@
+"""Functions that SymPy does not know: tables of data, and functions of the user.
+
+Both are SymPy function classes, to be applied in equations like ``sin``. They have values and
+derivatives; a table is written into generated source as data, a user's function is handed to the
+generated module by name.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import hashlib
+import keyword
+import unicodedata
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy as sp
+from scipy.interpolate import CubicSpline
+from sympy.core.function import ArgumentIndexError, FunctionClass
+
+from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote, shown
+
+__all__ = ["DataFunction", "Table", "UserFunction", "function", "known_applied", "table"]
+
+_KINDS = ("linear", "cubic", "previous")
+_PREFIX = "f_"
+"""What a function's name begins with in generated source, so that no local name hides it."""
+
+
+class _Made(FunctionClass):  # type: ignore[misc]
+    """The class of function classes made from data: they are pickled by their data."""
+
+    recipe: tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+def _reduced(made: Any) -> Any:
+    """The recipe of a class that was made, the name of any other."""
+    return made.recipe if "recipe" in made.__dict__ else made.__name__
+
+
+copyreg.pickle(_Made, _reduced)
+
+
+class DataFunction(sp.Function, metaclass=_Made):  # type: ignore[misc]
+    """A function that is evaluated by numbers: the base of tables and of users' functions."""
+
+    @classmethod
+    def written(cls) -> str:
+        """How the function is called in generated source."""
+        return _PREFIX + str(cls.__name__)
+
+    @classmethod
+    def definition(cls) -> list[str]:
+        """Source lines that define it; none if it is handed to the module."""
+        return []
+
+    def _eval_is_extended_real(self) -> bool:
+        return True
+
+    def _numpy_text(self, printer: Any) -> str:
+        return f"{self.written()}({', '.join(str(printer._print(a)) for a in self.args)})"
+
+
+class Table(DataFunction):
+    """A function given by values at ascending points; NaN outside of them.
+
+    Attributes
+    ----------
+    points, values : tuple of float
+    kind : {"linear", "cubic", "previous"}
+    order : int
+        Order of the derivative of a cubic spline.
+    """
+
+    points: ClassVar[tuple[float, ...]]
+    values: ClassVar[tuple[float, ...]]
+    kind: ClassVar[str]
+    order: ClassVar[int]
+
+    @classmethod
+    def definition(cls) -> list[str]:
+        """Source lines that define it."""
+        points, values = f"POINTS_{cls.__name__}", f"VALUES_{cls.__name__}"
+        lines = [*_array(points, cls.points), *_array(values, cls.values)]
+        if cls.kind == "linear":
+            value = f"np.interp(inside, {points}, {values})"
+        elif cls.kind == "previous":
+            value = f'{values}[np.searchsorted({points}, inside, side="right") - 1]'
+        else:
+            lines.append(f"SPLINE_{cls.__name__} = CubicSpline({points}, {values})")
+            value = f"SPLINE_{cls.__name__}(inside{f', {cls.order}' if cls.order else ''})"
+        near = 1e-9 * (cls.points[-1] - cls.points[0])
+        return [
+            *lines,
+            "",
+            "",
+            f"def {cls.written()}(x):",
+            f'    """Table of {len(cls.points)} values, {cls.kind}; NaN outside of it."""',
+            f"    inside = np.clip(x, {points}[0], {points}[-1])",
+            f"    value = {value}",
+            f"    return np.where(abs(inside - x) <= {near!r}, value, np.nan)",
+        ]
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative: slopes, the spline's derivative, zero for steps."""
+        (argument,) = self.args
+        if self.kind == "previous":
+            return sp.S.Zero
+        name = f"{type(self).__name__}_slope"
+        if self.kind == "cubic":
+            return _table_class(name, self.points, self.values, "cubic", self.order + 1)(argument)
+        slopes = np.diff(self.values) / np.diff(self.points)
+        steps = (*slopes.tolist(), float(slopes[-1]))
+        return _table_class(name, self.points, steps, "previous", 0)(argument)
+
+
+def table(
+    times: Sequence[float] | Array,
+    values: Sequence[float] | Array,
+    kind: str = "linear",
+    *,
+    name: str | None = None,
+) -> type[Table]:
+    """A function given by data, for right-hand sides: ``f(t)``, ``f(k)`` or ``f(x)``.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Ascending points, at least two.
+    values : sequence of float
+        The value at each.
+    kind : {"linear", "cubic", "previous"}
+        Straight lines between the points, a cubic spline (not-a-knot), or the value of the last
+        point before.
+    name : str, optional
+        How it is shown; by default ``table_`` and some digits that depend on the data.
+
+    Returns
+    -------
+    A SymPy function class of one argument, with value and derivative.
+
+    Raises
+    ------
+    ProblemError
+        If the points do not ascend, numbers are not finite, or there are not as many values.
+    """
+    points, heights = _numbers("times", times), _numbers("values", values)
+    if len(points) < 2 or len(points) != len(heights):
+        raise ProblemError(
+            f"a table has {len(points)} times and {len(heights)} values",
+            term=times,
+            remedy="give as many values as times, at least two",
+        )
+    place = next((k for k in range(len(points) - 1) if points[k] >= points[k + 1]), None)
+    if place is not None:
+        raise ProblemError(
+            f"the times of a table do not ascend: {points[place]:g} is followed by "
+            f"{points[place + 1]:g}",
+            term=times,
+            remedy="sort them and leave out repetitions",
+        )
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise ProblemError(
+            f"kind={kind!r} is unknown", term=kind, remedy=f"choose from {', '.join(_KINDS)}"
+        )
+    if not _representable(points, heights, kind):
+        raise ProblemError(
+            f"the numbers of a table are too large, or its times too close, for kind={kind!r}",
+            term=values,
+            remedy="change the units, or leave out points",
+        )
+    if name is None:
+        data = np.array([points, heights]).tobytes() + kind.encode()
+        name = f"table_{hashlib.sha256(data).hexdigest()[:6]}"
+    _check_name(name)
+    return _table_class(name, points, heights, kind, 0)
+
+
+_TABLES: dict[tuple[Any, ...], type[Table]] = {}
+
+
+def _table_class(
+    name: str, points: tuple[float, ...], values: tuple[float, ...], kind: str, order: int
+) -> type[Table]:
+    """The class of a table; the same data give the same class."""
+    key = name, points, values, kind, order
+    if key not in _TABLES:
+        made: Any = _Made(
+            name,
+            (Table,),
+            {
+                "nargs": 1,
+                "points": points,
+                "values": values,
+                "kind": kind,
+                "order": order,
+                "recipe": (_table_class, key),
+                "__module__": __name__,
+            },
+        )
+        namespace: dict[str, Any] = {"np": np, "CubicSpline": CubicSpline}
+        exec("\n".join(made.definition()), namespace)
+        made._imp_ = staticmethod(namespace[made.written()])
+        _TABLES[key] = made
+    return _TABLES[key]
+
+
+class UserFunction(DataFunction):
+    """A function of the user, evaluated by a callable on arrays.
+
+    Attributes
+    ----------
+    derivatives : tuple of callable
+        One for each argument; none if this is a derivative itself.
+    """
+
+    derivatives: ClassVar[tuple[Callable[..., Any], ...]]
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The derivative, another function of the user."""
+        if not self.derivatives:
+            raise ArgumentIndexError(self, argindex)
+        name = f"{type(self).__name__}_{argindex}"
+        value = self.derivatives[argindex - 1]
+        return _user_class(name, value, (), len(self.args))(*self.args)
+
+
+def function(
+    name: str,
+    value: Callable[..., Any],
+    derivative: Callable[..., Any] | Sequence[Callable[..., Any]],
+) -> type[UserFunction]:
+    """A function of the user for right-hand sides, with its derivative.
+
+    Parameters
+    ----------
+    name : str
+        How it is shown.
+    value : callable
+        Maps arrays of one shape, one for each argument, to an array of that shape.
+    derivative : callable or sequence of callable
+        The same for the derivative with respect to each argument.
+
+    Returns
+    -------
+    A SymPy function class with as many arguments as there are derivatives.
+
+    Raises
+    ------
+    ProblemError
+        If something given is not a function.
+    """
+    _check_name(name)
+    several = isinstance(derivative, Sequence)
+    derivatives = tuple(derivative) if isinstance(derivative, Sequence) else (derivative,)
+    given = (value, *derivatives)
+    if not derivatives or not all(callable(f) and isinstance(f, Hashable) for f in given):
+        what = "derivatives" if several else "derivative"
+        raise ProblemError(
+            f"value and {what} of function {quote(name)} are not all callable (and hashable)",
+            term=name,
+            remedy="give value=f and derivative=df, callables on NumPy arrays",
+        )
+    return _user_class(name, value, derivatives, len(derivatives))
+
+
+def _user_class(
+    name: str,
+    value: Callable[..., Any],
+    derivatives: tuple[Callable[..., Any], ...],
+    arguments: int,
+) -> type[UserFunction]:
+    """The class of a function of the user; the same callables give the same class."""
+    key = name, value, derivatives, arguments
+    if key not in _USERS:
+        made: Any = _Made(
+            name,
+            (UserFunction,),
+            {
+                "nargs": arguments,
+                "derivatives": derivatives,
+                "recipe": (_user_class, key),
+                "__module__": __name__,
+            },
+        )
+        made._imp_ = staticmethod(_Guarded(name, value))
+        _USERS[key] = made
+    return _USERS[key]
+
+
+_USERS: dict[tuple[Any, ...], type[UserFunction]] = {}
+
+
+class _Guarded:
+    """A user's callable whose failures name it."""
+
+    def __init__(self, name: str, value: Callable[..., Any]) -> None:
+        self.name, self.value = name, value
+
+    def __call__(self, *arguments: Any) -> Array:
+        arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in arguments))
+        try:
+            # copies, as a function may change its arguments
+            given = np.asanyarray(self.value(*(array.copy() for array in arrays)))
+            real = not (np.iscomplexobj(given) or np.ma.is_masked(given))
+            result = np.asarray(given, dtype=float) if real else np.full(1, np.nan)
+        except Exception as error:
+            raise ProblemError(
+                f"function {quote(self.name)} raised {type(error).__name__}: {error}",
+                term=self.name,
+                remedy="it must take arrays and return real numbers",
+            ) from error
+        if not real:
+            raise ProblemError(
+                f"function {quote(self.name)} returned complex or masked numbers",
+                term=self.name,
+                remedy="return real numbers; NaN where there are none",
+            )
+        if result.shape != arrays[0].shape:
+            raise ProblemError(
+                f"function {quote(self.name)} returned shape {result.shape} for arguments of "
+                f"shape {arrays[0].shape}",
+                term=self.name,
+                remedy="return one number for each point",
+            )
+        return result
+
+
+def known_applied(expressions: Iterable[sp.Basic]) -> list[DataFunction]:
+    """The tables and users' functions applied in expressions, in a fixed order."""
+    found = {part for expression in expressions for part in expression.atoms(DataFunction)}
+    return sorted(found, key=sp.default_sort_key)
+
+
+def check_distinct(expressions: Iterable[sp.Basic]) -> None:
+    """Raise a ProblemError if two tables or users' functions go by one name in source."""
+    found: dict[str, type[DataFunction]] = {}
+    for part in known_applied(expressions):
+        slopes = [part.fdiff(k + 1) for k in range(len(part.args))]
+        for each in (part, *(slope for slope in slopes if isinstance(slope, DataFunction))):
+            if found.setdefault(each.written(), type(each)) is not type(each):
+                raise ProblemError(
+                    f"{quote(each.func)} names two tables or functions, or a derivative",
+                    term=each,
+                    remedy="give them names that differ",
+                )
+
+
+def namespace_of(expressions: Iterable[sp.Basic]) -> Mapping[str, Callable[..., Any]]:
+    """The users' functions and their derivatives, by their names in generated source."""
+    found: dict[str, Callable[..., Any]] = {}
+    for part in known_applied(expressions):
+        if isinstance(part, UserFunction):
+            slopes = [part.fdiff(k + 1) for k in range(len(part.derivatives))]
+            for each in (part, *slopes):
+                found[each.written()] = each._imp_
+    return found
+
+
+def _numbers(what: str, given: Any) -> tuple[float, ...]:
+    """A tuple of finite floats, or an error."""
+    try:
+        if np.ma.is_masked(given) or np.iscomplexobj(given):
+            raise TypeError
+        numbers = np.asarray(given, dtype=float)
+    except (OverflowError, TypeError, ValueError):
+        numbers = np.full(1, np.nan)
+    if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        raise ProblemError(
+            f"the {what} of a table are not finite real numbers in one row",
+            term=given,
+            remedy="give sequences of numbers",
+        )
+    return tuple(numbers.tolist())
+
+
+def _check_name(name: Any) -> None:
+    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+        raise ProblemError(
+            f"{shown(name)} is not a name", term=name, remedy="use a Python identifier"
+        )
+    normal = unicodedata.normalize("NFKC", name)
+    if normal != name:
+        raise ProblemError(
+            f"Python reads the name {name!r} as {normal!r}", term=name, remedy=f"use {normal!r}"
+        )
+
+
+def _representable(points: tuple[float, ...], values: tuple[float, ...], kind: str) -> bool:
+    """Whether all numbers that a table is evaluated with are finite."""
+    with np.errstate(all="ignore"):
+        numbers = np.diff(points[:: len(points) - 1])
+        if kind == "linear":
+            numbers = np.append(numbers, np.diff(values) / np.diff(points))
+        if kind == "cubic":
+            try:
+                numbers = np.append(numbers, CubicSpline(points, values).c)
+            except (ValueError, np.linalg.LinAlgError):
+                return False
+    return bool(np.isfinite(numbers).all())
+
+
+def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
+    """An array bound to a name, several numbers in a line."""
+    line = f"{name} = np.array([{', '.join(map(_digits, numbers))}])"
+    if len(line) <= 100:
+        return [line]
+    rows = [numbers[k : k + 8] for k in range(0, len(numbers), 8)]
+    return [
+        "# fmt: off",
+        f"{name} = np.array([",
+        *(f"    {', '.join(map(_digits, row))}," for row in rows),
+        "])",
+        "# fmt: on",
+    ]
+
+
+def _digits(number: float) -> str:
+    return repr(number).replace("e+", "e")

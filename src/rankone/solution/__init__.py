@@ -1,0 +1,1 @@
+"""A solution: evaluation, smaller solutions, tables with labels, summaries."""

@@ -1,0 +1,363 @@
+"""The part of a solution that evaluates it, says how good it is and saves it.
+
+:class:`~rankone.interface.solution.Solution` adds to it what only the library needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rankone.discretization.coordinates import Coordinates, name_of
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, Status
+from rankone.storage.npz import write
+from rankone.support.arrays import Array
+from rankone.support.errors import BlowUpError, EvaluationError
+from rankone.support.wording import did_you_mean, listing, quote
+from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.verification.survival import PARTS, safe_sentence, solved_part
+
+__all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
+
+
+_ENDS = {
+    Status.BLOW_UP: "blows up inside the horizon",
+    Status.LEAVES: "comes to where its right-hand side is not finite",
+    Status.SWITCHES: "switches to and fro without end",
+}
+"""What a solution does whose trajectories do not reach the end of the horizon."""
+
+
+class SolutionCore:
+    """The unknowns as functions of time and of all parameters.
+
+    Call it with times and parameter values, or index it to get one unknown:
+
+    - ``solution(t=1.0, x0=9.0, y0=5.0)`` has the shape (unknowns,);
+    - ``solution(times, {x0: 9, y0: [4.5, 5.5]})`` broadcasts as NumPy does and has the shape
+      (unknowns, *broadcast shape); keys are symbols or names. Many times of one point, or times
+      along an axis of their own, ``times[:, None]``, cost less than as many separate points;
+    - ``solution[x](t=times, x0=9, y0=5)`` has the broadcast shape alone;
+    - ``solution.grid(t=times, x0=..., y0=...)`` evaluates every combination.
+
+    Values outside of the box or of the horizon are errors; nothing is extrapolated.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        What the engine returned.
+    metadata : SolutionMetadata
+        What was asked.
+
+    Attributes
+    ----------
+    outcome, metadata
+        As given.
+    """
+
+    def __init__(self, outcome: Outcome, metadata: SolutionMetadata) -> None:
+        self.outcome = outcome
+        self.metadata = metadata
+        self._unknowns = _rows(metadata.unknown_rows)
+        self._coordinates = Coordinates(
+            (metadata.time, *metadata.parameters),
+            (self.time, *metadata.box),
+            timeless=metadata.timeless,
+        )
+
+    # --- evaluation ----------------------------------------------------------------------------
+
+    def __call__(self, *at: Any, **named: Any) -> Array:
+        """Evaluate all unknowns.
+
+        Parameters
+        ----------
+        *at
+            Times, then a mapping from symbols or names to values; or either of the two alone.
+        **named
+            Values by name.
+
+        Returns
+        -------
+        ndarray (unknowns, *broadcast shape of the values)
+
+        Raises
+        ------
+        EvaluationError
+            If a coordinate is missing, unknown, given twice, not a real number, or outside of
+            the box or the horizon.
+        """
+        return self._evaluate(self._coordinates.gather(at, named), self._unknowns)
+
+    def grid(self, *at: Any, **named: Any) -> Array:
+        """Evaluate all unknowns for every combination of values, one axis per coordinate.
+
+        Arguments and errors are those of a call; each value is a number or one-dimensional.
+
+        Returns
+        -------
+        ndarray (unknowns, times, values of parameter 1, values of parameter 2, ...)
+            Without times if nothing depends on time.
+        """
+        return self._evaluate_grid(self._coordinates.gather(at, named), self._unknowns)
+
+    def __getitem__(self, state: Any) -> UnknownView:
+        """Return one unknown, or one derivative that is a state: ``solution[x.diff(t)]``."""
+        name = name_of(state, self.metadata.time)
+        if name not in self.states:
+            raise EvaluationError(
+                f"no unknown `{name}`{did_you_mean(name, self.states)}; "
+                f"the solution holds {listing(self.states)}",
+                term=state,
+            )
+        return UnknownView(self, name)
+
+    def __repr__(self) -> str:
+        success = "success" if self.success else "no success"
+        return f"Solution of {', '.join(self.unknowns)}: {success}, {self.message}"
+
+    def __iter__(self) -> Any:
+        raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
+
+    def _evaluate(self, given: list[Any], rows: Rows) -> Array:
+        """Values of some states, (rows, *broadcast shape)."""
+        evaluator = self._evaluator
+        numbers = self._coordinates.numbers(given)
+        if numbers is not None:
+            return evaluator.one(numbers, rows)
+        with _memory():
+            arrays = self._coordinates.arrays(given)
+            if all(array.ndim == 0 for array in arrays):
+                return evaluator.one([float(array) for array in arrays], rows)
+            curves = self._coordinates.curves(arrays)
+            return curves.shaped(evaluator.curves(curves.times, curves.points, rows))
+
+    def _evaluate_grid(self, given: list[Any], rows: Rows) -> Array:
+        """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
+        with _memory():
+            values = self._evaluator.grid(self._coordinates.axes(given), rows)
+        return values[:, 0] if self.metadata.timeless else values
+
+    @cached_property
+    def _evaluator(self) -> TrainEvaluator:
+        if not self.outcome.slabs:
+            raise EvaluationError(f"nothing was solved: {self.message}")
+        return TrainEvaluator(self.outcome.slabs)
+
+    # --- what was asked and what came out ------------------------------------------------------
+
+    @property
+    def success(self) -> bool:
+        """Whether the measured error is within the tolerance asked; False if it is not known."""
+        return self.outcome.status is Status.CONVERGED
+
+    @property
+    def status(self) -> Status:
+        """How the solve ended."""
+        return self.outcome.status
+
+    @property
+    def message(self) -> str:
+        """How the solve ended, why, and what to do."""
+        return self.outcome.message
+
+    @property
+    def error(self) -> float:
+        """Largest measured error over all states, relative to each one's size; NaN if unchecked.
+
+        Derivatives that became states count as well, unless ``unknowns`` said which do.
+        """
+        measured = self.outcome.measured
+        return float("nan") if measured is None else measured.error
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Measured error of each state; NaN if unchecked."""
+        measured = self.outcome.measured
+        if measured is None:
+            return _ByState.fromkeys(self.states, float("nan"))
+        return _ByState(zip(self.states, measured.interior, strict=True))
+
+    @property
+    def corner_error(self) -> float:
+        """Largest measured error at corners of the box; NaN if there are none or unchecked.
+
+        Of the same states as ``error``.
+        """
+        measured = self.outcome.measured
+        return measured.corner_error if measured and measured.corners else float("nan")
+
+    @property
+    def method(self) -> str:
+        """Name of the engine that found it."""
+        return self.metadata.method
+
+    @property
+    def rtol(self) -> float:
+        """Relative tolerance asked for."""
+        return self.metadata.rtol
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of the unknowns, in the order of the values."""
+        return self.metadata.unknowns
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of all that can be asked for: the unknowns and derivatives that are states."""
+        return self.metadata.states
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """The box: the interval of each parameter."""
+        return dict(zip(self.metadata.parameters, self.metadata.box, strict=True))
+
+    @property
+    def time(self) -> tuple[float, float]:
+        """Start and end of what was solved."""
+        start, end = self.metadata.horizon
+        if not self.outcome.slabs:
+            return start, start
+        reached = self.outcome.slabs[-1].end
+        return start, end if abs(end - reached) <= 1e-10 * (end - start) else reached
+
+    # --- files ---------------------------------------------------------------------------------
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the solution to a file in an open format, without pickle.
+
+        Parameters
+        ----------
+        path : path-like
+            Ends in ``.npz``.
+        overwrite : bool
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        StorageError
+            If the name has another suffix, or the file exists and is not to be replaced, or cannot
+            be written. A file is either complete or not there, also after an interrupt.
+        """
+        return write(path, self.outcome, self.metadata, overwrite)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.outcome, self.metadata)
+
+
+@dataclass(frozen=True, repr=False)
+class UnknownView:
+    """One unknown of a solution, as a function of time and the parameters.
+
+    Attributes
+    ----------
+    name : str
+        Name of the unknown, or of a derivative that is a state.
+    """
+
+    solution: SolutionCore
+    name: str
+
+    @property
+    def row(self) -> int:
+        """Position among the states."""
+        return self.solution.states.index(self.name)
+
+    def __call__(self, *at: Any, **named: Any) -> Any:
+        """Evaluate: arguments and errors as for a solution, shape of the result as broadcast."""
+        given = self.solution._coordinates.gather(at, named)
+        return self.solution._evaluate(given, _rows([self.row]))[0]
+
+    def grid(self, *at: Any, **named: Any) -> Array:
+        """Evaluate for every combination of values: shape (times, values of parameter 1, ...)."""
+        given = self.solution._coordinates.gather(at, named)
+        values: Array = self.solution._evaluate_grid(given, _rows([self.row]))[0]
+        return values
+
+    @property
+    def error(self) -> float:
+        """Measured error, relative to the unknown's size; NaN if unchecked."""
+        return self.solution.errors[self.name]
+
+    def __repr__(self) -> str:
+        coordinates = ", ".join(self.solution._coordinates.asked)
+        return f"{self.name}({coordinates}) of a Solution, measured error {self.error:.2g}"
+
+
+class _ByState(dict[str, float]):
+    """Numbers by the names of states; symbols are understood."""
+
+    def __missing__(self, state: Any) -> float:
+        name = name_of(state)
+        if name not in self:
+            raise KeyError(f"no state {name}{did_you_mean(name, self)}; known are {listing(self)}")
+        return self[name]
+
+
+@contextmanager
+def _memory() -> Iterator[None]:
+    """An error of ours for more values than there is memory for."""
+    try:
+        yield
+    except MemoryError as error:
+        raise EvaluationError(
+            f"there is no memory for all values: {error}", remedy="evaluate part after part"
+        ) from None
+
+
+def raise_blow_up(
+    solution: SolutionCore,
+    again: Callable[[Mapping[str, tuple[float, float]], float], Any],
+    smoothing: str | None = None,
+) -> None:
+    """Raise a BlowUpError that carries the solution if a trajectory has no end.
+
+    ``again`` solves with other intervals of some parameters, and a factor on the budget;
+    ``smoothing`` says which term switches.
+    """
+    outcome = solution.outcome
+    if not outcome.status.ends_early or outcome.blow_up is None:
+        return
+    when, values = outcome.blow_up
+    names, safe = tuple(solution.parameters), outcome.safe
+    where = dict(zip(names, values, strict=True))
+    at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
+    what = "the solution"
+    if outcome.switching is not None:
+        what = f"the rate of {quote(solution.states[outcome.switching])}"
+    remedy = f"end the horizon before t = {when:.4g}"
+    carried = f"the error carries the part up to t = {solution.time[1]:.4g} as .solution"
+    if safe:
+        remedy += f", or narrow the box: {safe_sentence(safe, names)} would do"
+        carried += "; its .part solves a smaller box over the whole horizon"
+    elif names:
+        remedy += ", or narrow the box"
+
+    def part() -> Any:
+        return solved_part(lambda j, ends: again({names[j]: ends}, 1.0 / PARTS), safe)
+
+    raise BlowUpError(
+        f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"
+        + (f" at {at}" if at else "")
+        + (f"; {smoothing}" if smoothing else ""),
+        time=when,
+        parameters=where,
+        solution=solution,
+        part=part if safe else None,
+        remedy=f"{remedy}; {carried}",
+    )
+
+
+def _rows(positions: Sequence[int]) -> Rows:
+    """States by position: a slice, which needs no copy, where they follow each other."""
+    first, last = positions[0], positions[-1]
+    adjacent = len(positions) == last + 1 - first
+    return slice(first, last + 1) if adjacent else np.array(positions, dtype=np.intp)

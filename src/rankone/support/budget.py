@@ -1,0 +1,197 @@
+"""The budget of a computation: counted work, and a deadline where a user asked for one.
+
+The unit of work is about one nanosecond of one core, but it is counted, never measured: from the
+sizes of arrays and the number of calls. So the same computation ends in the same way on a busy
+machine. The clock is read only where a user gave ``max_seconds``.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from rankone.support.errors import ConvergenceError, OptionError
+from rankone.support.options import checked_number
+
+__all__ = [
+    "EFFORT_HELP",
+    "LEAST_EFFORT",
+    "NORMAL",
+    "Account",
+    "OutOfBudgetError",
+    "OutOfTimeError",
+    "OutOfWorkError",
+    "charge",
+    "check_time",
+    "effort_of",
+    "limited",
+    "operations_for",
+    "preparing",
+    "seconds_left",
+    "unlimited",
+    "work_done",
+    "work_left",
+]
+
+EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best so far is kept"
+NORMAL = 2.5e10
+"""Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
+_EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
+LEAST_EFFORT, _MOST = 1e-6, 1e6
+"""Factors on the budget that are accepted."""
+_SECONDS = 1e-9
+"""Seconds that an operation takes, about: what would end after the deadline is not begun."""
+
+
+class OutOfBudgetError(Exception):
+    """A limit was reached; caught where the best answer so far is known."""
+
+
+class OutOfWorkError(OutOfBudgetError):
+    """The budget of counted work is spent."""
+
+
+class OutOfTimeError(OutOfBudgetError):
+    """The time limit that a user gave has passed."""
+
+
+class Account:
+    """The work that was counted, and the limits on it.
+
+    Attributes
+    ----------
+    done : float
+        Operations counted.
+    most : float
+        Operations that may be counted in all.
+    end : float
+        The deadline, by ``time.perf_counter``; infinite unless a user asked for one.
+    """
+
+    __slots__ = ("done", "end", "most")
+
+    def __init__(self) -> None:
+        self.done, self.most, self.end = 0.0, math.inf, math.inf
+
+
+_ACCOUNT: ContextVar[Account | None] = ContextVar("rankone_budget", default=None)
+
+
+@contextmanager
+def limited(operations: float = math.inf, seconds: float = math.inf) -> Iterator[Account]:
+    """Limit what is done inside; outer limits hold as well, and count the same work."""
+    outer = _ACCOUNT.get()
+    account = outer or Account()
+    before = account.most, account.end
+    token = _ACCOUNT.set(account)
+    account.most = min(account.most, account.done + operations)
+    if seconds < math.inf:
+        account.end = min(account.end, clock.perf_counter() + seconds)
+    try:
+        yield account
+    finally:
+        account.most, account.end = before
+        _ACCOUNT.reset(token)
+
+
+@contextmanager
+def unlimited() -> Iterator[None]:
+    """Count what is done inside, but without a limit: a result has to be measured in any case."""
+    account = _ACCOUNT.get() or Account()
+    before = account.most, account.end
+    account.most = account.end = math.inf
+    try:
+        yield
+    finally:
+        account.most, account.end = before
+
+
+@contextmanager
+def preparing(seconds: Any) -> Iterator[None]:
+    """Limit what comes before a solve, and the solve; a ConvergenceError if that takes too long.
+
+    Anything but a positive number is no limit: the solve refuses it.
+    """
+    limits = isinstance(seconds, int | float) and 0.0 < seconds < 1e18
+    try:
+        with limited(seconds=seconds if limits else math.inf):
+            yield
+    except OutOfTimeError:
+        raise ConvergenceError(
+            "the time limit was reached before the problem was compiled",
+            remedy="give more time by max_seconds",
+        ) from None
+
+
+def charge(operations: float) -> None:
+    """Count operations that are about to be made.
+
+    Raises
+    ------
+    OutOfWorkError
+        They are more than the budget has left.
+    OutOfTimeError
+        They would hardly end before the deadline.
+    """
+    account = _ACCOUNT.get()
+    if account is None:
+        return
+    done = account.done + operations
+    if done > account.most:
+        account.done = account.most  # what is left for others does not depend on who ran out
+        raise OutOfWorkError
+    account.done = done
+    if account.end < math.inf and clock.perf_counter() + _SECONDS * operations > account.end:
+        raise OutOfTimeError
+
+
+def check_time() -> None:
+    """Raise OutOfTimeError when the deadline has passed; for work that no budget counts."""
+    charge(0.0)
+
+
+def work_done() -> float:
+    """Operations counted so far within the outermost limit."""
+    account = _ACCOUNT.get()
+    return 0.0 if account is None else account.done
+
+
+def work_left() -> float:
+    """Operations until the limit; infinite if there is none."""
+    account = _ACCOUNT.get()
+    return math.inf if account is None else account.most - account.done
+
+
+def seconds_left() -> float:
+    """Seconds until the deadline; infinite if there is none."""
+    account = _ACCOUNT.get()
+    end = math.inf if account is None else account.end
+    return end if end == math.inf else end - clock.perf_counter()
+
+
+def effort_of(text: str) -> str | float:
+    """An effort as ``--effort`` has it: a name or a factor."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def operations_for(effort: str | float) -> float:
+    """The operations of an effort: a name, or a factor on the normal budget.
+
+    Raises
+    ------
+    OptionError
+        If it is neither.
+    """
+    if isinstance(effort, str):
+        if effort not in _EFFORTS:
+            remedy = "choose 'low', 'normal', 'high' or a positive factor"
+            raise OptionError(f"effort={effort!r} is unknown", term=effort, remedy=remedy)
+        return NORMAL * _EFFORTS[effort]
+    return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, _MOST, float))

@@ -1,0 +1,178 @@
+"""Files: whether a place is free, and several written together, all of them or none."""
+
+from __future__ import annotations
+
+import glob
+import os
+import secrets
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+from typing import IO, Any
+from zipfile import ZipFile
+
+import numpy as np
+
+from rankone.support.errors import RankoneError
+
+__all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
+
+Content = str | bytes | Callable[[IO[bytes]], object]
+"""Text, bytes, or a function that writes to a binary stream."""
+_KEPT = 48
+"""Characters of a name that the file beside it keeps: file systems limit names to 255 bytes."""
+_OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
+
+
+def as_path(given: Any, error: type[RankoneError]) -> Path:
+    """What was given as a path, or an error if it is none."""
+    try:
+        return Path(given)
+    except TypeError:
+        raise error(f"{given!r} is not a path", term=given, remedy="give a file name") from None
+
+
+def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
+    """The path of a file that can be written and need not stay as it is, or an ``error``."""
+    target = as_path(path, error)
+    try:
+        place = Path(os.path.realpath(target))
+        exists, folder, inside = place.exists(), place.is_dir(), place.parent.is_dir()
+        regular = place.is_file()
+    except (OSError, ValueError) as reason:  # no permission, too long, a null character
+        raise error(f"`{target}` cannot be written: {reason}", term=target) from reason
+    if folder:
+        raise error(f"`{target}` cannot be written: it is a directory", term=target)
+    if exists and not regular:
+        raise error(f"`{target}` cannot be written: it is no regular file", term=target)
+    if not inside:
+        missing = f"there is no directory `{target.parent}`"
+        raise error(f"`{target}` cannot be written: {missing}", term=target)
+    if exists and not overwrite:
+        raise error(f"`{target}` exists", term=target, remedy=_OTHER_NAME)
+    return target
+
+
+def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[RankoneError]) -> None:
+    """Write files that belong together.
+
+    Each is written beside its place and moved there when all are complete, so that an interrupt or
+    a full disk leaves no half-written file and older files stay as they were. What a process left
+    that was killed is removed when the same file is written again. Of several that write the same
+    new file at the same time without ``overwrite`` one succeeds. An ``error`` is raised if a file
+    is not to be replaced or cannot be written.
+    """
+    places = {path: Path(os.path.realpath(free_target(path, overwrite, error))) for path in files}
+    if len({*places.values()}) < len(places):
+        raise error(f"{' and '.join(f'`{path}`' for path in files)} are one file")
+    complete: dict[Path, Path] = {}
+    moved: dict[Path, bytes | None] = {}
+    try:
+        with ExitStack() as beside:
+            for path, content in files.items():
+                complete[path] = beside.enter_context(_complete(places[path], content))
+            for number, (path, place) in enumerate(places.items(), 1):
+                keep = number < len(places) and place.exists()  # nothing can fail after the last
+                old = place.read_bytes() if keep else None
+                try:
+                    _move(complete[path], place, overwrite)
+                except FileExistsError:  # since it was looked for
+                    raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
+                moved[place] = old
+    except BaseException as reason:
+        for place, old in moved.items():  # put back what was replaced before one failed
+            if old is None:
+                place.unlink(missing_ok=True)
+            else:
+                place.write_bytes(old)
+        if not isinstance(reason, OSError):
+            raise
+        why = reason.strerror or reason
+        raise error(f"`{path}` cannot be written: {why}", term=path) from reason
+
+
+def npz(arrays: Mapping[str, Any]) -> Callable[[IO[bytes]], None]:
+    """Content of an .npz file, whatever the names; the same arrays give the same bytes."""
+
+    def write(stream: IO[bytes]) -> None:
+        with ZipFile(stream, "w") as archive:
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
+
+    return write
+
+
+@contextmanager
+def _complete(place: Path, content: Content) -> Iterator[Path]:
+    """A complete file beside its place, on the disk itself; removed unless it is moved there."""
+    _remove_abandoned(place)
+    with ExitStack() as until_moved:
+        stream = _begin(place, until_moved)
+        path = Path(stream.name)
+        until_moved.callback(path.unlink, missing_ok=True)
+        with stream:
+            if callable(content):
+                content(stream)
+            else:
+                stream.write(content.encode() if isinstance(content, str) else content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        yield path
+
+
+def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
+    """A new file beside its place, locked until it is moved: its process lives."""
+    while True:
+        name = f".{place.name[:_KEPT]}.{secrets.token_hex(4)}.partial"
+        stream = place.with_name(name).open("xb")
+        if not _lock(stream):
+            return stream
+        until_moved.callback(os.close, os.dup(stream.fileno()))
+        if Path(stream.name).exists():  # else it looked abandoned, just before it was locked
+            return stream
+        stream.close()
+
+
+def _remove_abandoned(place: Path) -> None:
+    """Remove what processes that were killed left beside a place, where the system has locks."""
+    names = f".{glob.escape(place.name[:_KEPT])}.{'[0-9a-f]' * 8}.partial"
+    for path in place.parent.glob(names):
+        with suppress(OSError), path.open("r+b") as stream:
+            if _lock(stream, wait=False):
+                path.unlink()
+
+
+def _lock(stream: IO[bytes], wait: bool = True) -> bool:
+    """Lock a file for as long as it, or a duplicate, is open; False where there are no locks.
+
+    Without ``wait`` a file that another has locked is an OSError.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(stream, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except (ImportError, OSError):  # Windows; file systems of a network
+        return False
+    return True
+
+
+def _move(complete: Path, place: Path, overwrite: bool) -> None:
+    """Give a complete file its name; a FileExistsError if there is a file that has to stay."""
+    if overwrite:
+        complete.replace(place)
+        return
+    try:
+        os.link(complete, place)  # unlike a renaming, this never replaces a file
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links: who creates the file may replace it
+        place.open("xb").close()
+        try:
+            complete.replace(place)
+        except BaseException:
+            place.unlink(missing_ok=True)
+            raise

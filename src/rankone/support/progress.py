@@ -1,0 +1,100 @@
+"""Progress of a solve: events for a callback, or a bar on standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+
+from rankone.support.errors import OptionError
+from rankone.support.wording import count
+
+__all__ = ["ProgressEvent", "Report", "progress_bar", "quiet", "resolve_progress"]
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressEvent:
+    """The state of a solve after a slab was accepted; for the cross engine within an attempt.
+
+    Attributes
+    ----------
+    time : float
+        End of the slab; for the cross engine the start of the horizon until an attempt is done.
+    fraction : float
+        Fraction of the horizon solved in this attempt, 0 to 1; for the cross engine the fraction
+        of the attempt's sweep over the parameters. It never falls within an attempt.
+    attempt : int
+        Index of the attempt, from 0; each starts the horizon again with a tighter tolerance.
+    slabs : int
+        Number of slabs accepted in this attempt; for the cross engine of all.
+    rank : int
+        Largest rank of the slab; for the cross engine the largest so far.
+    """
+
+    time: float
+    fraction: float
+    attempt: int
+    slabs: int
+    rank: int
+
+
+Report = Callable[[ProgressEvent], object]
+"""Called with each event; an exception stops the solve."""
+
+
+def quiet(event: ProgressEvent, /) -> None:
+    """Take no notice."""
+
+
+@contextmanager
+def progress_bar() -> Iterator[Report]:
+    """A bar on standard error, and the callback that moves it."""
+    from tqdm import tqdm
+
+    with tqdm(
+        total=1.0, leave=False, bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
+    ) as bar:
+        bar.set_description_str("solving")
+
+        def show(event: ProgressEvent, /) -> None:
+            bar.n = event.fraction
+            attempt = "" if event.attempt == 0 else f" (attempt {event.attempt + 1})"
+            bar.set_description_str(f"solving{attempt}", refresh=False)
+            shown = f"t = {event.time:.4g}, {count(event.slabs, 'slab')}, rank {event.rank}"
+            bar.set_postfix_str(shown, refresh=False)
+            bar.update(0)
+            bar.refresh()
+
+        yield show
+
+
+def resolve_progress(progress: bool | Report) -> AbstractContextManager[Report]:
+    """Turn the option ``progress`` into a context that gives a callback.
+
+    Parameters
+    ----------
+    progress : bool or callable
+        False: nothing; True: a bar on standard error; otherwise called with each event.
+
+    Raises
+    ------
+    OptionError
+        If it is none of these.
+
+    Examples
+    --------
+    >>> with resolve_progress(print) as report:
+    ...     report(ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7))
+    ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7)
+    """
+    if progress is True:
+        return progress_bar()
+    if progress is False:
+        return nullcontext(quiet)
+    if not callable(progress):
+        raise OptionError(
+            f"progress is {progress!r}",
+            term=progress,
+            remedy="use True, False or a function of a ProgressEvent",
+        )
+    return nullcontext(progress)

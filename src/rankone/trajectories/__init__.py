@@ -1,0 +1,1 @@
+"""Trajectories at points of the box: integrators, and what watches them."""

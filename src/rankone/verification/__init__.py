@@ -1,0 +1,1 @@
+"""Where is a solution worst? Reference trajectories, candidate points, and the measured error."""

@@ -1,0 +1,93 @@
+"""``rankone fit``: files in, status and output."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rankone.commands.cli import main
+from tests.estimation.systems import DOSE_TIMES, FALL, FALL_TIMES, decay, drug, fall
+
+TIMES = np.linspace(0.1, 2.0, 10)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    return str(decay().save(tmp_path / "decay.npz"))
+
+
+def table(path, header, *columns):
+    rows = [",".join(map(str, row)) for row in zip(*columns)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return str(path)
+
+
+def test_a_saved_solution(saved, tmp_path, capsys):
+    data = table(tmp_path / "d.csv", "t,u", TIMES, 2 * np.exp(-1.3 * TIMES))
+    assert main(["fit", saved, data, "--sigma", "0.01", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["x"] == {"k": pytest.approx(1.3, abs=1e-5), "a": pytest.approx(2.0, abs=1e-5)}
+    assert found["success"]
+    assert main(["fit", saved, data, "--sigma", "u=0.01", "--fixed", "a=2", "--start", "k=3"]) == 0
+    assert "k  1.3" in capsys.readouterr().out
+
+
+def test_empty_cells_and_columns(tmp_path, capsys):
+    file = str(drug().save(tmp_path / "drug.npz"))
+    person = {"V": 30.0, "Vmax": 10.0, "Km": 2.5, "k12": 0.25}
+    c, p = drug()(DOSE_TIMES, person)
+    cells = [value if i % 4 == 0 else "" for i, value in enumerate(p)]
+    data = table(tmp_path / "d.csv", "p,note,t,c", cells, "x" * 24, DOSE_TIMES, c)
+    assert main(["fit", file, data, "--sigma", "0.02", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["data"], found["observed"]) == (30, ["p", "c"])
+    assert main(["fit", file, data, "--sigma", "0.02", "--observe", "c", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["data"] == 24
+
+
+def test_not_identified(tmp_path, capsys):
+    file = str(fall().save(tmp_path / "fall.npz"))
+    u = fall()["u"](FALL_TIMES, FALL) + np.random.default_rng(0).normal(0, 0.1, 20)
+    data = table(tmp_path / "d.csv", "t,u", FALL_TIMES, u)
+    assert main(["fit", file, data, "--sigma", "0.1", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["std"] == {"C_D": None, "m": None}
+    assert found["combinations"]["C_D/m"]["value"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_problem(tmp_path, capsys):
+    problem = tmp_path / "p.toml"
+    problem.write_text(
+        "time = [0, 2]\n[rhs]\nu = '-k*u'\n[initial]\nu = 1\n[parameters]\nk = [0.5, 5]\n"
+    )
+    data = table(tmp_path / "d.csv", "t,u", TIMES, np.exp(-1.3 * TIMES))
+    assert main(["fit", str(problem), data, "--sigma", "0.01"]) == 0
+    assert "k  1.3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", [], "is empty"),
+        ("time,u\n1,2\n", [], "no column `t` for time"),
+        ("t,w\n1,2\n", [], "no column of an unknown"),
+        ("t,u\n1,2\n", ["--observe", "x"], "no column `x`"),
+        ("t,u,u\n1,2,2\n", [], "names a column twice"),
+        ("t,u\n1\n", [], "line 2: 1 cells for 2 columns"),
+        ("t,u\n1,b\n", [], "line 2: `u` is 'b', not a number"),
+        ("t,u\n1,2\n", ["--fixed", "k"], "is not NAME=VALUE"),
+        ("t,u\n1,2\n", ["--fixed", "k=1", "k=2"], "is given twice"),
+        ("t,u\n1,2\n", ["--sigma", "x"], "is not a number"),
+        ("t,u\n1,2\n", [], "1 value for 2 parameters and sigma"),
+    ],
+)
+def test_bad_input(saved, tmp_path, capsys, text, options, message):
+    data = tmp_path / "d.csv"
+    data.write_text(text)
+    assert main(["fit", saved, str(data), *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_no_file(saved, capsys):
+    assert main(["fit", saved, "nowhere.csv"]) == 2
+    assert "cannot be read" in capsys.readouterr().err

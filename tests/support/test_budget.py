@@ -1,0 +1,117 @@
+"""Counted work and deadlines: one limit inside of another, who runs out, and when."""
+
+from __future__ import annotations
+
+import contextvars
+
+import numpy as np
+import pytest
+
+from rankone.support.budget import (
+    NORMAL,
+    OutOfTimeError,
+    OutOfWorkError,
+    charge,
+    check_time,
+    limited,
+    operations_for,
+    seconds_left,
+    unlimited,
+    work_done,
+    work_left,
+)
+from rankone.support.costs import Cost, function_cost, in_pieces
+
+
+def test_nothing_is_limited_by_itself():
+    charge(1e30)
+    check_time()
+    assert work_done() == 0.0
+    assert np.isinf(work_left())
+    assert np.isinf(seconds_left())
+
+
+def test_the_clock_is_not_read_without_a_deadline(monkeypatch):
+    monkeypatch.setattr("rankone.support.budget.clock", None)
+    with limited(100.0):
+        charge(10.0)
+        assert np.isinf(seconds_left())
+
+
+def test_work_inside_counts_outside():
+    with limited(100.0):
+        charge(10.0)
+        with limited(1e9):
+            charge(30.0)
+            assert work_left() == 60.0
+        with limited(20.0):
+            with pytest.raises(OutOfWorkError):
+                charge(21.0)
+            assert work_left() == 0.0
+            check_time()
+        assert (work_done(), work_left()) == (60.0, 40.0)
+
+
+def test_what_must_be_done_is_counted_without_a_limit():
+    with limited(1.0, 0.0):
+        with unlimited():
+            charge(5.0)
+        assert work_done() == 5.0
+        with pytest.raises(OutOfWorkError):
+            charge(1.0)
+
+
+def test_deadlines_inside_of_deadlines():
+    with limited(seconds=100.0), limited(seconds=0.0):
+        with pytest.raises(OutOfTimeError):
+            check_time()
+        with limited(seconds=50.0):
+            assert seconds_left() <= 0.0
+    check_time()
+
+
+def test_what_would_end_too_late_is_not_begun():
+    with limited(seconds=100.0):
+        charge(1e9)
+        with pytest.raises(OutOfTimeError):
+            charge(1e12)
+
+
+def test_other_contexts_have_budgets_of_their_own():
+    with limited(10.0):
+        assert np.isinf(contextvars.Context().run(work_left))
+
+
+def test_efforts():
+    efforts = {"low": 0.2, "normal": 1.0, "high": 10.0, 3: 3.0, 0.5: 0.5}
+    for effort, factor in efforts.items():
+        assert operations_for(effort) == factor * NORMAL
+
+
+def rates(t, u, p):
+    """As a generated function."""
+    return np.exp(u) * p + 2.0 * u**3
+
+
+def outer(t, u, p):
+    return rates(t, u, p) - slow(u)
+
+
+def slow(u):
+    return u
+
+
+def test_the_cost_of_generated_functions():
+    plain, nested = function_cost(rates), function_cost(outer)
+    assert plain(1) > 4e3
+    assert plain(1e6) > 1e7  # one exp, one power
+    assert nested.each > plain.each
+    assert function_cost(outer, frozenset({"slow"})).once > 10.0 * nested.once
+    assert Cost(1.0, 2.0) + Cost(3.0, 4.0) == Cost(4.0, 6.0)
+
+
+def test_stacks_are_divided_where_they_take_long():
+    stack = np.zeros((10, 2, 2))
+    assert [len(some) for some in in_pieces(stack, 1.0)] == [10]
+    assert [len(some) for some in in_pieces(stack, 5e7)] == [4, 4, 2]
+    assert [len(some) for some in in_pieces(stack, 1e12)] == [1] * 10

@@ -1,0 +1,180 @@
+"""Trajectories are not carried past what is narrow over the states."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.codegen.events import event_functions, parameter_surfaces
+from rankone.ir.domain import Domain
+from rankone.ir.forms import Coordinate
+from rankone.trajectories.steppers import StackedDOP853
+from rankone.trajectories.watch import _zeros
+from rankone.verification.reference import check_points, integrate_reference
+from rankone.verification.suspects import surface_points
+from tests.honesty.cases import t, unknown
+
+SHAPES = {
+    "peak": ("exp(-Z**2)", np.sqrt(np.pi)),
+    "rational": ("1/(1 + Z**2)", np.pi),
+    "reciprocal": ("1/cosh(Z)**2", 2.0),
+    "pulse": ("Piecewise((1, (Z > 0) & (Z < 1)), (0, True))", 1.0),
+    "hat": ("Max(0, 1 - Abs(Z))", 1.0),
+    "steps": ("(tanh(9*Z) - tanh(9*Z - 9))/2", 1.0),
+}
+"""Narrow functions of Z = (x - 0.5)/width, and their areas."""
+
+
+def compiled(rate, box=None, start="0", end=3):
+    return ro.compile(ro.Problem.from_strings({"x": rate}, {"x": start}, box or {}, (0, end)))
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-7])
+@pytest.mark.parametrize(("shape", "area"), SHAPES.values(), ids=SHAPES)
+def test_nothing_narrow_is_stepped_over(shape, area, width):
+    rates = {"x": "1", "y": shape.replace("Z", f"((x - 0.5)*{1 / width:.0f})") + f"/{width}"}
+    starts = {"x": "0", "y": "1"}
+    system = ro.compile(ro.Problem.from_strings(rates, starts, {}, (0, 3))).system
+    reference = integrate_reference(system, np.zeros((1, 0)), 0.0, 3.0, 1e-6)
+    tails = width * (1 / 0.5 + 1 / 2.5) if shape == SHAPES["rational"][0] else 0.0
+    assert reference(np.array([3.0]))[1, 0, 0] == pytest.approx(1.0 + area - tails, abs=1e-4)
+
+
+def test_what_no_event_tells_is_met_at_random_places():
+    """A power of a cosine is narrow around the places where it is one."""
+    rate = "1/(1 + 50*k*(0.5 + 0.5*cos(pi*(x - 0.5)/2))**50000)"
+    problem = compiled(rate, {"k": (0.5, 1.5)})
+    points = check_points(np.array([[0.5, 1.5]]), 96)
+    reference = integrate_reference(problem.system, points, 0.0, 3.0, 3e-6)
+    delay = 50 * points[:, 0] * np.sqrt(np.pi / (50000 * np.pi**2 / 16))
+    ends = reference(np.array([3.0]))[0, :, 0]
+    assert np.abs(ends - (3.0 - delay)).min() < 1e-3
+    solution = problem.solve(1e-3, effort="low")
+    assert not solution.success or solution(t=3, k=1)[0] == pytest.approx(
+        3.0 - 50 * np.sqrt(16 / (50000 * np.pi)), abs=5e-3
+    )
+
+
+def test_events_are_middles_and_borders():
+    x = unknown("x")
+    found = event_functions(t, [ro.Problem.from_strings(
+        {"x": "exp(-(x - 2)**2) + Abs(x - 1) + Heaviside(x - 3) + tanh(x - 4) + exp(-x)"},
+        {"x": "1"}, {}, (0, 1),
+    ).equations[0].rhs])  # fmt: skip
+    peaks, kinks, switches = ([str(f) for f in part] for part in found)
+    assert peaks == ["x(t) - 2"]
+    assert kinks == ["x(t) - 1"]
+    assert sorted(switches) == ["x(t) - 3", "x(t) - 4"]
+    assert str(x) == "x(t)"
+
+
+def test_surfaces_are_those_of_several_parameters():
+    problem = compiled(
+        "-x + exp(-((a*b - 0.3)/0.001)**2) + Abs(a - 0.2) + Max(0, a + b - 1) + Abs(x - a)",
+        {"a": (0, 1), "b": (0, 1)},
+    )
+    a, b = problem.problem.parameters
+    coordinates = [Coordinate("t", t, 0, 1), Coordinate("a", a, 0, 1), Coordinate("b", b, 0, 1)]
+    found = parameter_surfaces(coordinates, problem.first_order.rhs)
+    assert len(found) == 3  # the middle of the ridge, its exponent and the kink
+    points = surface_points(problem.system, Domain.of(problem.system))
+    on_ridge = np.abs(points[:, 0] * points[:, 1] - 0.3) < 1e-12
+    on_kink = np.abs(points.sum(axis=1) - 1) < 1e-12
+    assert on_ridge.sum() >= 8
+    assert on_kink.sum() >= 8
+
+
+@pytest.mark.parametrize("d", [2, 6])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        "Piecewise((1, R < {w}**2), (0, True))",
+        "Max(0, 1 - R/{w}**2)",
+        "1/(1 + R/{w}**2)",
+        "Piecewise((1, B), (0, True))",
+    ],
+)
+def test_an_island_in_the_box_is_seen(d, shape):
+    """A ball or a box of a few percent in each direction, on which all is different."""
+    names = "abcdef"[:d]
+    centre = [0.337, 0.612, 0.271, 0.543, 0.713, 0.431][:d]
+    ball = " + ".join(f"({n} - {c})**2" for n, c in zip(names, centre, strict=True))
+    sides = " & ".join(f"(Abs({n} - {c}) < 0.05)" for n, c in zip(names, centre, strict=True))
+    rate = "-x + 1 + " + shape.replace("R", f"({ball})").replace("B", sides).format(w=0.05)
+    solution = compiled(rate, dict.fromkeys(names, (0, 1)), end=1).solve(1e-3, effort="low")
+    there = solution(t=1, **dict(zip(names, centre, strict=True)))[0]
+    exact = 2 * (1 - np.exp(-1))
+    assert not solution.success or there == pytest.approx(exact, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        "1/cosh((t - k)/1e-6)**2/1e-6",
+        "Piecewise((2*t/1e-4, (t**2 > k) & (t**2 < k + 1e-4)), (0, True))",
+        "exp(-((t - k)/1e-6)**4)/1e-6",
+        "(tanh((t - k)/1e-6) - tanh((t - k - 3e-6)/1e-6))/1e-6",
+    ],
+)
+def test_pulses_that_move_are_seen_at_any_time(rate):
+    solution = compiled(rate, {"k": (2, 6)}, start="1", end=10).solve(1e-3, effort=0.05)
+    assert not solution.success
+    assert not solution.outcome.slabs or solution.error > 0.1
+
+
+def test_a_parameter_carried_by_a_state_is_seen():
+    rates = {"y": "0*x", "x": "-x + 1 + Piecewise((1, Abs(y - 0.612) < 1e-3), (0, True))"}
+    starts = {"x": "0", "y": "k"}
+    problem = ro.Problem.from_strings(rates, starts, {"k": (0, 1)}, (0, 1))
+    solution = ro.solve(problem, 1e-3, effort="low")
+    exact = 2 * (1 - np.exp(-1))
+    assert not solution.success or solution(t=1, k=0.612)[1] == pytest.approx(exact, rel=5e-3)
+
+
+def test_a_tiny_source_that_an_instability_amplifies():
+    """x' = c + k*x*(1 - x) from zero: the roots r1, r2 of the right-hand side give x."""
+    problem = compiled("1e-15 + k*x*(1 - x)", {"k": (8, 10)}, end=6)
+    solution = problem.solve(1e-4)
+    assert solution.success
+    k, t = 8.5, 4.0
+    small = 1e-15 / k  # the root below zero, up to its square
+    grown = small * np.expm1(k * t)
+    assert solution(t=t, k=k)[0] == pytest.approx(grown / (1 + small + grown), abs=5e-4)
+
+
+def test_a_ridge_is_refused_or_right():
+    rate = "-x*(1 + 1/(1 + ((a*b - 0.41)/1e-4)**2)) + 1"
+    problem = compiled(rate, {"a": (0, 1), "b": (0, 1)}, end=5)
+    solution = problem.solve(1e-3, effort="low")
+    a = np.linspace(0.5, 1.0, 11)
+    exact = (1 - np.exp(-10.0)) / 2  # on the ridge
+    assert not solution.success or np.abs(solution(t=5, a=a, b=0.41 / a)[0] - exact).max() < 5e-3
+
+
+def test_a_stiff_system_is_handed_over_before_the_watch_refuses_many_steps(monkeypatch):
+    """The estimate of the error lets unstable steps pass, and a fifth of their length is stable."""
+    steps = []
+    step = StackedDOP853.step
+    monkeypatch.setattr(StackedDOP853, "step", lambda self: steps.append(self.t) or step(self))
+    back, release = "2270*y + 9430*y/(y/127 + 1)", "1290*z/(z + 0.0135) + 0.845*z/(742*y**2 + 1)"
+    rates = {
+        "x": f"-2.83*k*x + {back}",
+        "y": f"2.83*k*x - ({back}) + {release}",
+        "z": f"-({release})",
+    }
+    starts = {"x": "100", "y": "167", "z": "116"}
+    system = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (0.7, 1.3)}, (0, 30))).system
+    reference = integrate_reference(system, np.linspace(0.7, 1.3, 16)[:, None], 0.0, 30.0, 3e-7)
+    assert reference.stiff
+    assert len(steps) < 60
+
+
+def test_zeros_are_found_in_few_evaluations():
+    calls = []
+
+    def functions(x):
+        calls.append(1)
+        return np.array([np.tanh(30 * (x[0] - 0.3)), x[1] ** 3 - 0.2, np.exp(9 * x[2]) - 40])
+
+    found = _zeros(functions, functions(np.zeros(3)), functions(np.ones(3)))
+    np.testing.assert_allclose(found, [0.3, 0.2 ** (1 / 3), np.log(40) / 9], atol=1e-13)
+    assert len(calls) < 20

@@ -1,0 +1,64 @@
+"""The residual finds what random trajectories miss."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.domain import Domain
+from rankone.verification.measure import Yardstick
+from rankone.verification.residual import doubtful_points
+
+
+@pytest.fixture(scope="module")
+def decay():
+    problem = ro.Problem.from_strings(
+        {"x": "-a*x + b"}, {"x": "1"}, {"a": (1, 2), "b": (0, 1)}, (0, 1)
+    )
+    compiled = ro.compile(problem)
+    solution = compiled.solve(1e-6, method="cross")
+    yardstick = Yardstick.of(compiled.system, Domain.of(compiled.system), 1e-6, 24)
+    return compiled.system, solution.outcome, yardstick
+
+
+def test_a_good_solution_has_none(decay):
+    _, outcome, yardstick = decay
+    assert doubtful_points(yardstick, outcome.slabs, outcome.error / 1e-6, 1e-6, 0) is None
+
+
+def test_where_the_equations_do_not_hold(decay):
+    """A solution of other equations in a corner, which no check point touches."""
+    system, outcome, yardstick = decay
+
+    class Other:
+        def __getattr__(self, name):
+            return getattr(system, name)
+
+        def rhs(self, t, u, p):
+            corner = (np.asarray(p[0]) > 1.9) & (np.asarray(p[1]) > 0.9)
+            known = (np.asarray(p[0])[..., None] == yardstick.reference.points[:, 0]).any(axis=-1)
+            return system.rhs(t, u, p) + 1e-3 * (corner & ~known)
+
+    found = doubtful_points(replace(yardstick, system=Other()), outcome.slabs, 0.5, 1e-6, 0)
+    assert len(found) >= 3
+    assert (found > [1.9, 0.9]).all()
+
+
+@pytest.mark.parametrize(
+    ("rate", "initial", "end", "rtol"),
+    [
+        ("-30*a*b*c*d*x", "1", 1, 1e-6),
+        ("10*a*b*c*d - x**3", "0", 1, 1e-4),
+        ("0.717*(x**2 + a)*a*b*c*d", "a", 0.9, 1e-4),
+    ],
+)
+def test_products_of_parameters_are_right_near_the_corner(rate, initial, end, rtol):
+    box = dict.fromkeys("abcd", (0, 1))
+    compiled = ro.compile(ro.Problem.from_strings({"x": rate}, {"x": initial}, box, (0, end)))
+    solution = compiled.solve(rtol)
+    assert solution.success
+    points = np.random.default_rng(8).random((500, 4))
+    stricter = Yardstick.of(compiled.system, Domain.of(compiled.system), 1e-3 * rtol, 24)
+    measured = stricter.with_points(points).measured(solution.outcome.slabs)
+    assert max(measured.interior) <= 5 * rtol

@@ -1,0 +1,61 @@
+"""The yardstick: asked for more points it integrates those alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.domain import Domain
+from rankone.verification.measure import Yardstick
+from tests.problems import REFERENCE
+
+TIMES = np.linspace(0.0, 2.0, 11)
+
+
+def yardstick(name: str = "decay", check: int = 4, domain: Domain | None = None) -> Yardstick:
+    system = ro.compile(REFERENCE[name]()).system
+    return Yardstick.of(system, domain or Domain.of(system), 1e-6, check)
+
+
+def test_more_points_are_integrated_alone() -> None:
+    first = yardstick()
+    points = np.array([[0.7], [4.4]])
+    more = first.with_points(points)
+    assert more.reference.batches[0] is first.reference.batches[0]
+    assert [count for count, _ in more.reference.batches] == [len(first.reference.points), 2]
+    np.testing.assert_array_equal(more.reference.points[-2:], points)
+    old, new = first.reference(TIMES), more.reference(TIMES)
+    np.testing.assert_array_equal(new[:, : old.shape[1]], old)
+    np.testing.assert_allclose(new[0, -2:], np.exp(-points * TIMES), rtol=1e-6)
+
+
+def test_the_error_at_added_points_counts() -> None:
+    slabs = ro.solve(REFERENCE["decay"](), rtol=1e-8).outcome.slabs
+    unchecked = yardstick(check=0)
+    assert unchecked.measured(slabs) is None
+    measured = unchecked.with_points(np.array([[0.9]])).measured(slabs)
+    assert measured is not None
+    assert measured.points == 2
+    assert max(measured.interior) < 1e-6
+
+
+def test_the_earliest_blow_up_of_all_points_is_kept() -> None:
+    domain = Domain((0.0, 0.7), ((0.5, 1.0),) * 3)
+    first = yardstick("coupled", 0, domain)
+    assert first.blow_up is None
+    assert first.end == 0.7
+    more = first.with_points(np.array([[0.6, 0.6, 0.6], [-6.0, 6.0, 6.0]]))
+    assert more.blow_up is not None
+    assert more.blow_up[1] == (-6.0, 6.0, 6.0)
+    assert more.end < more.reference.end < 0.7
+    later = more.with_points(np.array([[0.7, 0.7, 0.7]]))
+    assert later.blow_up == more.blow_up
+
+
+@pytest.mark.parametrize("check", [0, 3])
+def test_sizes_leave_the_corners_out(check: int) -> None:
+    held = yardstick("lotka_volterra", check)
+    assert held.corners == (4 if check else 0)
+    inside = np.delete(held.reference(np.linspace(0, 6, 201)), np.s_[1 : 1 + held.corners], axis=1)
+    np.testing.assert_array_equal(held.sizes, np.abs(inside).max(axis=(1, 2)))
