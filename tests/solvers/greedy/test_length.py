@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rankone.ir.outcome import Status
-from rankone.solvers.greedy.length import SlabLengths
+from rankone.solvers.greedy.engine import SlabLengths
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.march import Span
 

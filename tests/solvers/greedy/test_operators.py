@@ -8,9 +8,15 @@ import pytest
 import rankone as ro
 from rankone.discretization import LagrangeElements
 from rankone.solvers.greedy.enrichment import Enrichment
-from rankone.solvers.greedy.operators import ShapeSpace, assemble, named_matrices
+from rankone.solvers.greedy.operators import (
+    ShapeSpace,
+    SourceTerm,
+    assemble,
+    evaluation_order,
+    named_matrices,
+    source_terms,
+)
 from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.greedy.terms import SourceTerm, evaluation_order, source_terms
 from rankone.tensors.rank_one_sums import RankOneSum
 from tests.problems import REFERENCE
 

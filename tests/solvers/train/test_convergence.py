@@ -2,7 +2,7 @@
 
 import math
 
-from rankone.solvers.train.convergence import Convergence
+from rankone.solvers.train.iteration import Convergence
 
 
 def after(residuals, tolerance=1e-6, coarse=1e-6):

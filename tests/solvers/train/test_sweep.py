@@ -6,8 +6,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis, LegendreBasis, RadauCollocation
-from rankone.solvers.train.groups import ParameterOperators, term_groups
-from rankone.solvers.train.slab import SlabOperator
+from rankone.solvers.train.slab import ParameterOperators, SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.tensors.train import right_orthonormal
 

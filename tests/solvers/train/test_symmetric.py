@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.solvers.train.symmetric import left_products, multiplicity, right_products, unpack
+from rankone.solvers.train.sweep import left_products, multiplicity, right_products, unpack
 
 
 @pytest.mark.parametrize(("r", "size", "s"), [(1, 2, 1), (3, 4, 2), (9, 3, 5), (13, 2, 17)])

@@ -12,20 +12,79 @@ the slab: the first shape function in time is left out, of the unknown and of th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rankone.discretization import LegendreBasis
 from rankone.discretization.finite_elements import LagrangeElements
+from rankone.ir.domain import Domain
 from rankone.ir.system import System
 from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.greedy.terms import SourceTerm
 from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
 
-__all__ = ["Equation", "ShapeSpace", "assemble", "named_matrices"]
+__all__ = [
+    "Equation",
+    "Nodes",
+    "ShapeSpace",
+    "SourceTerm",
+    "assemble",
+    "evaluation_order",
+    "first_nodes",
+    "named_matrices",
+    "source_terms",
+]
+
+
+class SourceTerm(NamedTuple):
+    """One term of f in ``u' = f``: a row of ``TERMS``.
+
+    Attributes
+    ----------
+    equation : int
+        The state whose derivative it is part of.
+    rows : tuple of int
+        Row of ``time_factors``, then of ``parameter_factors`` for each parameter; 0 is one.
+    monomial : tuple of int
+        States multiplied, of any degree.
+    """
+
+    coefficient: float
+    equation: int
+    rows: tuple[int, ...]
+    monomial: tuple[int, ...]
+
+    @property
+    def own(self) -> bool:
+        """Whether the term is linear in the unknown of its equation: part of its operator."""
+        return self.monomial == (self.equation,)
+
+
+def source_terms(system: System) -> tuple[SourceTerm, ...]:
+    """The terms of f in ``u' = f``."""
+    return tuple(SourceTerm(*row) for row in system.TERMS)
+
+
+def evaluation_order(terms: Sequence[SourceTerm], states: int) -> tuple[tuple[int, ...], ...]:
+    """Blocks of states to be solved one after the other; only within a block terms are lagged.
+
+    The strongly connected components of the graph of dependence. A state that needs another reaches
+    all that the other reaches, and more: the blocks come in the order of how many states they
+    reach. A block of one state whose terms do not lag it takes a single solve.
+    """
+    reached = np.eye(states, dtype=bool)
+    for term in terms:
+        reached[term.equation, list(term.monomial)] = True
+    for middle in range(states):  # Warshall, J. ACM 9 (1962) 11
+        reached |= np.outer(reached[:, middle], reached[middle])
+    blocks = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in reached & reached.T)
+    return tuple(sorted(blocks, key=lambda block: np.count_nonzero(reached[block[0]])))
 
 
 class ShapeSpace:
@@ -209,3 +268,71 @@ def named_matrices(system: System, space: ShapeSpace) -> dict[str, Array]:
 def _bandwidth(stack: Array) -> int:
     rows, columns = np.nonzero(np.abs(stack).max(axis=0))
     return int(np.abs(rows - columns).max(initial=0))
+
+
+_MOST = 64
+_FINITE_ELEMENTS = 41
+_FEW_PARAMETERS = 2
+"""Up to so many parameters the known functions are resolved nearly to rounding level."""
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Numbers of nodes in time, on one slab, and in each parameter."""
+
+    time: int
+    parameters: tuple[int, ...]
+
+    def finer(self, wanted: NDArray[np.bool_], options: GreedyOptions) -> Nodes:
+        """More nodes in the dimensions wanted, time first, whose number is not given."""
+        time, parameters = self.time, self.parameters
+        if wanted[0] and options.time_nodes is None:
+            time = _more(time)
+        if options.parameter_nodes is None:
+            pairs = zip(parameters, wanted[1:], strict=True)
+            parameters = tuple(_more(count) if more else count for count, more in pairs)
+        return Nodes(time, parameters)
+
+
+def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOptions) -> Nodes:
+    """Nodes to begin with: as given, 41 for finite elements, else by the tolerance.
+
+    Legendre elements have enough nodes for the known functions of each parameter: the factors of
+    the terms and of the initial values.
+
+    Raises
+    ------
+    OptionError
+        If the number of nodes given does not fit the parameters.
+    """
+    given = options.given_parameter_nodes(len(domain.box))
+    digits = -math.log10(rtol)
+    if options.elements != "legendre":
+        return Nodes(
+            options.time_nodes or _FINITE_ELEMENTS, given or (_FINITE_ELEMENTS,) * len(domain.box)
+        )
+    time = options.time_nodes or int(min(max(round(5.6 + 1.4 * digits), 6), 24))
+    if given is not None:
+        return Nodes(time, given)
+    few = len(domain.box) <= _FEW_PARAMETERS
+    common = max(round((4.0 if few else 2.0) + 1.2 * digits), 4)
+    tolerance = 1e-13 if few else 0.01 * rtol
+    return Nodes(
+        time,
+        tuple(
+            max(common, _resolving(system, j, lower, upper, tolerance))
+            for j, (lower, upper) in enumerate(domain.box)
+        ),
+    )
+
+
+def _resolving(system: System, dimension: int, lower: float, upper: float, tolerance: float) -> int:
+    """Nodes that resolve the factors of one parameter to a part of the largest of each."""
+    fine = LegendreBasis(lower, upper, _MOST)
+    relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
+    return int(np.flatnonzero(relative > tolerance).max(initial=0)) + 2
+
+
+def _more(nodes: int) -> int:
+    """The next larger number of nodes; odd stays odd, as quadratic elements need."""
+    return min(nodes + 2 * max(2, nodes // 6), 2 * _MOST)
