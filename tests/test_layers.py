@@ -127,7 +127,7 @@ def test_few_files_beside_the_rooms():
 
 def test_only_the_printers_use_sympy_printing():
     users = {n for n in PATHS if any(m.startswith("sympy.printing") for m in imported(n))}
-    assert users == {"rankone.codegen.printer", "rankone.expressions.decimals"}
+    assert users == {"rankone.codegen.printer", "rankone.expressions.notation"}
 
 
 def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):

@@ -18,14 +18,13 @@ if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
     from rankone.estimation.minimize import Optimum
     from rankone.estimation.posterior import Posterior
-    from rankone.frontend.over_time import duration, first_crossing, maximum, minimum
     from rankone.frontend.problem import Problem
     from rankone.interface.compiled import CompiledProblem
     from rankone.interface.compiled import compile_problem as compile
     from rankone.interface.compiled import solve_problem as solve
     from rankone.interface.solution import Solution, load
     from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
-    from rankone.ir.functions import function, table
+    from rankone.ir.functions import duration, first_crossing, function, maximum, minimum, table
     from rankone.ir.outcome import Status
     from rankone.solvers.cross import CrossOptions
     from rankone.solvers.greedy import GreedyOptions
@@ -120,15 +119,15 @@ _HOMES = {
     "WeakForm": ("symbolic", "WeakForm"),
     "__version__": ("support.version", "__version__"),
     "compile": ("interface.compiled", "compile_problem"),
-    "duration": ("frontend.over_time", "duration"),
-    "first_crossing": ("frontend.over_time", "first_crossing"),
+    "duration": ("ir.functions", "duration"),
+    "first_crossing": ("ir.functions", "first_crossing"),
     "first_order": ("symbolic", "first_order"),
     "function": ("ir.functions", "function"),
     "generate_source": ("codegen", "generate_source"),
     "load": ("interface.solution", "load"),
     "load_module": ("codegen", "load_module"),
-    "maximum": ("frontend.over_time", "maximum"),
-    "minimum": ("frontend.over_time", "minimum"),
+    "maximum": ("ir.functions", "maximum"),
+    "minimum": ("ir.functions", "minimum"),
     "quadratic_system": ("codegen.lowering", "quadratic_system"),
     "separate": ("symbolic", "separate"),
     "solve": ("interface.compiled", "solve_problem"),

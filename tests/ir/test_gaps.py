@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.expressions.branches import closed, gaps
+from rankone.expressions.admissible import closed, gaps
 
 t, a = sp.symbols("t a")
 x = sp.Function("x")(t)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -10,7 +11,6 @@ from mpmath.libmp import mpf_add, to_float
 from sympy.core.function import AppliedUndef
 
 from rankone.agreement.comparison import LOST, Comparison, sides
-from rankone.agreement.points import STILL, Points
 from rankone.agreement.precise import NoValueError, Number, number
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Jump
@@ -21,7 +21,81 @@ from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 from rankone.trajectories.integration import initial_values
 
-__all__ = ["DisagreementError", "check_problem"]
+__all__ = ["STILL", "DisagreementError", "Points", "check_problem", "disagreeing_rate"]
+
+
+_DRIFTS = (0.0, 1e-3, 0.03, 0.3)
+"""Parts of the horizon over which states have moved from the start, at their first rate."""
+_NOISE = (1e-9, 1e-5, 0.01, 0.3)
+"""Relative distances of states from there. Zero states move too, except at still points."""
+_LARGEST_DRIFT = 10.0
+"""In units of the largest initial value of a state."""
+STILL = len(_DRIFTS)
+"""One point in so many is still: its states are those at the start, apart from the noise."""
+_SEED = 1937
+
+
+@dataclass(frozen=True)
+class Points:
+    """Where a problem is looked at: times (m,), parameters (d, m), states and rates (n, m).
+
+    ``sizes`` (n,) are how large states are, as far as the start and the first rates tell.
+    """
+
+    time: Array
+    parameters: Array
+    states: Array
+    rates: Array
+    sizes: Array
+
+    @classmethod
+    def of(cls, system: System, count: int) -> Points:
+        """Points over the horizon, the box and plausible states; the same for the same system."""
+        rng = np.random.default_rng(_SEED)
+        start, end = system.TIME
+        box = np.asarray(system.BOX, dtype=float).reshape(-1, 2)
+        time = start + (end - start) * rng.random(count)
+        p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), count))
+        initial = np.asarray(initial_values(system, p), dtype=float)
+        first = np.nan_to_num(np.asarray(system.rhs(start, initial, p), dtype=float))
+        drift = first * (time - start) * np.resize(_DRIFTS, count)
+        size = np.abs(initial).max(axis=1, keepdims=True)
+        longest = np.where(size > 0.0, _LARGEST_DRIFT * size, np.inf)
+        moved = initial + np.clip(drift, -longest, longest)
+        noise = np.repeat(_NOISE, -(-count // len(_NOISE)))[:count]
+        states = moved * (1.0 + noise * rng.uniform(-1.0, 1.0, moved.shape))
+        reach = np.abs(first).max(axis=1, keepdims=True) * (end - start)
+        away = noise * np.where(reach > 0.0, reach, 1.0) * (np.resize(_DRIFTS, count) > 0.0)
+        states = np.where(moved == 0.0, away, states)
+        states = np.where(np.isfinite(states), states, initial)
+        rates = np.asarray(system.rhs(time, states, p), dtype=float)
+        return cls(time, p, states, rates, np.abs(moved).max(axis=1))
+
+
+_TOLERANCE = 1e-6
+"""Differences beyond, relative to the largest rate of a state, are not those of rounding."""
+
+
+def disagreeing_rate(lifted: System, system: System) -> int | None:
+    """The first state whose rate the lifted system has wrong; None where there is none.
+
+    Numbers of a system that is multiplied out may overflow where those of the system as it is
+    written do not.
+    """
+    with np.errstate(all="ignore"):
+        points = Points.of(system, _POINTS)
+        t, p, u = points.time, points.parameters, points.states
+        count = getattr(lifted, "LIFTED", 0)
+        states = np.concatenate([u, np.ones((count, t.size))])
+        for _ in range(count):  # some stand for functions of others
+            states[len(u) :] = lifted.meanings(t, states, p)
+        finite = np.isfinite(points.rates).all(axis=0) & np.isfinite(states).all(axis=0)
+        rates = np.asarray(lifted.rhs(t, states, p), dtype=float)[: len(u)]
+        size = np.abs(points.rates[:, finite]).max(axis=1, initial=0.0)
+        off = np.abs(rates - points.rates)[:, finite]
+        wrong = ~(off <= _TOLERANCE * size[:, None]).all(axis=1)
+    return int(np.argmax(wrong)) if wrong.any() else None
+
 
 _POINTS, _FEWEST = 20, 3
 """Points at which a problem is looked at; the least number for one of very many operations."""
@@ -31,7 +105,6 @@ _JACOBIANS = 3
 _SLOPE_TOLERANCE, _NOTHING, _FACTOR = 1e-6, 1e-15, 1e5
 """Derivatives may be off by this part of their terms, and of the change of the states; or by so
 many times what rounding errors of 1e-10 do."""
-_SEED = 1937
 _UNSEEN = 1e-13
 """Part of its size by which an error of a rate may move a state over the horizon."""
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"

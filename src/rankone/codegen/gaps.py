@@ -19,7 +19,7 @@ from sympy.core.relational import Relational
 from rankone.codegen.switching import switches
 from rankone.codegen.text import quoted, table
 from rankone.codegen.variables import Variables
-from rankone.expressions.branches import gaps
+from rankone.expressions.admissible import gaps
 from rankone.ir.forms import Coordinate, Jump, State
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError

@@ -26,10 +26,10 @@ from rankone.codegen.names import Names
 from rankone.codegen.pointwise import Index, mask, shape_line
 from rankone.codegen.printer import common_subexpressions, numpy_text
 from rankone.codegen.text import assignment, docstring, paragraph, unpacking
-from rankone.expressions.decimals import plain_text
+from rankone.expressions.admissible import known_functions
+from rankone.expressions.notation import plain_text
 from rankone.expressions.stable import stable
 from rankone.ir.forms import Coordinate, Jump, State
-from rankone.ir.known import known_functions
 from rankone.support.errors import ProblemError, SeparationError
 from rankone.support.wording import number
 

@@ -9,7 +9,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.codegen.text import INDENT, assignment, docstring, nested, table
 from rankone.codegen.variables import Variables
-from rankone.expressions.decimals import plain_text
+from rankone.expressions.notation import plain_text
 from rankone.ir.forms import Coordinate, Jump, State
 from rankone.support.wording import number
 

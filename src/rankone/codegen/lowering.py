@@ -13,8 +13,8 @@ from __future__ import annotations
 from rankone.codegen.grouping import group_terms
 from rankone.codegen.products import auxiliary_states, lower
 from rankone.codegen.right_hand_side import right_hand_side
+from rankone.expressions.admissible import known_functions
 from rankone.ir.forms import Factor, QuadraticSystem, SeparatedForm
-from rankone.ir.known import known_functions
 from rankone.support.errors import check_kind
 
 __all__ = ["quadratic_system"]

@@ -13,20 +13,19 @@ import sympy as sp
 from scipy import special
 from sympy.core.function import AppliedUndef
 
-from rankone.agreement.outputs import check_outputs
+from rankone.agreement.comparison import check_outputs
 from rankone.codegen.gaps import check_gaps, gap_text
 from rankone.codegen.narrow import peaks, steps
 from rankone.codegen.printer import numpy_text
 from rankone.codegen.switching import boundaries, switches
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.branches import closed, gaps
-from rankone.expressions.decimals import plain_text
+from rankone.expressions.admissible import closed, gaps
+from rankone.expressions.notation import plain_text
 from rankone.expressions.numbers import exact
 from rankone.expressions.parsing import parse_expression
 from rankone.expressions.stable import stable
-from rankone.frontend.over_time import duration, first_crossing, maximum, minimum
 from rankone.ir.forms import Coordinate
-from rankone.ir.functions import known_applied
+from rankone.ir.functions import duration, first_crossing, known_applied, maximum, minimum
 from rankone.ir.metadata import SolutionMetadata
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.support.arrays import Array

@@ -14,7 +14,7 @@ from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
 
 from rankone.codegen.text import literal
-from rankone.expressions.decimals import plain_text
+from rankone.expressions.notation import plain_text
 from rankone.expressions.stable import fraction, scaled_power, stable
 from rankone.support.errors import ProblemError, SeparationError
 from rankone.support.wording import quote

@@ -1,1 +1,10 @@
-"""SymPy expressions, whatever the problem: numbers, parsing, stable forms, decimals."""
+"""Single SymPy expressions, whatever problem they belong to.
+
+===================  =============================================================================
+:mod:`~.parsing`     text to expressions
+:mod:`~.numbers`     exact numbers in place of floating-point ones
+:mod:`~.notation`    expressions as text and LaTeX for people
+:mod:`~.admissible`  where an expression is defined: poles, roots, gaps between branches
+:mod:`~.stable`      the same value without overflow and cancellation
+===================  =============================================================================
+"""

@@ -1,1 +1,11 @@
-"""What users write: problems in SymPy or text, and problem files; validated here."""
+"""What users write, validated here: problems in SymPy or text, and problem files.
+
+======================  ==========================================================================
+:mod:`~.problem`        :class:`rankone.Problem`, which calls all the checks below
+:mod:`~.box`            the time interval, the intervals or distributions of parameters, units
+:mod:`~.equations`      equations, unknowns and their initial values
+:mod:`~.mass`           the mass matrix in front of the highest derivatives
+:mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``
+:mod:`~.problem_files`  problems from Python and TOML files
+======================  ==========================================================================
+"""

@@ -12,22 +12,21 @@ from typing import Any
 import sympy as sp
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.branches import closed
+from rankone.expressions.admissible import closed
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.expressions.parsing import parse_expression
-from rankone.frontend.box import check_correlation, check_parameters, check_time
+from rankone.frontend.box import check_correlation, check_parameters, check_time, check_units
 from rankone.frontend.equations import (
     check_equations,
+    check_initial,
     check_lengths,
     check_names,
     check_symbols,
     check_unknowns,
     state_expressions,
 )
-from rankone.frontend.initial import check_initial
 from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
 from rankone.frontend.mass import MassForm, check_mass
-from rankone.frontend.units import check_units
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
 from rankone.support.display import aligned_equations

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import sympy as sp
 
-from rankone.agreement.lifting import disagreeing_rate
+from rankone.agreement.problems import disagreeing_rate
 from rankone.codegen import generate_source
 from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.recipe import Recipe

@@ -1,8 +1,9 @@
-"""Functions that SymPy does not know: tables of data, and functions of the user.
+"""Functions that SymPy does not know: of data, of the user, and of a whole function of time.
 
-Both are SymPy function classes, to be applied in equations like ``sin``. They have values and
-derivatives; a table is written into generated source as data, a user's function is handed to the
-generated module by name.
+All are SymPy function classes, to be applied in expressions like ``sin``. Tables and users'
+functions have values and derivatives; a table is written into generated source as data, a user's
+function is handed to the generated module by name. Maxima, durations and crossings are understood
+by :meth:`rankone.Solution.output`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,19 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
 
-__all__ = ["DataFunction", "Table", "UserFunction", "function", "known_applied", "table"]
+__all__ = [
+    "DataFunction",
+    "Table",
+    "UserFunction",
+    "duration",
+    "first_crossing",
+    "function",
+    "known_applied",
+    "maximum",
+    "minimum",
+    "table",
+]
+
 
 _KINDS = ("linear", "cubic", "previous")
 _PREFIX = "f_"
@@ -420,3 +433,51 @@ def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
 
 def _digits(number: float) -> str:
     return repr(number).replace("e+", "e")
+
+
+class maximum(sp.Function):  # type: ignore[misc]
+    """The largest value over time of an expression, in :meth:`rankone.Solution.output`.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> t = sp.Symbol("t")
+    >>> maximum(sp.Function("x")(t))
+    maximum(x(t))
+    """
+
+    nargs = 1
+
+
+class minimum(sp.Function):  # type: ignore[misc]
+    """The smallest value over time of an expression, in :meth:`rankone.Solution.output`."""
+
+    nargs = 1
+
+
+class duration(sp.Function):  # type: ignore[misc]
+    """For how long an expression is positive, in :meth:`rankone.Solution.output`.
+
+    ``duration(x - level)`` is the time that x is above a level.
+    """
+
+    nargs = 1
+
+
+class first_crossing(sp.Function):  # type: ignore[misc]
+    """The first time at which an expression crosses a level.
+
+    ``first_crossing(x, level, direction)`` in :meth:`rankone.Solution.output`: the level is 0
+    unless it is given, a number or an expression of parameters and time; the direction is 1
+    (upwards), -1 (downwards) or 0, either. Where the expression only begins at the level, or
+    exceeds it by less than ten times the tolerance of its largest distance from it, that is no
+    crossing.
+    """
+
+    nargs = (1, 2, 3)
+
+    @property
+    def parts(self) -> tuple[sp.Expr, Any]:
+        """What crosses zero, and the direction."""
+        expression, level, direction = (*self.args, sp.S.Zero, sp.S.Zero)[:3]
+        return expression - level, direction

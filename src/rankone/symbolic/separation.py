@@ -14,13 +14,12 @@ from fractions import Fraction
 import sympy as sp
 
 from rankone.expressions.admissible import located_defect
-from rankone.expressions.monomials import Monomial, MonomialSum
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Factor, GeneralTerm, SeparatedForm, Term
 from rankone.support.errors import ProblemError, check_kind
 from rankone.support.wording import listing, quote
-from rankone.symbolic.splitting import Indivisible, Splitter
-from rankone.symbolic.weak_form import WeakForm, weak_form
+from rankone.symbolic.first_order import WeakForm, weak_form
+from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
 
 __all__ = ["separate"]
 

@@ -1,35 +1,44 @@
-"""Is a right-hand side that does not separate well defined on a domain?
+"""Is a problem well defined on a domain, its own or one that it is moved to?
 
-Its known functions of one coordinate are looked at as factors are; the rest is evaluated at the
-start of trajectories all over the box.
+Tables have to cover their intervals. In what does not separate, functions of one coordinate are
+checked as factors are; the rest is evaluated at the start of trajectories all over the box.
 """
 
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.expressions.admissible import located_defect
+from rankone.expressions.admissible import known_functions, located_defect
 from rankone.expressions.stable import NUMPY, stable
-from rankone.ir.forms import Coordinate
+from rankone.frontend.problem import Problem
+from rankone.ir.domain import Domain
+from rankone.ir.forms import Coordinate, SeparatedForm
 from rankone.ir.functions import Table, known_applied
 from rankone.ir.gaps import refuse_gap
-from rankone.ir.known import known_functions
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError
+from rankone.support.errors import OptionError, ProblemError, RankoneWarning
 from rankone.support.wording import number, quote
 from rankone.symbolic.first_order import FirstOrderSystem
 
-__all__ = ["check_known", "check_start", "check_tables"]
+__all__ = [
+    "check_known",
+    "check_moved",
+    "check_start",
+    "check_tables",
+]
+
 
 _SAMPLES = 257
 _MOST_CORNERS, _RANDOM = 64, 64
-_REMEDY = "change the box or the horizon"
+_OTHER_BOX = "change the box or the horizon"
 
 
 def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
@@ -59,7 +68,7 @@ def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) ->
                 f"{at:.6g}" + (f", where the argument{reached}" if reached else ""),
                 equation=_equation(system, part),
                 term=part,
-                remedy=f"extend the table, or {_REMEDY}",
+                remedy=f"extend the table, or {_OTHER_BOX}",
             )
 
 
@@ -141,3 +150,44 @@ def _equation(system: FirstOrderSystem, part: sp.Expr) -> int | None:
     """The user's equation that a part of the system comes from, if it is one of the equations."""
     pairs = zip(system.rhs, system.origins, strict=True)
     return next((origin for f, origin in pairs if f.has(part)), None)
+
+
+_OTHER_RANGES = "choose other ranges, or compile the problem with these"
+
+
+def check_moved(
+    problem: Problem,
+    first_order: FirstOrderSystem,
+    form: SeparatedForm,
+    system: System,
+    domain: Domain,
+) -> None:
+    """Raise unless the problem is well posed on a domain and its separated form holds there.
+
+    The form was found on the box of the problem: the signs under its roots are those of that box.
+
+    Raises
+    ------
+    OptionError
+        As a new problem on that domain would, or if a factor is not finite and real on it.
+    """
+    t, *_ = problem.time
+    box = dict(zip(problem.parameters, domain.box, strict=True))
+    intervals = (domain.horizon, *domain.box)
+    pairs = zip(form.coordinates, intervals, strict=True)
+    moved_all = [replace(c, lower=lower, upper=upper) for c, (lower, upper) in pairs]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RankoneWarning)
+            Problem(problem.equations, (t, *domain.horizon), box, problem.initial)
+        check_tables(first_order, moved_all)
+        if form.general:
+            check_known(first_order, moved_all)
+            check_start(first_order, system, moved_all)
+    except ProblemError as error:
+        raise OptionError(str(error), term=error.term) from error
+    for dimension, moved in enumerate(moved_all):
+        for factor in form.factors[dimension]:
+            wrong = located_defect(factor.expression, moved, dimension)
+            if wrong is not None:
+                raise OptionError(wrong, term=factor.expression, remedy=_OTHER_RANGES)
