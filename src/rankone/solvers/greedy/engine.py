@@ -13,6 +13,17 @@ import numpy as np
 from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine, Request
+from rankone.solvers.greedy.constants import (
+    FAST_FACTOR,
+    FEW_ITERATIONS,
+    FIRST_SLAB_CONTRACTION,
+    MANY_ITERATIONS,
+    REJECTED_FACTOR,
+    SHORTEST_SLAB,
+    SLOW_FACTOR,
+    TAIL_SHARE,
+    TOLERANCE_SHARE,
+)
 from rankone.solvers.greedy.history import GreedySlabRecord
 from rankone.solvers.greedy.operators import first_nodes
 from rankone.solvers.greedy.options import GreedyOptions
@@ -23,12 +34,6 @@ from rankone.verification.measure import Yardstick
 from rankone.verification.sensitivity import amplification
 
 __all__ = ["ENGINE", "SlabLengths"]
-
-_SHORTEST = 1e-6
-"""Shortest slab, relative to the horizon."""
-_FEW, _MANY = 10, 16
-"""Lagged iterations after which the next slab is longer, or shorter."""
-_GROW, _SHRINK, _HALVE = 1.5, 0.7, 0.5
 
 
 @dataclass
@@ -72,22 +77,22 @@ class SlabLengths:
     def adapt(self, span: Span, trial: GreedyTrial) -> bool:
         """Halve after a rejection, lengthen where few iterations were needed."""
         if not trial.record.accepted:
-            self.length = _HALVE * span.length
-            self._hopeless = not self.adaptive or self.length <= _SHORTEST * self.horizon
+            self.length = REJECTED_FACTOR * span.length
+            self._hopeless = not self.adaptive or self.length <= SHORTEST_SLAB * self.horizon
         elif self.adaptive:
             iterations = len(trial.record.residuals)
-            factor = _GROW if iterations <= _FEW else _SHRINK if iterations > _MANY else 1.0
-            longer = span.length * (_HALVE if Status.RANK_LIMIT in trial.limits else factor)
+            factor = (
+                FAST_FACTOR
+                if iterations <= FEW_ITERATIONS
+                else SLOW_FACTOR
+                if iterations > MANY_ITERATIONS
+                else 1.0
+            )
+            longer = span.length * (
+                REJECTED_FACTOR if Status.RANK_LIMIT in trial.limits else factor
+            )
             self.length = max(longer, self.length) if span.end in self.cuts else longer
         return trial.record.accepted
-
-
-_SHARE = 0.03
-"""Tolerance of a slab relative to the error asked for, before the growth of errors."""
-_TAIL = 0.1
-"""Part of the error asked for that the highest modes may make up."""
-_CONTRACTION = 3.0
-"""Length of the first slab times the largest norm of the scaled Jacobian."""
 
 
 class GreedyMarcher(Marcher):
@@ -107,10 +112,12 @@ class GreedyMarcher(Marcher):
         self.growth = amplification(system, yardstick.reference, sizes, yardstick.end)
         self.coupling = Coupling(system, sizes, self.options)
         lagged = any(map(self.coupling.lagged, self.coupling.blocks))
-        self.longest = _CONTRACTION / max(_stiffness(yardstick), 1e-300) if lagged else math.inf
+        self.longest = (
+            FIRST_SLAB_CONTRACTION / max(_stiffness(yardstick), 1e-300) if lagged else math.inf
+        )
         self.nodes = first_nodes(system, domain, self.rtol, self.options)
         self.tails = np.zeros(1 + len(domain.box))
-        self.share = _SHARE
+        self.share = TOLERANCE_SHARE
 
     def tolerance(self, time: float) -> float:
         """Tolerance of a slab, in units of the sizes."""
@@ -122,15 +129,15 @@ class GreedyMarcher(Marcher):
         lengths = SlabLengths(start, end, self.options, self.longest, self.yardstick.cuts)
         domain = self.yardstick.domain
         slabs = LaggedSlabs(self.coupling, domain, self.nodes, self.tolerance, index)
-        result = March(lengths, slabs, self.options.max_slabs).run(start, end, index, report)
+        march = March(lengths, slabs, self.options.max_slabs).run(start, end, index, report)
         self.tails = slabs.tails
-        return result
+        return march
 
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """More nodes where the highest modes are not small, else a tighter tolerance."""
         nodes, limits = self.nodes, attempt.result.limits
         stalls = 0 if progress.pays else progress.stalls
-        self.nodes = nodes.finer(self.tails > _TAIL * self.rtol, self.options)
+        self.nodes = nodes.finer(self.tails > TAIL_SHARE * self.rtol, self.options)
         same = self.nodes == nodes
         stuck = stalls or limits or self.options.tolerance is not None
         if (stalls and limits) or (same and stuck):
@@ -149,9 +156,9 @@ def _stiffness(yardstick: Yardstick) -> float:
     """Largest row sum norm of the Jacobian over the check points, in units of the sizes."""
     system, reference, sizes = yardstick.system, yardstick.reference, yardstick.states
     times = np.linspace(reference.start, yardstick.end, 101)
-    values = reference(times)
-    n, m, count = values.shape
-    jacobian = system.jacobian(times, values, reference.points.T[:, :, None])
+    states = reference(times)
+    n, m, count = states.shape
+    jacobian = system.jacobian(times, states, reference.points.T[:, :, None])
     jacobian = np.broadcast_to(jacobian, (n, n, m, count))
     scaled = np.abs(jacobian) * (sizes[None, :] / sizes[:, None])[:, :, None, None]
     return float(scaled.sum(axis=1).max())

@@ -22,6 +22,14 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
+from rankone.solvers.greedy.constants import (
+    BETTER_RESIDUAL,
+    MAX_DENSE_SIZE,
+    PASS_OPERATIONS,
+    PROXIMAL_WEIGHT,
+    SPARSE_OPERATIONS,
+    STALLED_MODES,
+)
 from rankone.solvers.greedy.history import ModeRecord
 from rankone.solvers.greedy.operators import Equation
 from rankone.solvers.greedy.options import GreedyOptions
@@ -31,20 +39,6 @@ from rankone.support.costs import CALL, product
 from rankone.tensors.rank_one_sums import RankOneSum
 
 __all__ = ["Enriched", "Enrichment"]
-
-_STALLED = {"all": 4, "time": 8, "amplitudes": 12}
-"""Modes in a row without a better residual after which enrichment ends, by what is updated."""
-_BETTER = 0.98
-"""What counts as a better residual."""
-_PROXIMAL = 1e-12
-"""Weight, relative to the largest diagonal entry, that ties an update to the modes it replaces."""
-_LARGEST_DENSE = 1200
-"""Largest system of coupled modes that is solved densely whatever its bandwidth."""
-
-_PASS = 100.0 * CALL
-"""Operations of a pass over a dimension, besides those with large arrays."""
-_SPARSE = 5e3
-"""Operations for each unknown of a sparse system."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +122,7 @@ class Enrichment:
             self._drop(0.02 * tolerance * amplitude_unit)
         residual = self.residual()
         best = residual, self.factors.copy(), self.amplitudes
-        stalled, patience = 0, _STALLED[self.options.update]
+        stalled, patience = 0, STALLED_MODES[self.options.update]
         while residual > limit and self.rank < self.options.max_modes and stalled < patience:
             mode, amplitude, differences = self._fixed_point()
             if mode is None:
@@ -139,7 +133,7 @@ class Enrichment:
             shown = residual if self.functional is None else self.minimal_residual()
             records.append(ModeRecord(differences, amplitude / amplitude_unit, shown / unit))
             if residual < best[0]:
-                stalled = 0 if residual < _BETTER * best[0] else stalled + 1
+                stalled = 0 if residual < BETTER_RESIDUAL * best[0] else stalled + 1
                 best = residual, self.factors.copy(), self.amplitudes
             else:
                 stalled += 1
@@ -161,7 +155,7 @@ class Enrichment:
         ]
         onto_loads = [self.loads.factors[k].T @ mode[k] for k in self._dimensions]
         onto_modes = [self._against_modes(k, mode[k]) for k in self._dimensions]
-        own = [self._energies(k, mode[k]) for k in self._dimensions]
+        energies = [self._energies(k, mode[k]) for k in self._dimensions]
         amplitude = 0.0
         differences: list[float] = []
         for _ in range(self.options.max_fixed_point):
@@ -174,7 +168,7 @@ class Enrichment:
                     for i, u in enumerate(equation.index[j]):
                         right = right - self._images[j][u] @ weights[i]
                 matrix = np.tensordot(
-                    _collected(_product(own, j), equation.index[j]), equation.matrices[j], 1
+                    _collected(_product(energies, j), equation.index[j]), equation.matrices[j], 1
                 )
                 solved = _solve(matrix, right, equation.bandwidth[j])
                 norm = math.sqrt(max(float(solved @ equation.metrics[j] @ solved), 0.0))
@@ -183,7 +177,7 @@ class Enrichment:
                 mode[j], amplitude = solved / norm, norm
                 onto_loads[j] = self.loads.factors[j].T @ mode[j]
                 onto_modes[j] = self._against_modes(j, mode[j])
-                own[j] = self._energies(j, mode[j])
+                energies[j] = self._energies(j, mode[j])
             differences.append(self._difference(mode, amplitude, before, previous))
             if differences[-1] < self.options.fixed_point_tolerance:
                 break
@@ -193,7 +187,7 @@ class Enrichment:
         """Operations of finding the function of a dimension for one mode."""
         count, size = self.equation.matrices[j].shape[:2]
         onto = 4.0 * self.loads.factors[j].size + 2.0 * count * size * self.rank
-        return float(_PASS + onto + 3.0 * count * size**2 + _solving(size))
+        return float(PASS_OPERATIONS + onto + 3.0 * count * size**2 + _solving(size))
 
     def _against_modes(self, j: int, r: Array) -> Array:
         """``r^T D_j^i U_k`` for all terms i and modes k, (terms, rank)."""
@@ -213,8 +207,8 @@ class Enrichment:
         The cosine of two unit functions is one minus half their squared distance.
         """
         logarithm = 0.0
-        for new, old, metric in zip(mode, before, self.equation.metrics, strict=True):
-            gap = new - old
+        for function, earlier, metric in zip(mode, before, self.equation.metrics, strict=True):
+            gap = function - earlier
             logarithm += math.log1p(-min(0.5 * float(gap @ metric @ gap), 1.0 - 1e-15))
         square = (amplitude - previous) ** 2 - 2.0 * amplitude * previous * math.expm1(logarithm)
         return math.sqrt(max(square, 0.0)) / amplitude
@@ -254,11 +248,11 @@ class Enrichment:
         """All functions of dimension j at once, those of the others fixed."""
         equation = self.equation
         count, size = equation.matrices[j].shape[:2]
-        charge(_PASS + self.rank**2 * 4.0 * equation.terms * len(self._grams))
+        charge(PASS_OPERATIONS + self.rank**2 * 4.0 * equation.terms * len(self._grams))
         charge(_solving(size * self.rank if count > 1 else max(size, self.rank)))
         grams = _collected(self._other_grams(j), equation.index[j])
         right = self.loads.factors[j] @ _product(self._load_products, j)
-        held = _PROXIMAL * float(np.abs(np.diagonal(grams[0])).max())
+        held = PROXIMAL_WEIGHT * float(np.abs(np.diagonal(grams[0])).max())
         grams[0] += held * np.eye(self.rank)
         weighted = self.amplitudes * self._images[j][0]
         right = right + held * weighted
@@ -268,11 +262,11 @@ class Enrichment:
 
     def _other_grams(self, j: int | None) -> Array:
         """For each term the products of ``U_k^T D_k^i U_k`` over the dimensions but j."""
-        result = np.ones((self.equation.terms, self.rank, self.rank))
+        grams = np.ones((self.equation.terms, self.rank, self.rank))
         for k in self._dimensions:
             if k != j:
-                result *= self._grams[k][list(self.equation.index[k])]
-        return result
+                grams *= self._grams[k][list(self.equation.index[k])]
+        return grams
 
     def _normalise(self, j: int) -> None:
         """Unit functions in dimension j; the norms go to the amplitudes."""
@@ -323,21 +317,21 @@ class Enrichment:
 def _solving(size: int) -> float:
     """Operations of a solve with a matrix of this size, full or with few bands."""
     dense = 0.05 * size**3 + size**2
-    return 10.0 * CALL + (dense if size <= _LARGEST_DENSE else _SPARSE * size)
+    return 10.0 * CALL + (dense if size <= MAX_DENSE_SIZE else SPARSE_OPERATIONS * size)
 
 
 def _product(arrays: list[Array], j: int) -> Array:
     """Product of all arrays but the j-th."""
-    others = arrays[:j] + arrays[j + 1 :]
-    return reduce(np.multiply, others) if others else np.ones_like(arrays[j])
+    factors = arrays[:j] + arrays[j + 1 :]
+    return reduce(np.multiply, factors) if factors else np.ones_like(arrays[j])
 
 
-def _collected(values: Array, index: tuple[int, ...]) -> Array:
-    """Sum the values of the terms that share a matrix: (matrices, ...)."""
-    result = np.zeros((max(index) + 1, *values.shape[1:]))
-    for value, u in zip(values, index, strict=True):
-        result[u] += value
-    return result
+def _collected(weights: Array, index: tuple[int, ...]) -> Array:
+    """Sum the weights of the terms that share a matrix: (matrices, ...)."""
+    sums = np.zeros((max(index) + 1, *weights.shape[1:]))
+    for weight, u in zip(weights, index, strict=True):
+        sums[u] += weight
+    return sums
 
 
 def _solve(matrix: Array, right: Array, bandwidth: int | None = None) -> Array:
@@ -362,7 +356,7 @@ def _solve_coupled(grams: Array, matrices: Array, right: Array, bandwidth: int) 
     size, rank = right.shape
     if len(matrices) == 1:
         return _solve(grams[0], _solve(matrices[0], right, bandwidth).T).T
-    if size * rank <= _LARGEST_DENSE or 4 * bandwidth > size:
+    if size * rank <= MAX_DENSE_SIZE or 4 * bandwidth > size:
         total = sum(np.kron(a, g) for a, g in zip(matrices, grams, strict=True))
         return _solve(np.asarray(total), right.ravel()).reshape(size, rank)
     sparse = sum(

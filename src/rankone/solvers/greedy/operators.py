@@ -25,6 +25,7 @@ from rankone.discretization import LegendreBasis
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.ir.domain import Domain
 from rankone.ir.system import System
+from rankone.solvers.greedy.constants import FEW_PARAMETERS, FINE_DEGREE, FINITE_ELEMENT_NODES
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
@@ -136,14 +137,14 @@ class ShapeSpace:
     def product(self, term: SourceTerm, states: Sequence[RankOneSum]) -> RankOneSum:
         """One term at the quadrature points, the states given there."""
         if term.monomial:
-            result = states[term.monomial[0]]
+            monomial = states[term.monomial[0]]
             for state in term.monomial[1:]:
-                result = result.times(states[state])
+                monomial = monomial.times(states[state])
         else:
-            result = RankOneSum(tuple(np.ones((count, 1)) for count in self.counts))
+            monomial = RankOneSum(tuple(np.ones((count, 1)) for count in self.counts))
         pairs = zip(self.rows, term.rows, strict=True)
         factors = [None if row == 0 else rows[row] for rows, row in pairs]
-        return result.weighted(factors).scaled(term.coefficient)
+        return monomial.weighted(factors).scaled(term.coefficient)
 
 
 @dataclass(frozen=True)
@@ -270,12 +271,6 @@ def _bandwidth(stack: Array) -> int:
     return int(np.abs(rows - columns).max(initial=0))
 
 
-_MOST = 64
-_FINITE_ELEMENTS = 41
-_FEW_PARAMETERS = 2
-"""Up to so many parameters the known functions are resolved nearly to rounding level."""
-
-
 @dataclass(frozen=True)
 class Nodes:
     """Numbers of nodes in time, on one slab, and in each parameter."""
@@ -290,7 +285,7 @@ class Nodes:
             time = _more(time)
         if options.parameter_nodes is None:
             pairs = zip(parameters, wanted[1:], strict=True)
-            parameters = tuple(_more(count) if more else count for count, more in pairs)
+            parameters = tuple(_more(count) if steep else count for count, steep in pairs)
         return Nodes(time, parameters)
 
 
@@ -305,16 +300,17 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
     OptionError
         If the number of nodes given does not fit the parameters.
     """
-    given = options.given_parameter_nodes(len(domain.box))
+    counts = options.given_parameter_nodes(len(domain.box))
     digits = -math.log10(rtol)
     if options.elements != "legendre":
         return Nodes(
-            options.time_nodes or _FINITE_ELEMENTS, given or (_FINITE_ELEMENTS,) * len(domain.box)
+            options.time_nodes or FINITE_ELEMENT_NODES,
+            counts or (FINITE_ELEMENT_NODES,) * len(domain.box),
         )
     time = options.time_nodes or int(min(max(round(5.6 + 1.4 * digits), 6), 24))
-    if given is not None:
-        return Nodes(time, given)
-    few = len(domain.box) <= _FEW_PARAMETERS
+    if counts is not None:
+        return Nodes(time, counts)
+    few = len(domain.box) <= FEW_PARAMETERS
     common = max(round((4.0 if few else 2.0) + 1.2 * digits), 4)
     tolerance = 1e-13 if few else 0.01 * rtol
     return Nodes(
@@ -328,11 +324,11 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
 
 def _resolving(system: System, dimension: int, lower: float, upper: float, tolerance: float) -> int:
     """Nodes that resolve the factors of one parameter to a part of the largest of each."""
-    fine = LegendreBasis(lower, upper, _MOST)
+    fine = LegendreBasis(lower, upper, FINE_DEGREE)
     relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     return int(np.flatnonzero(relative > tolerance).max(initial=0)) + 2
 
 
 def _more(nodes: int) -> int:
     """The next larger number of nodes; odd stays odd, as quadratic elements need."""
-    return min(nodes + 2 * max(2, nodes // 6), 2 * _MOST)
+    return min(nodes + 2 * max(2, nodes // 6), 2 * FINE_DEGREE)

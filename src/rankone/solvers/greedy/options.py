@@ -92,9 +92,9 @@ class GreedyOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = self.parameter_nodes
+        nodes = self.parameter_nodes
         self._fit("time_nodes", self.time_nodes)
-        self._fit("parameter_nodes", *(given if isinstance(given, tuple) else (given,)))
+        self._fit("parameter_nodes", *(nodes if isinstance(nodes, tuple) else (nodes,)))
 
     def _fit(self, name: str, *counts: int | None) -> None:
         """Refuse numbers of nodes that are not possible with the elements."""
@@ -141,13 +141,13 @@ class GreedyOptions(Options):
         OptionError
             If a tuple of another length was given.
         """
-        given = self.parameter_nodes
-        if given is None:
+        nodes = self.parameter_nodes
+        if nodes is None:
             return None
-        counts = given if isinstance(given, tuple) else (given,) * parameters
+        counts = nodes if isinstance(nodes, tuple) else (nodes,) * parameters
         if len(counts) != parameters:
             raise OptionError(
-                f"parameter_nodes={given!r} has {len(counts)} entries for {parameters} parameters",
+                f"parameter_nodes={nodes!r} has {len(counts)} entries for {parameters} parameters",
                 remedy="give one number for all, or one for each",
             )
         return counts

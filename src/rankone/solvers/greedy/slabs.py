@@ -15,6 +15,14 @@ from rankone.ir.domain import Domain
 from rankone.ir.jumps import jump_kind
 from rankone.ir.outcome import Status
 from rankone.ir.system import System
+from rankone.solvers.greedy.constants import (
+    DIVERGED_CHANGE,
+    END_ROUNDING_SHARE,
+    INNER_TOLERANCE_SHARE,
+    JUMP_SHARE,
+    MAX_SOURCE_RANK,
+    THINNING_SHARE,
+)
 from rankone.solvers.greedy.enrichment import Enrichment
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
 from rankone.solvers.greedy.operators import (
@@ -39,13 +47,6 @@ from rankone.tensors.samples import Integers
 from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Coupling", "GreedyTrial", "LaggedSlab", "LaggedSlabs", "SlabResult", "compressed"]
-
-_LARGEST_SOURCE = 4000
-"""Rank above which a source is compressed before it is solved for."""
-_INNER = 0.1
-"""Residual asked of an equation while the lagged terms still change, relative to the change."""
-_DIVERGED = 1e3
-"""Change, in units of the state's size, that cannot be an iteration under way."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class LaggedSlab:
     def __init__(self, space: ShapeSpace, coupling: Coupling, start: Sequence[RankOneSum]) -> None:
         self.space, self.coupling, self.options = space, coupling, coupling.options
         self._equations = [assemble(space, own, self.options) for own in coupling.own]
-        self._start = [space.constant_in_time(value) for value in start]
+        self._start = [space.constant_in_time(state) for state in start]
         self._points = list(self._start)
         self.modes = [RankOneSum.zero(space.sizes) for _ in start]
         # a residual of the derivative form is a rate: over the slab it adds up to a state
@@ -141,7 +142,7 @@ class LaggedSlab:
             if converged and (not done or len(steps) > len(changes)):
                 changes = steps
             converged = converged and done
-            usable = usable and bool(steps) and steps[-1] < _DIVERGED
+            usable = usable and bool(steps) and steps[-1] < DIVERGED_CHANGE
             if not usable:
                 break
         last = {record.state: record.residual for record in records}
@@ -168,7 +169,7 @@ class LaggedSlab:
             changes.append(largest)
             if not lagged:
                 return changes, True
-            if not largest < _DIVERGED:
+            if not largest < DIVERGED_CHANGE:
                 return changes, False
             # an equation that was only solved coarsely has changes of that order
             if largest <= 2.0 * tolerance and inner == tolerance:
@@ -177,7 +178,7 @@ class LaggedSlab:
             if slow and inner == tolerance:
                 # what is left is the truncation of the modes, if it is small
                 return changes, largest <= 20.0 * tolerance
-            inner = min(max(tolerance, _INNER * largest), inner)
+            inner = min(max(tolerance, INNER_TOLERANCE_SHARE * largest), inner)
         return changes, False
 
     def _solve_equation(self, state: int, iteration: int, tolerance: float) -> EquationRecord:
@@ -185,7 +186,7 @@ class LaggedSlab:
         unit = float(self._units[state])
         source = self._source(state)
         loads = equation.loads(source)
-        if loads.rank > _LARGEST_SOURCE:
+        if loads.rank > MAX_SOURCE_RANK:
             loads = self._compressed_loads(equation, loads, 0.1 * tolerance * unit)
         functional = None
         if self.options.projection == "minimal-residual":
@@ -194,20 +195,25 @@ class LaggedSlab:
         before = self.modes[state]
         start, norm = before if self.options.update == "all" else None, float(self._norms[state])
         units = unit, norm
-        result = Enrichment(equation, loads, self.options, start, functional, units).run(tolerance)
-        new = result.modes
-        change = self._distance(before, new) / norm
-        self.modes[state] = new
-        self._points[state] = (self._start[state] + self.space.at_points(new)).merged()
-        name, amplitudes = self.coupling.system.STATES[state], (result.amplitudes / norm).tolist()
-        found = result.records, tuple(amplitudes), result.residual / unit
-        return EquationRecord(iteration, name, *found, change)
+        enrichment = Enrichment(equation, loads, self.options, start, functional, units)
+        enriched = enrichment.run(tolerance)
+        modes = self.modes[state] = enriched.modes
+        change = self._distance(before, modes) / norm
+        self._points[state] = (self._start[state] + self.space.at_points(modes)).merged()
+        return EquationRecord(
+            iteration,
+            self.coupling.system.STATES[state],
+            enriched.records,
+            tuple((enriched.amplitudes / norm).tolist()),
+            enriched.residual / unit,
+            change,
+        )
 
     def _source(self, state: int) -> RankOneSum:
         """G at the quadrature points: lagged terms, and own terms of the initial value."""
-        parts = [self.space.product(term, self._points) for term in self.coupling.others[state]]
-        parts += [self.space.product(term, self._start) for term in self.coupling.own[state]]
-        source = RankOneSum.joined(parts, self.space.counts)
+        terms = [self.space.product(term, self._points) for term in self.coupling.others[state]]
+        terms += [self.space.product(term, self._start) for term in self.coupling.own[state]]
+        source = RankOneSum.joined(terms, self.space.counts)
         if self.options.formulation == "volterra":
             first = self.space.time.integrated(source.factors[0])
             source = RankOneSum((first, *source.factors[1:]))
@@ -242,14 +248,6 @@ def compressed(
         options, update="all", max_fixed_point=6, fixed_point_tolerance=1e-2, update_sweeps=2
     )
     return Enrichment(equation, tensor.applied(metrics), fast).run(tolerance).modes
-
-
-_LOST_AT_END = 0.2
-"""What rounding a state at the end of a slab may lose, relative to the slab's tolerance."""
-_THINNED = 0.05
-"""What its trains may lose."""
-_AT_JUMPS = 0.01
-"""What the interpolation of states after a jump may lose."""
 
 
 @dataclass(frozen=True)
@@ -317,11 +315,13 @@ class LaggedSlabs:
     def accept(self, span: Span, trial: GreedyTrial) -> list[SlabTrain]:
         """One train for each element in time; the next slab begins at the end of this one."""
         bases, modes, lost = trial.space.bases, trial.solved.modes, trial.record.tolerance
-        trains, tails = element_trains(bases, self._values, modes, _THINNED * lost * self.sizes)
+        trains, tails = element_trains(
+            bases, self._values, modes, THINNING_SHARE * lost * self.sizes
+        )
         self.tails = np.maximum(self.tails, (tails / self.sizes[:, None]).max(axis=0))
         self._values = [
-            self._at_end(value, added, _LOST_AT_END * lost * size)
-            for value, added, size in zip(self._values, modes, self.sizes, strict=True)
+            self._at_end(state, added, END_ROUNDING_SHARE * lost * size)
+            for state, added, size in zip(self._values, modes, self.sizes, strict=True)
         ]
         kind = jump_kind(self.coupling.system, span.end)
         if kind is not None and span.end < self.domain.horizon[1]:
@@ -336,20 +336,20 @@ class LaggedSlabs:
             return self._of_train(cores, self.tolerance(self.domain.horizon[0]))
         rows = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(self.parameters)]
         sizes = (1, *(basis.size for basis in self.parameters))
-        values: list[list[RankOneSum]] = [[] for _ in range(system.N_DIFFERENTIAL)]
+        terms: list[list[RankOneSum]] = [[] for _ in range(system.N_DIFFERENTIAL)]
         for coefficient, state, factors in system.INITIAL:
             columns = [row[index][:, None] for row, index in zip(rows, factors, strict=True)]
-            values[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
-        return [RankOneSum.joined(parts, sizes) for parts in values]
+            terms[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
+        return [RankOneSum.joined(products, sizes) for products in terms]
 
     def _of_train(self, cores: Sequence[Array], tolerance: float) -> list[RankOneSum]:
         """The states of a train (n, r_1), ... with values at the nodes, in few products."""
-        first, *others = cores
-        if not others:
+        first, *parameters = cores
+        if not parameters:
             return [RankOneSum((row[None, :],)) for row in first]
-        parts = (RankOneSum.of_train(row, others) for row in first)
-        pairs = zip(parts, self.sizes, strict=True)
-        return [self._compressed(part, _LOST_AT_END * tolerance * size) for part, size in pairs]
+        states = (RankOneSum.of_train(row, parameters) for row in first)
+        limits = END_ROUNDING_SHARE * tolerance * self.sizes
+        return [self._compressed(s, limit) for s, limit in zip(states, limits, strict=True)]
 
     def _after_jump(self, kind: int, tolerance: float) -> list[RankOneSum]:
         """The states right after a jump, which acts at each parameter node on its own."""
@@ -357,13 +357,13 @@ class LaggedSlabs:
 
         def values(indices: Integers) -> Array:
             points = np.array([x[i] for x, i in zip(nodes, indices.T, strict=True)])
-            before = np.array([value.at(indices) for value in self._values])
+            before = np.array([state.at(indices) for state in self._values])
             return self.coupling.system.jumped(
                 kind, before, points.reshape(len(nodes), len(indices))
             )
 
         plain = [PlainNodes.of(x.size) for x in nodes]
-        return self._of_train(interpolated(values, plain, _AT_JUMPS * tolerance), tolerance)
+        return self._of_train(interpolated(values, plain, JUMP_SHARE * tolerance), tolerance)
 
     def _at_end(self, value: RankOneSum, modes: RankOneSum, tolerance: float) -> RankOneSum:
         """A state at the end of a slab, in few products.

@@ -12,6 +12,7 @@ from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine, Request
 from rankone.solvers.march import March, MarchResult
+from rankone.solvers.train.constants import CORNERS_TOLERANCE_SHARE, INTERIOR_TOLERANCE_SHARE
 from rankone.solvers.train.iteration import SlabIteration
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
@@ -22,9 +23,6 @@ from rankone.verification.sensitivity import amplification
 from rankone.verification.suspects import suspects
 
 __all__ = ["ENGINE"]
-
-_SHARE_FEW, _SHARE_MANY = 0.06, 0.4
-"""Inner tolerance / rtol if corners count, if not."""
 
 
 class TrainMarcher(Marcher):
@@ -45,7 +43,9 @@ class TrainMarcher(Marcher):
         self.growth = amplification(system, reference, yardstick.states, yardstick.end)
         self.collocation = RadauCollocation.of(self.options.nodes_in_time(self.rtol))
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
-        self.inner = self.rtol * (_SHARE_FEW if yardstick.whole_box else _SHARE_MANY)
+        self.inner = self.rtol * (
+            CORNERS_TOLERANCE_SHARE if yardstick.whole_box else INTERIOR_TOLERANCE_SHARE
+        )
         self.guesses: Sequence[Guess] = ()
         self.longest = math.inf
 
@@ -57,11 +57,11 @@ class TrainMarcher(Marcher):
         lengths = SlabLengths(yardstick, collocation, accuracy, self.guesses, self.longest)
         iteration = SlabIteration(yardstick, collocation, accuracy, nodes, index)
         march = March(lengths, iteration, self.options.max_slabs)
-        result = march.run(yardstick.reference.start, yardstick.end, index, report)
-        if result.stopped is None:
-            result.points = suspects(result.slabs, yardstick.states, index, self.rtol)
+        run = march.run(yardstick.reference.start, yardstick.end, index, report)
+        if run.stopped is None:
+            run.points = suspects(run.slabs, yardstick.states, index, self.rtol)
         self.guesses = iteration.guesses
-        return result
+        return run
 
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """Tighten the inner tolerance, unless a limit was met or two attempts have stalled.

@@ -10,6 +10,18 @@ import numpy as np
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.ir.jumps import jump_kind
 from rankone.ir.outcome import SlabRecord, Status
+from rankone.solvers.train.constants import (
+    COARSENING_SHARE,
+    DIVERGED_RESIDUAL,
+    FIRST_SWEEP_FACTOR,
+    JUMP_SHARE,
+    LEAST_CONTRACTION,
+    MAX_PROBES,
+    RELIABLE_CONTRACTION,
+    SLOWEST_CONTRACTION,
+    STAGNANT_CONTRACTION,
+    THINNING_SHARE,
+)
 from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
 from rankone.solvers.train.nodes import FEW_PARAMETERS, ParameterNodes, after_jump
 from rankone.solvers.train.slab import SlabOperator, term_groups
@@ -20,15 +32,6 @@ from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, wi
 from rankone.verification.measure import Yardstick
 
 __all__ = ["Convergence", "SlabIteration"]
-
-_SLOWEST = 0.6
-"""A residual that falls by less, after four sweeps, will not get there."""
-_RELIABLE = 0.5
-"""A smaller ratio of residuals says how far the next would fall ..."""
-_LEAST_RATIO = 0.15
-"""... but it is never trusted below this."""
-_HOPELESS = 1e2
-_STAGNANT = 0.3
 
 
 @dataclass
@@ -80,30 +83,18 @@ class Convergence:
 
     def solved(self, limited: bool) -> bool:
         """Whether the slab is as accurate as wanted, or as the rank limit allows."""
-        if limited and self._since_restart >= 3 and self.contraction > _STAGNANT:
+        if limited and self._since_restart >= 3 and self.contraction > STAGNANT_CONTRACTION:
             return True
-        known = self._since_restart > 1 and self.contraction < _RELIABLE
-        ahead = self.residuals[-1] * (max(self.contraction, _LEAST_RATIO) if known else 1.0)
+        reliable = self._since_restart > 1 and self.contraction < RELIABLE_CONTRACTION
+        ahead = self.residuals[-1] * (max(self.contraction, LEAST_CONTRACTION) if reliable else 1.0)
         return self._final and ahead <= self.tolerance
 
     def hopeless(self, limited: bool) -> bool:
         """Whether the sweeps diverge or fall too slowly."""
         residual = self.residuals[-1]
-        if not math.isfinite(residual) or residual > _HOPELESS:
+        if not math.isfinite(residual) or residual > DIVERGED_RESIDUAL:
             return True
-        return self._since_restart >= 4 and self.contraction > _SLOWEST and not limited
-
-
-_COARSEST = 30.0
-"""Tolerance of the first sweep on a slab, at most so many times the final one."""
-_MOST_PROBES = 8
-"""One random sum for each state widens the frame, at most so many."""
-_THINNED = 0.5
-"""Norm of the entries left out of an accepted slab, relative to the resolution."""
-_COARSENED = 0.02
-"""What coarser parameter nodes may lose at the end of a slab, relative to its tolerance."""
-_AT_JUMPS = 0.1
-"""What the states after a jump may lose, relative to the tolerance of the slab before it."""
+        return self._since_restart >= 4 and self.contraction > SLOWEST_CONTRACTION and not limited
 
 
 @dataclass
@@ -144,7 +135,7 @@ class SlabIteration:
         limits: set[Status] = set()
         spectra: list[Array] = []
         if self.nodes.bases:
-            coarse = min(0.1 * self._second_residual, _COARSEST * tolerance)
+            coarse = min(0.1 * self._second_residual, FIRST_SWEEP_FACTOR * tolerance)
             convergence = Convergence(tolerance, coarse)
             sweeper, spectra, solved = self._swept(sweeper, convergence, limits)
         else:
@@ -166,14 +157,14 @@ class SlabIteration:
         cores = [trial.time_modes, *sweeper.cores[1:]]
         cores = apply_to_modes(cores, [basis.to_modal for basis in bases])
         if len(bases) > FEW_PARAMETERS:
-            cores = thinned(cores, _THINNED * self.accuracy.resolution)
+            cores = thinned(cores, THINNING_SHARE * self.accuracy.resolution)
         cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
         self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
         self._source = self._at_end(trial)
         kind = jump_kind(self.yardstick.system, span.end)
         if kind is not None and span.end < self.yardstick.end:
             units = self.scale[: len(cores[0])]
-            tolerance = _AT_JUMPS * trial.record.tolerance
+            tolerance = JUMP_SHARE * trial.record.tolerance
             self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
         return [SlabTrain(span.start, span.end, tuple(cores), bases)]
 
@@ -183,10 +174,10 @@ class SlabIteration:
         if guess is None:
             cores = [operator.initial(self._source[0]), *self._source[1:]]
         else:
-            maps = [old.transfer(new) for old, new in zip(guess.bases, bases, strict=True)]
+            maps = [b.transfer(basis) for b, basis in zip(guess.bases, bases, strict=True)]
             cores = right_orthonormal(apply_to_modes(guess.cores, maps))
         if bases:
-            count = min(self.scale.size, _MOST_PROBES)
+            count = min(self.scale.size, MAX_PROBES)
             cores = widened(cores, self.nodes.probe(count, seed=self._trials))
         return self._sweeper(operator, cores)
 
@@ -247,7 +238,7 @@ class SlabIteration:
         """The train at the end of the slab, on parameter nodes coarsened to what it needs."""
         last = trial.sweeper.cores[0][: self.yardstick.system.N_DIFFERENTIAL, -1]
         source = [last * np.sqrt(self.collocation.count), *trial.sweeper.cores[1:]]
-        bases = self.nodes.coarsened(trial.spectra, _COARSENED * trial.record.tolerance)
+        bases = self.nodes.coarsened(trial.spectra, COARSENING_SHARE * trial.record.tolerance)
         if bases is self.nodes.bases:
             return source
         return right_orthonormal(apply_to_modes(source, self.nodes.take(bases)))

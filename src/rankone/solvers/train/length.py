@@ -12,25 +12,22 @@ import numpy as np
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.ir.outcome import Status
 from rankone.solvers.march import Span, Trial
+from rankone.solvers.train.constants import (
+    DIVERGED_FACTOR,
+    FAST_FACTOR,
+    MEMORY_HALVING_LIMIT,
+    RECOVERY_FACTOR,
+    REFERENCE_NOISE,
+    RETRY_LENGTH_RATIO,
+    SHORTEST_SLAB,
+    SLOW_FACTOR,
+)
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
 from rankone.verification.measure import Yardstick
 from rankone.verification.reference import times_within
 
 __all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
-
-_SHRINK, _SLOW, _GROW = 0.5, 0.7, 1.5
-"""On the length after divergence, many sweeps, few."""
-_REFERENCE_NOISE = 1e-7
-"""Relative size below which the dense output of the reference is not smooth."""
-_PATIENCE = 1.15
-"""After a rejection the length may grow by so much a slab."""
-_UNRESOLVED = 0.8
-"""A slab that ought to be shorter than this part of its length is solved again."""
-_LEAST_FOR_MEMORY = 1e-3
-"""Part of the horizon below which memory is no reason to halve."""
-_SHORTEST = 1e-10
-"""Shortest slab, relative to the horizon."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +116,7 @@ class SlabLengths:
         end = self.borders[-1]
         if self._hopeless:
             return Status.MEMORY_LIMIT
-        if self.length < min(_SHORTEST * self.horizon, end - start):
+        if self.length < min(SHORTEST_SLAB * self.horizon, end - start):
             return Status.NO_CONVERGENCE
         self._proposed = self.length
         border = min(b for b in self.borders if b > start + 1e-12 * self.horizon)
@@ -135,16 +132,16 @@ class SlabLengths:
     def adapt(self, span: TrainSpan, trial: TrainTrial) -> bool:
         """Shorten after a rejection, lengthen where few sweeps were needed."""
         solved = trial.record.accepted
-        stretch = self._stretch(span, trial) if solved else _SHRINK
+        stretch = self._stretch(span, trial) if solved else DIVERGED_FACTOR
         self._memory = self._memory or Status.MEMORY_LIMIT in trial.limits
-        if not solved or stretch < _UNRESOLVED:
+        if not solved or stretch < RETRY_LENGTH_RATIO:
             self.ceiling = self.length = span.length * max(stretch, 0.2)
-            self._hopeless = self._memory and self.length < _LEAST_FOR_MEMORY * self.horizon
+            self._hopeless = self._memory and self.length < MEMORY_HALVING_LIMIT * self.horizon
             return False
         sweeps = len(trial.record.residuals)
-        factor = _GROW if sweeps <= 3 else _SLOW if sweeps >= 6 else 1.0
+        factor = FAST_FACTOR if sweeps <= 3 else SLOW_FACTOR if sweeps >= 6 else 1.0
         self.length = span.length * min(factor, stretch)
-        self.ceiling = min(_PATIENCE * self.ceiling, self.longest)
+        self.ceiling = min(RECOVERY_FACTOR * self.ceiling, self.longest)
         if span.end in self.borders:
             self.length = max(self.length, self._proposed)
         self.length = min(self.length, self.ceiling)
@@ -152,13 +149,13 @@ class SlabLengths:
 
     def resolved(self, start: float, length: float) -> float:
         """The longest slab, up to ``length``, on which the time nodes resolve the reference."""
-        tolerance = max(self.accuracy.resolution, _REFERENCE_NOISE)
+        tolerance = max(self.accuracy.resolution, REFERENCE_NOISE)
         scale = self.yardstick.states[:, None, None]
         nodes = self.collocation
         for _ in range(60):
             times = times_within(start, start + length, nodes.points)
-            values = self.yardstick.reference(times) / scale
-            tail = float(np.abs((values @ nodes.to_modal.T)[..., -2:]).max())
+            states = self.yardstick.reference(times) / scale
+            tail = float(np.abs((states @ nodes.to_modal.T)[..., -2:]).max())
             if tail <= tolerance:
                 break
             length *= min(max(0.9 * (tolerance / tail) ** (1.0 / nodes.count), 0.3), 0.9)

@@ -12,6 +12,13 @@ from rankone.discretization import BASES, Basis1D
 from rankone.ir.domain import Domain
 from rankone.ir.system import System
 from rankone.solvers.interpolation import interpolated, interpolated_initial
+from rankone.solvers.train.constants import (
+    FEW_PARAMETERS,
+    MAX_REFINEMENTS,
+    PROBE_MODES,
+    ROUNDING_LEVEL,
+    UNRESOLVED_TAIL,
+)
 from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import ParameterOperators
 from rankone.support.arrays import Array
@@ -19,14 +26,6 @@ from rankone.tensors.samples import Integers
 from rankone.tensors.train import apply_to_modes, mode_norms, right_orthonormal
 
 __all__ = ["FEW_PARAMETERS", "ParameterNodes", "after_jump", "first_bases"]
-
-FEW_PARAMETERS = 2
-"""Up to so many parameters functions that are known are resolved, and kept, to rounding level."""
-_ROUNDING = 1e-14
-_UNRESOLVED = 1e-12
-"""Relative size of the last modes above which a function is not resolved at all."""
-_PROBE_MODES = 3
-"""Number of modes of a probe's terms: higher ones would look like a need for more nodes."""
 
 
 @dataclass
@@ -53,7 +52,7 @@ class ParameterNodes:
 
     def take(self, bases: tuple[Basis1D, ...]) -> list[Array]:
         """Take other bases; returns the maps of scaled values from the old to the new."""
-        maps = [old.transfer(new) for old, new in zip(self.bases, bases, strict=True)]
+        maps = [b.transfer(basis) for b, basis in zip(self.bases, bases, strict=True)]
         self.bases = bases
         self.operators = ParameterOperators(self.system, bases)
         return maps
@@ -81,7 +80,9 @@ class ParameterNodes:
             for basis, spectrum, least in zip(self.bases, spectra, self.floors, strict=True)
         )
         pairs = zip(bases, self.bases, strict=True)
-        return bases if any(new.size <= 0.75 * old.size for new, old in pairs) else self.bases
+        return (
+            bases if any(fewer.size <= 0.75 * basis.size for fewer, basis in pairs) else self.bases
+        )
 
     def initial(self, scale: Array) -> list[Array]:
         """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
@@ -120,7 +121,7 @@ class ParameterNodes:
         cores = []
         for basis in self.bases:
             constant = np.sqrt(basis.weights)
-            low = np.arange(basis.size) % basis.degree < _PROBE_MODES
+            low = np.arange(basis.size) % basis.degree < PROBE_MODES
             modes = generator.standard_normal((count, basis.size)) * low
             modes *= np.sqrt(0.5) / np.linalg.norm(modes, axis=1, keepdims=True)
             core = np.zeros((count + 1, basis.size, count + 1))
@@ -141,13 +142,13 @@ def first_bases(
     With few parameters nodes are cheap and these functions are resolved to rounding level, so
     that a solution in their span is exact; otherwise to a part of the tolerance.
     """
-    kind = BASES[options.basis]
+    basis_class = BASES[options.basis]
     most = min(options.max_degree, options.max_nodes)
     common = min(max(round(2.0 + 1.2 * -math.log10(rtol)), 4), most)
-    tolerance = _ROUNDING if len(domain.box) <= FEW_PARAMETERS else 0.01 * rtol
+    tolerance = ROUNDING_LEVEL if len(domain.box) <= FEW_PARAMETERS else 0.01 * rtol
     bases, floors = [], []
     for j, (lower, upper) in enumerate(domain.box):
-        basis = kind(lower, upper, common)
+        basis = basis_class(lower, upper, common)
         needed = _resolving_degree(system, j, basis, tolerance, most)
         floors.append(needed)
         bases.append(replace(basis, degree=max(common, needed)))
@@ -161,13 +162,10 @@ def _resolving_degree(
     fine = replace(basis, degree=most)
     relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     noise = float(relative[-3:].max())
-    if noise > _UNRESOLVED:
+    if noise > UNRESOLVED_TAIL:
         return 3
     significant = np.flatnonzero(relative > max(tolerance, 8.0 * noise))
     return max(int(significant[-1]) + 2 if significant.size else 1, 3)
-
-
-_MOST_REFINEMENTS = 24
 
 
 def after_jump(
@@ -190,15 +188,15 @@ def after_jump(
         What may be lost.
     """
     cores, bases = list(source), nodes.bases
-    for number in range(_MOST_REFINEMENTS + 1):
+    for refinement in range(MAX_REFINEMENTS + 1):
         if bases != nodes.bases:
             cores = right_orthonormal(apply_to_modes(cores, nodes.take(bases)))
-        found = interpolated(_Jumped(kind, nodes, cores, units), nodes.bases, tolerance)
-        modal = apply_to_modes(found, [basis.to_modal for basis in nodes.bases])
+        jumped = interpolated(_Jumped(kind, nodes, cores, units), nodes.bases, tolerance)
+        modal = apply_to_modes(jumped, [basis.to_modal for basis in nodes.bases])
         bases, _ = nodes.refined(mode_norms(modal), tolerance)
-        if bases == nodes.bases or number == _MOST_REFINEMENTS:
+        if bases == nodes.bases or refinement == MAX_REFINEMENTS:
             break
-    return found
+    return jumped
 
 
 class _Jumped:

@@ -32,8 +32,10 @@ __all__ = [
     "term_groups",
 ]
 
-CONSTANT, LINEAR, QUADRATIC = 0, 1, 2
-"""Degrees in the states."""
+CONSTANT = 0
+LINEAR = 1
+QUADRATIC = 2
+"""Degrees of term groups in the states."""
 
 Key = tuple[int, tuple[int, ...]]
 """(degree, factor rows of the remaining parameters): all terms with the same key share one
@@ -224,5 +226,5 @@ class SlabOperator:
     def initial(self, start: Array) -> Array:
         """E u_s for start values in scaled states (n_differential, r): (n, K, r)."""
         n, count = self.shape
-        values = self.propagator @ start
-        return np.asarray(values.reshape(n, count, -1) / np.sqrt(count))
+        states = self.propagator @ start
+        return np.asarray(states.reshape(n, count, -1) / np.sqrt(count))

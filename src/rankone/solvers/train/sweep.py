@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.solvers.train.constants import BLOCK_COUNT, BLOCK_MULTIPLICATIONS, GROUP_COST
 from rankone.solvers.train.slab import (
     CONSTANT,
     LINEAR,
@@ -30,14 +31,10 @@ from rankone.solvers.train.slab import (
 )
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import CALL, Cost, product
+from rankone.support.costs import CALL, product
 from rankone.tensors.truncation import independent, truncated_svd
 
 __all__ = ["Sweeper", "left_products", "multiplicity", "right_products", "unpack"]
-
-_WORK = 5e9
-"""Multiplications between two looks at the budget."""
-_BLOCKS = 4
 
 
 @lru_cache(maxsize=512)
@@ -64,8 +61,8 @@ def unpack(packed: Array, rank: int) -> Array:
 
 def _blocks(rank: int, work: float) -> list[tuple[int, int]]:
     """Rows that are treated together, where one row takes so many multiplications."""
-    step = -(-rank // _BLOCKS) if rank > 2 * _BLOCKS else rank
-    step = max(min(step, int(_WORK / max(work, 1.0))), 1)
+    step = -(-rank // BLOCK_COUNT) if rank > 2 * BLOCK_COUNT else rank
+    step = max(min(step, int(BLOCK_MULTIPLICATIONS / max(work, 1.0))), 1)
     return [(first, min(first + step, rank)) for first in range(0, rank, step)]
 
 
@@ -144,10 +141,6 @@ def left_products(env: Array, core: Array, vector: Array) -> Array:
     return np.ascontiguousarray(packed.reshape(row, tests * size).T)
 
 
-_GROUP = Cost(30.0 * CALL, 4.0)
-"""Operations of the kernel of a group, and for each number that it gives."""
-
-
 @dataclass
 class Sweeper:
     """The state of the sweeps on one slab.
@@ -179,9 +172,8 @@ class Sweeper:
         d = self.dimensions = len(self.cores) - 1
         self._keys: list[list[Key]] = [[] for _ in range(d + 2)]
         for b in range(1, d + 2):
-            found = {(g.degree, g.signature[b - 1 :]): None for g in self.groups}
-            found[(LINEAR, (0,) * (d + 1 - b))] = None
-            self._keys[b] = list(found)
+            keys = [(g.degree, g.signature[b - 1 :]) for g in self.groups]
+            self._keys[b] = list(dict.fromkeys([*keys, (LINEAR, (0,) * (d + 1 - b))]))
         self._right: list[dict[Key, Any]] = [{} for _ in range(d + 2)]
         self._left: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._right_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
@@ -220,9 +212,9 @@ class Sweeper:
         change = np.inf
         for _ in range(steps):
             with np.errstate(over="ignore", invalid="ignore"):
-                new = self._first_block(self.cores[0], 1)
-            previous, change = change, float(np.linalg.norm(new - self.cores[0]))
-            self.cores[0] = new
+                core = self._first_block(self.cores[0], 1)
+            previous, change = change, float(np.linalg.norm(core - self.cores[0]))
+            self.cores[0] = core
             if change <= tolerance or not np.isfinite(change) or change > 2.0 * previous:
                 break
         return change
@@ -240,8 +232,7 @@ class Sweeper:
         phi = self.operator.tiled(repeat)
         total = self.operator.minus_jacobian(flat, repeat)
         for group in self.groups:
-            rest = group.signature[bond - 1 :]
-            env = self._right[bond][(group.degree, rest)]
+            env = self._right[bond][(group.degree, group.signature[bond - 1 :])]
             if group.degree == CONSTANT:
                 y = self.operator.constant(group, phi)[:, :, None] * env
             elif group.degree == LINEAR:
@@ -266,9 +257,9 @@ class Sweeper:
         n, count = self.operator.shape
         size = n * points * rank
         total = 2.0 * product(n * count, n * count, points // count * rank)
-        total += _GROUP.once + 4.0 * size
+        total += GROUP_COST.once + 4.0 * size
         for group in self.groups:
-            total += _GROUP(size) + product(n * points, rank, rank)
+            total += GROUP_COST(size) + product(n * points, rank, rank)
             if group.degree == QUADRATIC:
                 total += product(len(group.paired) * points, rank, rank * rank)
                 total += 0.5 * len(group.paired) * points * rank * rank
@@ -325,9 +316,9 @@ class Sweeper:
 
     def _source_right_half(self, b: int) -> Array:
         """Overlap of the source train with the frame, extended by the source core b."""
-        other = self.source[b]
-        flat = other.reshape(-1, other.shape[2]) @ self._source_right[b + 1]
-        return flat.reshape(other.shape[0], -1)
+        core = self.source[b]
+        flat = core.reshape(-1, core.shape[2]) @ self._source_right[b + 1]
+        return flat.reshape(core.shape[0], -1)
 
     # -- contractions from the left: (state, time) and the parameters 1, ..., b - 1 --------------
 
@@ -353,8 +344,8 @@ class Sweeper:
                 half = half.reshape(-1, s)
             else:
                 half = left_products(env, core, vector)
-            rest = (degree, rows[1:])
-            halves[rest] = halves[rest] + half if rest in halves else half
+            remaining = (degree, rows[1:])
+            halves[remaining] = halves[remaining] + half if remaining in halves else half
         return halves
 
     def _contract_left(self, b: int) -> None:
@@ -385,9 +376,9 @@ class Sweeper:
         self._source_left[b] = flat.T @ self._source_left_half(b - 1)
 
     def _source_left_half(self, b: int) -> Array:
-        other = self.source[b]
-        half = self._source_left[b] @ other.reshape(other.shape[0], -1)
-        return half.reshape(-1, other.shape[2])
+        core = self.source[b]
+        half = self._source_left[b] @ core.reshape(core.shape[0], -1)
+        return half.reshape(-1, core.shape[2])
 
     # -- pairs ----------------------------------------------------------------------------------
 
@@ -402,12 +393,12 @@ class Sweeper:
             return self._first_block(block, 2).reshape(n * count, width), present
         r, size, s = core.shape
         present = core.reshape(r * size, s) @ neighbour.reshape(s, width)
-        new = self._source_left_half(b) @ self._source_right_half(b + 1)
+        block = self._source_left_half(b) @ self._source_right_half(b + 1)
         for key, half in self._left_half(b).items():
             other_half = self._right_half(b + 1, key)
             charge(5.0 * CALL + product(len(half), half.shape[1], other_half.shape[1]))
-            new += half @ other_half
-        return new, present
+            block += half @ other_half
+        return block, present
 
     def iterate(self, tolerance: float) -> tuple[float, list[Array]]:
         """One sweep; the centre starts and ends at core 0.
@@ -425,12 +416,12 @@ class Sweeper:
             self._contract_left(b + 1)
         for b in range(self.dimensions - 1, -1, -1):
             with np.errstate(over="ignore", invalid="ignore"):
-                new, present = self._pair_block(b)
-                change = float(np.linalg.norm(new - present))
+                block, present = self._pair_block(b)
+                change = float(np.linalg.norm(block - present))
             if not np.isfinite(change):
                 return np.inf, spectra
             largest = max(largest, change)
-            spectra[b] = self._split(b, new, tolerance)
+            spectra[b] = self._split(b, block, tolerance)
             self._contract_right(b + 1)
         return largest, spectra
 
