@@ -56,8 +56,8 @@ PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
         _no_points,
     ),
     "points of the residual": ("rankone.solvers.attempts.doubtful_points", _nothing),
-    "steep points and narrow elements": ("rankone.solvers.cross.engine.suspects", _nothing),
-    "steps made again": ("rankone.trajectories.watch.Watch.missed", lambda *_: False),
+    "steep points and narrow elements": ("rankone.solvers.cross.engine.candidate_points", _nothing),
+    "steps made again": ("rankone.trajectories.defects.DefectControl.missed", lambda *_: False),
 }
 """For each part what it is, and what stands in for it."""
 
@@ -71,7 +71,7 @@ def _no_breakpoints(domain: object) -> tuple[object, ...]:
 def without(part: str, made: tuple[str, int]) -> str:
     """The verdict on a case with a part left out."""
     import rankone.solvers.cross.engine  # what is replaced must be there
-    import rankone.trajectories.watch  # noqa: F401
+    import rankone.trajectories.defects  # noqa: F401
 
     replaced = PARTS[part]
     with mock.patch(*replaced) if replaced else contextlib.nullcontext():

@@ -18,7 +18,7 @@ from rankone.support.errors import RankoneError
 from rankone.support.options import Options, integer
 from rankone.support.progress import quiet
 from rankone.tensors.slab import SlabTrain
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
 
 
@@ -68,7 +68,7 @@ def slabs() -> tuple[SlabTrain, ...]:
 def run(
     system: Any, fake: Fake, rtol: float = 1e-3, check: int = 5, most: int | None = 6
 ) -> Outcome:
-    def prepared(request: Request[FakeOptions], yardstick: Yardstick) -> Fake:
+    def prepared(request: Request[FakeOptions], reference_set: ReferenceSet) -> Fake:
         return fake
 
     request = Request(rtol, check, FakeOptions(most))

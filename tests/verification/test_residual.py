@@ -7,7 +7,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.domain import Domain
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from rankone.verification.residual import doubtful_points
 
 
@@ -18,18 +18,18 @@ def decay():
     )
     compiled = ro.compile(problem)
     solution = compiled.solve(1e-6, method="cross")
-    yardstick = Yardstick.of(compiled.system, Domain.of(compiled.system), 1e-6, 24)
-    return compiled.system, solution.outcome, yardstick
+    reference_set = ReferenceSet.of(compiled.system, Domain.of(compiled.system), 1e-6, 24)
+    return compiled.system, solution.outcome, reference_set
 
 
 def test_a_good_solution_has_none(decay):
-    _, outcome, yardstick = decay
-    assert doubtful_points(yardstick, outcome.slabs, outcome.error / 1e-6, 1e-6, 0) is None
+    _, outcome, reference_set = decay
+    assert doubtful_points(reference_set, outcome.slabs, outcome.error / 1e-6, 1e-6, 0) is None
 
 
 def test_where_the_equations_do_not_hold(decay):
     """A solution of other equations in a corner, which no check point touches."""
-    system, outcome, yardstick = decay
+    system, outcome, reference_set = decay
 
     class Other:
         def __getattr__(self, name):
@@ -37,10 +37,12 @@ def test_where_the_equations_do_not_hold(decay):
 
         def rhs(self, t, u, p):
             corner = (np.asarray(p[0]) > 1.9) & (np.asarray(p[1]) > 0.9)
-            known = (np.asarray(p[0])[..., None] == yardstick.reference.points[:, 0]).any(axis=-1)
+            known = (np.asarray(p[0])[..., None] == reference_set.reference.points[:, 0]).any(
+                axis=-1
+            )
             return system.rhs(t, u, p) + 1e-3 * (corner & ~known)
 
-    found = doubtful_points(replace(yardstick, system=Other()), outcome.slabs, 0.5, 1e-6, 0)
+    found = doubtful_points(replace(reference_set, system=Other()), outcome.slabs, 0.5, 1e-6, 0)
     assert len(found) >= 3
     assert (found > [1.9, 0.9]).all()
 
@@ -59,6 +61,6 @@ def test_products_of_parameters_are_right_near_the_corner(rate, initial, end, rt
     solution = compiled.solve(rtol)
     assert solution.success
     points = np.random.default_rng(8).random((500, 4))
-    stricter = Yardstick.of(compiled.system, Domain.of(compiled.system), 1e-3 * rtol, 24)
+    stricter = ReferenceSet.of(compiled.system, Domain.of(compiled.system), 1e-3 * rtol, 24)
     measured = stricter.with_points(points).measured(solution.outcome.slabs)
     assert max(measured.interior) <= 5 * rtol

@@ -1,4 +1,4 @@
-"""The yardstick: asked for more points it integrates those alone."""
+"""The reference set: asked for more points it integrates those alone."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ import pytest
 
 import rankone as ro
 from rankone.ir.domain import Domain
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
 
 TIMES = np.linspace(0.0, 2.0, 11)
 
 
-def yardstick(name: str = "decay", check: int = 4, domain: Domain | None = None) -> Yardstick:
+def reference_set(
+    name: str = "decay", check: int = 4, domain: Domain | None = None
+) -> ReferenceSet:
     system = ro.compile(REFERENCE[name]()).system
-    return Yardstick.of(system, domain or Domain.of(system), 1e-6, check)
+    return ReferenceSet.of(system, domain or Domain.of(system), 1e-6, check)
 
 
 def test_more_points_are_integrated_alone() -> None:
-    first = yardstick()
+    first = reference_set()
     points = np.array([[0.7], [4.4]])
     more = first.with_points(points)
     assert more.reference.batches[0] is first.reference.batches[0]
@@ -32,7 +34,7 @@ def test_more_points_are_integrated_alone() -> None:
 
 def test_the_error_at_added_points_counts() -> None:
     slabs = ro.solve(REFERENCE["decay"](), rtol=1e-8).outcome.slabs
-    unchecked = yardstick(check=0)
+    unchecked = reference_set(check=0)
     assert unchecked.measured(slabs) is None
     measured = unchecked.with_points(np.array([[0.9]])).measured(slabs)
     assert measured is not None
@@ -42,7 +44,7 @@ def test_the_error_at_added_points_counts() -> None:
 
 def test_the_earliest_blow_up_of_all_points_is_kept() -> None:
     domain = Domain((0.0, 0.7), ((0.5, 1.0),) * 3)
-    first = yardstick("coupled", 0, domain)
+    first = reference_set("coupled", 0, domain)
     assert first.blow_up is None
     assert first.end == 0.7
     more = first.with_points(np.array([[0.6, 0.6, 0.6], [-6.0, 6.0, 6.0]]))
@@ -55,7 +57,7 @@ def test_the_earliest_blow_up_of_all_points_is_kept() -> None:
 
 @pytest.mark.parametrize("check", [0, 3])
 def test_sizes_leave_the_corners_out(check: int) -> None:
-    held = yardstick("lotka_volterra", check)
+    held = reference_set("lotka_volterra", check)
     assert held.corners == (4 if check else 0)
     inside = np.delete(held.reference(np.linspace(0, 6, 201)), np.s_[1 : 1 + held.corners], axis=1)
     np.testing.assert_array_equal(held.sizes, np.abs(inside).max(axis=(1, 2)))

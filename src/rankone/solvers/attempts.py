@@ -23,7 +23,7 @@ from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work
 from rankone.support.options import Options
 from rankone.support.progress import Report
 from rankone.support.wording import quote
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from rankone.verification.residual import doubtful_points
 from rankone.verification.survival import safe_intervals
 
@@ -70,18 +70,18 @@ class Attempt:
             return self.result.stopped is None
         return self.error < other.error
 
-    def status(self, yardstick: Yardstick, rtol: float) -> Status:
+    def status(self, reference_set: ReferenceSet, rtol: float) -> Status:
         """How the solve ended, if this attempt is what it came to."""
         limits = [status for status in _CAUSES if status in self.result.limits]
         stopped = self.result.stopped
-        reference = yardstick.reference
+        reference = reference_set.reference
         if reference.blown is not None:
             if reference.switching is not None:
                 return Status.SWITCHES
             return Status.BLOW_UP if reference.large else Status.LEAVES
         if stopped is not None:
             return limits[0] if stopped is Status.NO_CONVERGENCE and limits else stopped
-        if not yardstick.checked:
+        if not reference_set.checked:
             return Status.UNCHECKED
         if self.error <= rtol:
             return Status.CONVERGED
@@ -144,7 +144,7 @@ class Stages:
 class Marcher(Protocol):
     """What an engine supplies: marches over the horizon, each finer than the one before."""
 
-    yardstick: Yardstick
+    reference_set: ReferenceSet
     """Its end and its sizes; it may become stricter between two marches."""
     remedies: ClassVar[Mapping[Status, str]]
     """What to do, by how it ended."""
@@ -161,7 +161,7 @@ class Marcher(Protocol):
 
 
 def solve_in_attempts(
-    prepared: Callable[[Request[Any], Yardstick], Marcher],
+    prepared: Callable[[Request[Any], ReferenceSet], Marcher],
     system: System,
     domain: Domain,
     request: Request[Any],
@@ -169,7 +169,7 @@ def solve_in_attempts(
 ) -> Outcome:
     """Integrate the reference, then march and check until the measured error fits.
 
-    ``prepared`` makes the marcher from the request and its yardstick. A part of the budget is
+    ``prepared`` makes the marcher from the request and its reference set. A part of the budget is
     kept for saying why it failed.
     """
     stages = Stages()
@@ -177,14 +177,14 @@ def solve_in_attempts(
         try:
             with stages.of("reference"):
                 asked = request.rtol, request.points, request.cover, request.counted
-                yardstick = Yardstick.of(system, domain, *asked)
-                marcher = prepared(request, yardstick)
-                marcher.yardstick = yardstick
+                reference_set = ReferenceSet.of(system, domain, *asked)
+                marcher = prepared(request, reference_set)
+                marcher.reference_set = reference_set
         except OutOfBudgetError as out:
             return _out_at_reference(Status.of_limit(out), out.args, system, stages)
         best, records, met = _attempts(marcher, request, report, stages)
-    yardstick = marcher.yardstick
-    status = best.status(yardstick, request.rtol)
+    reference_set = marcher.reference_set
+    status = best.status(reference_set, request.rtol)
     if met is not None and status is not Status.CONVERGED:
         status = met
     with stages.of("check"):
@@ -195,13 +195,13 @@ def solve_in_attempts(
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
     measure = status, cause, request.rtol, best.measured, best.result
     message = str(Verdict(*measure, system.STATES, stages.named, stages.budget, remedy))
-    message += yardstick.zeros
-    slabs, blow_up = tuple(best.result.slabs), yardstick.blow_up
+    message += reference_set.zeros
+    slabs, blow_up = tuple(best.result.slabs), reference_set.blow_up
     safe: tuple[SafeInterval, ...] = ()
-    if blow_up is not None and yardstick.reference.switching is None:
+    if blow_up is not None and reference_set.reference.switching is None:
         with stages.of("reference"):
-            safe = safe_intervals(system, domain, yardstick.cuts, np.array(blow_up[1]))
-    ended = blow_up, safe, yardstick.reference.switching
+            safe = safe_intervals(system, domain, reference_set.cuts, np.array(blow_up[1]))
+    ended = blow_up, safe, reference_set.reference.switching
     return Outcome(
         slabs, status, message, best.measured, tuple(records), stages.timings, stages.work, *ended
     )
@@ -243,20 +243,20 @@ def _attempts(
                 result = MarchResult(stopped=Status.of_limit(out))
         records += result.records
         stages.sampled += result.sampled
-        before = marcher.yardstick
+        before = marcher.reference_set
         with stages.of("check"):
             attempt = Attempt(result, before.measured(result.slabs))
             try:
                 further = _further_points(before, attempt, request.rtol, index)
                 if further is not None:
-                    marcher.yardstick = before.with_points(further)
+                    marcher.reference_set = before.with_points(further)
             except OutOfBudgetError as out:  # not measured where it must be
                 result.stopped = Status.of_limit(out)
-            if marcher.yardstick is not before:
-                attempt = Attempt(result, marcher.yardstick.measured(result.slabs))
+            if marcher.reference_set is not before:
+                attempt = Attempt(result, marcher.reference_set.measured(result.slabs))
                 if best is not None:
-                    best = Attempt(best.result, marcher.yardstick.measured(best.result.slabs))
-        if marcher.yardstick.end < before.end:  # a trajectory ends earlier than was known
+                    best = Attempt(best.result, marcher.reference_set.measured(best.result.slabs))
+        if marcher.reference_set.end < before.end:  # a trajectory ends earlier than was known
             best = None
             continue
         progress.add(attempt.error, best.error if best else math.inf)
@@ -269,7 +269,7 @@ def _attempts(
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    return _restated(best, marcher.yardstick, request.rtol), records, met
+    return _restated(best, marcher.reference_set, request.rtol), records, met
 
 
 def _enough(count: int, options: Options, progress: Progress) -> bool:
@@ -279,22 +279,22 @@ def _enough(count: int, options: Options, progress: Progress) -> bool:
     return count >= options.usual_attempts and not progress.pays
 
 
-def _restated(best: Attempt, yardstick: Yardstick, rtol: float) -> Attempt:
+def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attempt:
     """A failure with the error that it has where it is worst, as far as that is easily found."""
     if not best.result.slabs or not rtol < best.error < math.inf:
         return best
     try:
-        doubtful = doubtful_points(yardstick, best.result.slabs, best.error / rtol, rtol, -1)
-        stricter = yardstick if doubtful is None else yardstick.with_points(doubtful)
+        doubtful = doubtful_points(reference_set, best.result.slabs, best.error / rtol, rtol, -1)
+        stricter = reference_set if doubtful is None else reference_set.with_points(doubtful)
     except OutOfBudgetError:
         return best
-    if stricter is yardstick or stricter.end < yardstick.end:
+    if stricter is reference_set or stricter.end < reference_set.end:
         return best
     return Attempt(best.result, stricter.measured(best.result.slabs))
 
 
 def _further_points(
-    yardstick: Yardstick, attempt: Attempt, rtol: float, number: int
+    reference_set: ReferenceSet, attempt: Attempt, rtol: float, number: int
 ) -> Array | None:
     """Points at which an attempt is to be measured too; None while it is not good enough."""
     result = attempt.result
@@ -303,7 +303,7 @@ def _further_points(
     given = [] if result.points is None else [result.points]
     if not result.stopped:
         share = attempt.error / rtol
-        result.doubtful = doubtful_points(yardstick, result.slabs, share, rtol, number)
+        result.doubtful = doubtful_points(reference_set, result.slabs, share, rtol, number)
         given += [] if result.doubtful is None else [result.doubtful]
     return np.concatenate(given) if given else None
 

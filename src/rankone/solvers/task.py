@@ -31,7 +31,7 @@ from rankone.support.options import checked_number
 from rankone.support.progress import Report, quiet
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.verification.drift import drift
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 
 __all__ = ["Asked", "Task", "counted_states"]
 
@@ -199,7 +199,7 @@ class Task:
         request = self.requests[0]
         given = request.rtol, request.points, request.cover, request.counted
         try:
-            measured = Yardstick.of(self.truth, self.domain, *given).measured(outcome.slabs)
+            measured = ReferenceSet.of(self.truth, self.domain, *given).measured(outcome.slabs)
         except OutOfBudgetError as out:
             status = Status.of_limit(out)
             return replace(outcome, status=status, message=status.value)

@@ -20,8 +20,8 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, eigenvalues, in_pieces, rates_cost
+from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.steppers import StackedDOP853, StackedRadau
-from rankone.trajectories.watch import Watch
 
 __all__ = ["NUMBERS_LEFT", "Recorder", "Stack", "initial_values", "quickest"]
 
@@ -135,7 +135,7 @@ class Stack:
         """
         n, m = self.shape
         absolute = np.broadcast_to(atol, (n, m)).ravel()
-        watch = None if self.system.SEPARATED else Watch(self.system, self.points, watched)
+        watch = None if self.system.SEPARATED else DefectControl(self.system, self.points, watched)
         steps: dict[str, Any] = {"max_step": max_step, "states": n, "watch": watch}
         left = math.inf
         with np.errstate(all="ignore"):

@@ -17,7 +17,7 @@ import scipy.sparse
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, in_pieces, inverse
-from rankone.trajectories.watch import Watch
+from rankone.trajectories.defects import DefectControl
 
 __all__ = ["StackedDOP853", "StackedRadau"]
 
@@ -40,7 +40,7 @@ class _Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
     ----------
     states : int
         States of one trajectory; the stacked vector is in the order (state, trajectory).
-    watch : Watch, optional
+    watch : DefectControl, optional
         Looks for what the stages of a step do not see.
 
     Attributes
@@ -50,7 +50,7 @@ class _Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
     """
 
     def __init__(
-        self, *arguments: Any, states: int, watch: Watch | None = None, **options: Any
+        self, *arguments: Any, states: int, watch: DefectControl | None = None, **options: Any
     ) -> None:
         self._states, self._watch = states, watch
         self.refusals, self._refused = 0, 0.0

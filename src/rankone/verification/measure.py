@@ -1,4 +1,4 @@
-"""The yardstick every engine is held against: reference trajectories, sizes, measured errors."""
+"""The reference set of a solve: trajectories, sizes, measured errors."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from rankone.support.budget import unlimited
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.breakpoints import Breakpoints, system_breakpoints
+from rankone.verification.points import active_points, cell_points, surface_points
 from rankone.verification.reference import (
     FEW,
     Reference,
@@ -27,9 +28,8 @@ from rankone.verification.reference import (
     measure,
     times_within,
 )
-from rankone.verification.suspects import active_points, cell_points, surface_points
 
-__all__ = ["Yardstick"]
+__all__ = ["ReferenceSet"]
 
 _ACCURACY = 3e-3
 """Tolerance of the reference, for the worst of its trajectories, over that asked for."""
@@ -48,7 +48,7 @@ _BESIDE = 16
 
 
 @dataclass(frozen=True)
-class Yardstick:
+class ReferenceSet:
     """Reference trajectories at the check points, and what is derived from them.
 
     Attributes
@@ -91,7 +91,7 @@ class Yardstick:
         check: int,
         cover: str | None = None,
         counted: tuple[int, ...] | None = None,
-    ) -> Yardstick:
+    ) -> ReferenceSet:
         """Integrate the reference for a solve to ``rtol`` with ``check`` interior points.
 
         ``cover`` says whether corners count, "box", or not, "interior"; they do by default where
@@ -120,7 +120,7 @@ class Yardstick:
         _check_sizes(made)
         return made
 
-    def with_points(self, points: Array) -> Yardstick:
+    def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); those of before are not integrated again."""
         horizon = self.domain.horizon
         more = integrate_reference(self.system, points, *horizon, self.accuracy, self.cuts)
@@ -195,12 +195,12 @@ def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[
     return tuple(sorted([*apart, *jumps]))
 
 
-def _check_sizes(yardstick: Yardstick) -> None:
+def _check_sizes(reference_set: ReferenceSet) -> None:
     """Raise a ConvergenceError for states of which products are no floating-point numbers."""
-    system = yardstick.system
+    system = reference_set.system
     if system.SEPARATED and max((len(states) for *_, states in system.TERMS), default=0) < 2:
         return
-    for name, size in zip(system.STATES, yardstick.states, strict=False):
+    for name, size in zip(system.STATES, reference_set.states, strict=False):
         if not _SMALLEST < size < 1.0 / _SMALLEST:
             raise ConvergenceError(
                 f"`{name}` is of the size {size:.1e}: its products are no floating-point numbers",

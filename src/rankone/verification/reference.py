@@ -1,4 +1,4 @@
-"""Reference trajectories at single parameter points: the yardstick every solve is held against."""
+"""Reference trajectories at single parameter points."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import rates_cost
 from rankone.tensors.slab import SlabTrain
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 
 __all__ = ["doubtful_points"]
 
@@ -51,13 +51,13 @@ _KNOWN = 64
 
 
 def doubtful_points(
-    yardstick: Yardstick, slabs: Sequence[SlabTrain], share: float, rtol: float, number: int
+    reference_set: ReferenceSet, slabs: Sequence[SlabTrain], share: float, rtol: float, number: int
 ) -> Array | None:
     """Points (m, d) where the error is expected to be above the tolerance; None if there are none.
 
     Parameters
     ----------
-    yardstick : Yardstick
+    reference_set : ReferenceSet
     slabs : sequence of SlabTrain
     share : float
         Measured error over the tolerance.
@@ -65,17 +65,17 @@ def doubtful_points(
     number : int
         That of the attempt: each has points of its own.
     """
-    domain = yardstick.domain
-    if not domain.box or not slabs or not yardstick.checked:
+    domain = reference_set.domain
+    if not domain.box or not slabs or not reference_set.checked:
         return None
     lower, upper = domain.bounds.T
     generator = np.random.default_rng((20141, number + 1))
     work = sum(core.size for core in slabs[-1].cores[1:])
     unit, tolerated = _candidates(lower.size, int(_WORK / max(work, 1)), generator)
-    if yardstick.whole_box:
+    if reference_set.whole_box:
         tolerated = np.ones(len(unit))
     candidates = lower + (upper - lower) * unit
-    known = np.delete(yardstick.reference.points, np.s_[1 : 1 + yardstick.corners], axis=0)[
+    known = np.delete(reference_set.reference.points, np.s_[1 : 1 + reference_set.corners], axis=0)[
         -_KNOWN:
     ]
     points = np.concatenate([known, candidates])
@@ -85,24 +85,27 @@ def doubtful_points(
         slab = slabs[i]
         if last is None or not slab.shares_parameters(last):
             carry, last = slab.over_parameters(points.T), slab
-        sizes = _residuals(yardstick, slab, points, carry)
+        sizes = _residuals(reference_set, slab, points, carry)
         floor = _NOISE * rtol / (slab.end - slab.start)
         largest = np.maximum(sizes[:, : len(known)].max(axis=1, keepdims=True), floor)
         ratios = np.maximum(ratios, (sizes[:, len(known) :] / largest).max(axis=0))
     ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
     worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
     doubtful = candidates[worst[ratios[worst] * max(share, _NOISE) > _EXPECTED]]
-    doubtful = np.concatenate([doubtful, _at_jumps(yardstick, slabs, rtol, generator)])
+    doubtful = np.concatenate([doubtful, _at_jumps(reference_set, slabs, rtol, generator)])
     return doubtful if len(doubtful) else None
 
 
 def _at_jumps(
-    yardstick: Yardstick, slabs: Sequence[SlabTrain], rtol: float, generator: np.random.Generator
+    reference_set: ReferenceSet,
+    slabs: Sequence[SlabTrain],
+    rtol: float,
+    generator: np.random.Generator,
 ) -> Array:
     """Points (m, d) where the states after a jump are not what it makes of those before it."""
-    system, (lower, upper) = yardstick.system, yardstick.domain.bounds.T
+    system, (lower, upper) = reference_set.system, reference_set.domain.bounds.T
     rough = getattr(system, "ROUGH_JUMPS", ())
-    units = yardstick.states[:, None]
+    units = reference_set.states[:, None]
     work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
     affordable = int(_WORK / max(work, 1))
     count = min(_LOOKED_AT_JUMPS, max(_LOOKED, affordable))
@@ -167,15 +170,18 @@ def _candidates(d: int, most: int, generator: np.random.Generator) -> tuple[Arra
     return points, np.where(near, _RARE, 1.0)
 
 
-def _residuals(yardstick: Yardstick, slab: SlabTrain, points: Array, carry: Array) -> Array:
+def _residuals(reference_set: ReferenceSet, slab: SlabTrain, points: Array, carry: Array) -> Array:
     """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
     times = slab.start + (slab.end - slab.start) * _TIMES
     values, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
-    units = yardstick.states[:, None]
-    charge(len(times) * (rates_cost(yardstick.system)(len(points)) + 2.0 * values[:, :, 0].size))
+    units = reference_set.states[:, None]
+    charge(
+        len(times) * (rates_cost(reference_set.system)(len(points)) + 2.0 * values[:, :, 0].size)
+    )
     with np.errstate(all="ignore"):
         found = [
-            np.abs(rates[:, :, j] - yardstick.system.rhs(time, values[:, :, j], points.T)) / units
+            np.abs(rates[:, :, j] - reference_set.system.rhs(time, values[:, :, j], points.T))
+            / units
             for j, time in enumerate(times)
         ]
     return np.stack([np.nan_to_num(each.max(axis=0), nan=np.inf) for each in found])

@@ -14,7 +14,7 @@ from rankone.solvers.cross.trajectories import Trajectories
 from rankone.tensors.cross import _skeleton, interpolate, left_points, rounded
 from rankone.tensors.samples import Samples
 from rankone.trajectories.integration import Stack
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from tests.problems import EXAMPLES
 
 
@@ -42,8 +42,8 @@ def test_cuts_are_kept():
 @pytest.fixture(scope="module")
 def trajectories():
     system = ro.compile(EXAMPLES["coupled"].problem).system
-    yardstick = Yardstick.of(system, Domain.of(system), 1e-6, 24)
-    return Trajectories(yardstick, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 1.0, 10_000)
+    reference_set = ReferenceSet.of(system, Domain.of(system), 1e-6, 24)
+    return Trajectories(reference_set, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 1.0, 10_000)
 
 
 def test_trajectories_are_held_in_a_growing_basis(trajectories):

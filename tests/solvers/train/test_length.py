@@ -13,7 +13,7 @@ from rankone.discretization import RadauCollocation
 from rankone.ir.domain import Domain
 from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths, TrainSpan
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 
 COLLOCATION = RadauCollocation.of(8)
 
@@ -23,8 +23,8 @@ def lengths(
 ) -> SlabLengths:
     problem = ro.Problem.from_strings({"x": rhs}, {"x": "1"}, {"k": (1, 2)}, (0, end))
     system = ro.compile(problem).system
-    yardstick = Yardstick.of(system, Domain.of(system), 1e-6, 0)
-    return SlabLengths(yardstick, COLLOCATION, Accuracy(level, lambda time: 1.0), guesses)
+    reference_set = ReferenceSet.of(system, Domain.of(system), 1e-6, 0)
+    return SlabLengths(reference_set, COLLOCATION, Accuracy(level, lambda time: 1.0), guesses)
 
 
 def trial(

@@ -35,8 +35,8 @@ from rankone.tensors.cross import (
 from rankone.tensors.samples import Samples
 from rankone.tensors.train import apply_to_modes, mode_norms
 from rankone.trajectories.workers import Workers, open_workers
-from rankone.verification.measure import Yardstick
-from rankone.verification.suspects import steepest_point, suspects
+from rankone.verification.measure import ReferenceSet
+from rankone.verification.points import candidate_points, steepest_point
 
 __all__ = ["ENGINE", "solve_cross"]
 
@@ -87,10 +87,10 @@ class CrossMarcher:
     }
 
     def __init__(
-        self, request: Request[CrossOptions], yardstick: Yardstick, workers: Workers
+        self, request: Request[CrossOptions], reference_set: ReferenceSet, workers: Workers
     ) -> None:
         self.workers = workers
-        self.rtol, self.options, self.yardstick = request.rtol, request.options, yardstick
+        self.rtol, self.options, self.reference_set = request.rtol, request.options, reference_set
         self.share, self.left = 1.0, _LEFT_POINTS
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
@@ -100,7 +100,7 @@ class CrossMarcher:
         self.undivided: tuple[Basis1D, ...] | None = None
         self.divides = True
         self.trajectories: Trajectories | None = None
-        self.integrated, self.error, self.ends = 0, np.inf, yardstick.end
+        self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
         self.tightness = 0.3
 
     def march(self, number: int, report: Report) -> MarchResult:
@@ -112,7 +112,7 @@ class CrossMarcher:
         most = self.options.max_trajectories - self.integrated
         pace = Pace(report, ProgressEvent(grid.breaks[0], 0.0, number, grid.slabs, 1))
         given = grid, _INTEGRATION * level, self.tightness, most, self.workers, pace.batch
-        self.trajectories = trajectories = Trajectories(self.yardstick, *given)
+        self.trajectories = trajectories = Trajectories(self.reference_set, *given)
         try:
             result = self._marched(trajectories, level, number, pace)
         except TooManyTrajectories:
@@ -142,7 +142,7 @@ class CrossMarcher:
         modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
         self.spectra = mode_norms(modal)
         result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
-        result.points = suspects(result.slabs, trajectories.sizes, number, self.rtol)
+        result.points = candidate_points(result.slabs, trajectories.sizes, number, self.rtol)
         ranks = tuple(core.shape[0] for core in modal[1:])
         tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
         sizes = tuple(basis.size for basis in bases)
@@ -155,27 +155,27 @@ class CrossMarcher:
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""
-        yardstick, kind = self.yardstick, BASES[self.options.basis]
-        bases = tuple(kind(lower, upper, _LEAST_NODES) for lower, upper in yardstick.domain.box)
+        reference_set, kind = self.reference_set, BASES[self.options.basis]
+        bases = tuple(kind(lower, upper, _LEAST_NODES) for lower, upper in reference_set.domain.box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
-            centre = yardstick.reference(grid.times)[:, 0, :, None]
+            centre = reference_set.reference(grid.times)[:, 0, :, None]
         modal = apply_to_modes([centre, *constant], [basis.to_modal for basis in bases])
         return MarchResult(grid.trains(centre, modal[1:], bases), stopped=status, whole=True)
 
     def _grid(self, level: float) -> TimeGrid | None:
         """Slabs that resolve the reference, or None if there are too many."""
-        yardstick = self.yardstick
-        start, end = yardstick.reference.start, yardstick.end
-        between = {*yardstick.cuts, *self.breaks}
+        reference_set = self.reference_set
+        start, end = reference_set.reference.start, reference_set.end
+        between = {*reference_set.cuts, *self.breaks}
         edges = [start, *sorted(cut for cut in between if cut < end), end]
-        units = yardstick.states[:, None, None]
+        units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
         tolerance = max(_HIGHEST * level, 1e-13)
         most = self.options.max_slabs
 
         def values(t: Array) -> Array:
-            return yardstick.reference(t) / units
+            return reference_set.reference(t) / units
 
         breaks = resolving_breaks(values, edges, count, tolerance, most)
         return None if breaks is None else TimeGrid(breaks, count)
@@ -183,7 +183,7 @@ class CrossMarcher:
     def _interpolated(
         self, trajectories: Trajectories, level: float, pace: Pace
     ) -> tuple[Interpolation, tuple[Basis1D, ...]]:
-        domain = self.yardstick.domain
+        domain = self.reference_set.domain
         if not domain.box:
             return Interpolation([trajectories(np.zeros((1, 0)))], False), ()
         if self.bases is None:
@@ -254,10 +254,10 @@ class CrossMarcher:
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
         """Whether a steep dependence on a parameter is the reason, and on which."""
-        trajectories, domain = self.trajectories, self.yardstick.domain
+        trajectories, domain = self.trajectories, self.reference_set.domain
         if status is Status.NO_CONVERGENCE:
             return status, f"a trajectory cannot be integrated beyond t = {self.ends:.6g}"
-        system = self.yardstick.system
+        system = self.reference_set.system
         moves = hasattr(system, "moving_cuts") and status in (*_UNRESOLVED, Status.SLAB_LIMIT)
         cause = status.value + (_MOVING if moves else "")
         if status not in _UNRESOLVED or trajectories is None or not domain.box:

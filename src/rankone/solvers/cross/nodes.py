@@ -106,11 +106,14 @@ def _known(trajectories: Trajectories, j: int, nodes: int, rtol: float) -> tuple
 
     They resolve the known functions of it.
     """
-    yardstick = trajectories.yardstick
-    found = yardstick.special[j] if yardstick.special else Breakpoints()
+    reference_set = trajectories.reference_set
+    found = reference_set.special[j] if reference_set.special else Breakpoints()
     if found.smooth:
         return list(found.points), 0
-    known, interval = partial(yardstick.system.parameter_factors, j), yardstick.domain.box[j]
+    known, interval = (
+        partial(reference_set.system.parameter_factors, j),
+        reference_set.domain.box[j],
+    )
     for count in (nodes, *(round(more * nodes) for more in _MORE)):
         pieces = resolving_pieces(known, *interval, found.points, count, _KNOWN * rtol)
         if len(pieces) == 1:

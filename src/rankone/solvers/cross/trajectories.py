@@ -16,7 +16,7 @@ from rankone.support.costs import Cost
 from rankone.tensors.growing_basis import GrowingBasis
 from rankone.trajectories.integration import Stack, quickest
 from rankone.trajectories.workers import Workers
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 
 __all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
 
@@ -60,7 +60,7 @@ class Trajectories:
 
     Parameters
     ----------
-    yardstick : Yardstick
+    reference_set : ReferenceSet
     grid : TimeGrid
     wanted : float
         Largest error of the integration in units of sizes.
@@ -84,7 +84,7 @@ class Trajectories:
 
     def __init__(
         self,
-        yardstick: Yardstick,
+        reference_set: ReferenceSet,
         grid: TimeGrid,
         wanted: float,
         tightness: float,
@@ -92,12 +92,12 @@ class Trajectories:
         workers: Workers | None = None,
         done: Callable[[float], None] | None = None,
     ) -> None:
-        self.workers, self.done = workers or Workers(yardstick.system), done
-        self.yardstick, self.grid, self.wanted, self.most = yardstick, grid, wanted, most
-        self.stiff = self.calibrated = yardstick.reference.avoided > _BEARABLE
+        self.workers, self.done = workers or Workers(reference_set.system), done
+        self.reference_set, self.grid, self.wanted, self.most = reference_set, grid, wanted, most
+        self.stiff = self.calibrated = reference_set.reference.avoided > _BEARABLE
         self.tightness = _STIFF if self.stiff else tightness
         self.count, self.work = 0, 0.0
-        self.units = yardstick.states * np.sqrt(grid.times.size)
+        self.units = reference_set.states * np.sqrt(grid.times.size)
         self.basis = GrowingBasis(self.units.size * grid.times.size)
         self.highest = np.zeros(grid.slabs)
 
@@ -114,7 +114,7 @@ class Trajectories:
     @property
     def sizes(self) -> Array:
         """Sizes of the states, (n,)."""
-        return self.yardstick.states
+        return self.reference_set.states
 
     @property
     def tolerance(self) -> float:
@@ -139,7 +139,7 @@ class Trajectories:
     def _first(self, points: Array) -> Array:
         """The first trajectories, at a tolerance that brings the error wanted."""
         self.calibrated = True
-        reference = self.yardstick.reference
+        reference = self.reference_set.reference
         known = reference.points[:_CALIBRATED]
         exact = reference(self.grid.times)[:, : len(known)] / self.sizes[:, None, None]
         before, share, used = math.inf, math.inf, self.tightness
@@ -172,15 +172,15 @@ class Trajectories:
         Those of a chunk share their steps. So the chunks depend on the problem and on the
         number of points alone, and not on who integrates them.
         """
-        yardstick, end = self.yardstick, self.grid.breaks[-1]
+        reference_set, end = self.reference_set, self.grid.breaks[-1]
         edges = [
-            yardstick.domain.horizon[0],
-            *(cut for cut in yardstick.cuts if cut < end),
+            reference_set.domain.horizon[0],
+            *(cut for cut in reference_set.cuts if cut < end),
             end,
         ]
-        floor = np.minimum(_ABSOLUTE * yardstick.states, yardstick.reference.floor)
-        atol = np.maximum(self.tolerance * floor, yardstick.reference.rounded)
-        given = edges, self.grid.times, yardstick.states, atol, self.tolerance, self.stiff
+        floor = np.minimum(_ABSOLUTE * reference_set.states, reference_set.reference.floor)
+        atol = np.maximum(self.tolerance * floor, reference_set.reference.rounded)
+        given = edges, self.grid.times, reference_set.states, atol, self.tolerance, self.stiff
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
         before = work_done()
@@ -192,7 +192,7 @@ class Trajectories:
 
     def _chunk(self) -> int:
         """Largest number of trajectories in a chunk."""
-        recipe: Recipe | None = getattr(self.yardstick.system, "RECIPE", None)
+        recipe: Recipe | None = getattr(self.reference_set.system, "RECIPE", None)
         if recipe is not None and recipe.namespace:
             return _STACKED_USER
         most = _STACKED_STIFF if self.stiff else _STACKED

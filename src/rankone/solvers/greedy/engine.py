@@ -30,7 +30,7 @@ from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import Coupling, GreedyTrial, LaggedSlabs
 from rankone.solvers.march import March, MarchResult, Span
 from rankone.support.progress import Report
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from rankone.verification.sensitivity import amplification
 
 __all__ = ["ENGINE", "SlabLengths"]
@@ -106,14 +106,14 @@ class GreedyMarcher(Marcher):
         Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
     }
 
-    def __init__(self, request: Request[GreedyOptions], yardstick: Yardstick) -> None:
-        self.rtol, self.options, self.yardstick = request.rtol, request.options, yardstick
-        system, domain, sizes = yardstick.system, yardstick.domain, yardstick.states
-        self.growth = amplification(system, yardstick.reference, sizes, yardstick.end)
+    def __init__(self, request: Request[GreedyOptions], reference_set: ReferenceSet) -> None:
+        self.rtol, self.options, self.reference_set = request.rtol, request.options, reference_set
+        system, domain, sizes = reference_set.system, reference_set.domain, reference_set.states
+        self.growth = amplification(system, reference_set.reference, sizes, reference_set.end)
         self.coupling = Coupling(system, sizes, self.options)
         lagged = any(map(self.coupling.lagged, self.coupling.blocks))
         self.longest = (
-            FIRST_SLAB_CONTRACTION / max(_stiffness(yardstick), 1e-300) if lagged else math.inf
+            FIRST_SLAB_CONTRACTION / max(_stiffness(reference_set), 1e-300) if lagged else math.inf
         )
         self.nodes = first_nodes(system, domain, self.rtol, self.options)
         self.tails = np.zeros(1 + len(domain.box))
@@ -125,9 +125,9 @@ class GreedyMarcher(Marcher):
 
     def march(self, index: int, report: Report) -> MarchResult:
         """March with the present nodes and tolerance."""
-        start, end = self.yardstick.reference.start, self.yardstick.end
-        lengths = SlabLengths(start, end, self.options, self.longest, self.yardstick.cuts)
-        domain = self.yardstick.domain
+        start, end = self.reference_set.reference.start, self.reference_set.end
+        lengths = SlabLengths(start, end, self.options, self.longest, self.reference_set.cuts)
+        domain = self.reference_set.domain
         slabs = LaggedSlabs(self.coupling, domain, self.nodes, self.tolerance, index)
         march = March(lengths, slabs, self.options.max_slabs).run(start, end, index, report)
         self.tails = slabs.tails
@@ -152,10 +152,10 @@ class GreedyMarcher(Marcher):
         return status, _unsettled(attempt.result.records) if unsettled else status.value
 
 
-def _stiffness(yardstick: Yardstick) -> float:
+def _stiffness(reference_set: ReferenceSet) -> float:
     """Largest row sum norm of the Jacobian over the check points, in units of the sizes."""
-    system, reference, sizes = yardstick.system, yardstick.reference, yardstick.states
-    times = np.linspace(reference.start, yardstick.end, 101)
+    system, reference, sizes = reference_set.system, reference_set.reference, reference_set.states
+    times = np.linspace(reference.start, reference_set.end, 101)
     states = reference(times)
     n, m, count = states.shape
     jacobian = system.jacobian(times, states, reference.points.T[:, :, None])

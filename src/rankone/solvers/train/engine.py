@@ -18,9 +18,9 @@ from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
 from rankone.solvers.train.options import TrainOptions
 from rankone.support.progress import Report
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
+from rankone.verification.points import candidate_points
 from rankone.verification.sensitivity import amplification
-from rankone.verification.suspects import suspects
 
 __all__ = ["ENGINE"]
 
@@ -37,29 +37,33 @@ class TrainMarcher(Marcher):
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
     }
 
-    def __init__(self, request: Request[TrainOptions], yardstick: Yardstick) -> None:
-        self.rtol, self.options, self.yardstick = request.rtol, request.options, yardstick
-        system, domain, reference = yardstick.system, yardstick.domain, yardstick.reference
-        self.growth = amplification(system, reference, yardstick.states, yardstick.end)
+    def __init__(self, request: Request[TrainOptions], reference_set: ReferenceSet) -> None:
+        self.rtol, self.options, self.reference_set = request.rtol, request.options, reference_set
+        system, domain, reference = (
+            reference_set.system,
+            reference_set.domain,
+            reference_set.reference,
+        )
+        self.growth = amplification(system, reference, reference_set.states, reference_set.end)
         self.collocation = RadauCollocation.of(self.options.nodes_in_time(self.rtol))
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
         self.inner = self.rtol * (
-            CORNERS_TOLERANCE_SHARE if yardstick.whole_box else INTERIOR_TOLERANCE_SHARE
+            CORNERS_TOLERANCE_SHARE if reference_set.whole_box else INTERIOR_TOLERANCE_SHARE
         )
         self.guesses: Sequence[Guess] = ()
         self.longest = math.inf
 
     def march(self, index: int, report: Report) -> MarchResult:
         """March with the present inner tolerance, from the slabs of the attempt before."""
-        yardstick, collocation = self.yardstick, self.collocation
+        reference_set, collocation = self.reference_set, self.collocation
         accuracy = Accuracy(self.inner, self.growth)
-        nodes = ParameterNodes(yardstick.system, self.bases, self.floors, self.options)
-        lengths = SlabLengths(yardstick, collocation, accuracy, self.guesses, self.longest)
-        iteration = SlabIteration(yardstick, collocation, accuracy, nodes, index)
+        nodes = ParameterNodes(reference_set.system, self.bases, self.floors, self.options)
+        lengths = SlabLengths(reference_set, collocation, accuracy, self.guesses, self.longest)
+        iteration = SlabIteration(reference_set, collocation, accuracy, nodes, index)
         march = March(lengths, iteration, self.options.max_slabs)
-        run = march.run(yardstick.reference.start, yardstick.end, index, report)
+        run = march.run(reference_set.reference.start, reference_set.end, index, report)
         if run.stopped is None:
-            run.points = suspects(run.slabs, yardstick.states, index, self.rtol)
+            run.points = candidate_points(run.slabs, reference_set.states, index, self.rtol)
         self.guesses = iteration.guesses
         return run
 

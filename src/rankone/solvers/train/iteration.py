@@ -29,7 +29,7 @@ from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, widened
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 
 __all__ = ["Convergence", "SlabIteration"]
 
@@ -103,7 +103,7 @@ class SlabIteration:
 
     Parameters
     ----------
-    yardstick : Yardstick
+    reference_set : ReferenceSet
         The Jacobian of a slab is taken along its trajectory at the centre of the box.
     attempt : int
         Number of the attempt, for the records.
@@ -114,16 +114,16 @@ class SlabIteration:
         The slabs accepted, for the next attempt.
     """
 
-    yardstick: Yardstick
+    reference_set: ReferenceSet
     collocation: RadauCollocation
     accuracy: Accuracy
     nodes: ParameterNodes
     attempt: int = 0
 
     def __post_init__(self) -> None:
-        self.options, self.scale = self.nodes.options, self.yardstick.sizes
+        self.options, self.scale = self.nodes.options, self.reference_set.sizes
         self.guesses: list[Guess] = []
-        self._groups = term_groups(self.yardstick.system)
+        self._groups = term_groups(self.reference_set.system)
         self._source = self.nodes.initial(self.scale)
         self._second_residual = 1e-2
         self._trials = 0
@@ -161,8 +161,8 @@ class SlabIteration:
         cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
         self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
         self._source = self._at_end(trial)
-        kind = jump_kind(self.yardstick.system, span.end)
-        if kind is not None and span.end < self.yardstick.end:
+        kind = jump_kind(self.reference_set.system, span.end)
+        if kind is not None and span.end < self.reference_set.end:
             units = self.scale[: len(cores[0])]
             tolerance = JUMP_SHARE * trial.record.tolerance
             self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
@@ -183,7 +183,7 @@ class SlabIteration:
 
     def _operator(self, span: TrainSpan) -> SlabOperator:
         """The operator with the Jacobian along the trajectory at the centre of the box."""
-        system, reference = self.yardstick.system, self.yardstick.reference
+        system, reference = self.reference_set.system, self.reference_set.reference
         times = self.collocation.times(span.start, span.length)
         states = system.with_products(reference(times)[:, 0])
         jacobian = system.quadratic_jacobian(times, states, reference.points[0][:, None])
@@ -236,7 +236,7 @@ class SlabIteration:
 
     def _at_end(self, trial: TrainTrial) -> list[Array]:
         """The train at the end of the slab, on parameter nodes coarsened to what it needs."""
-        last = trial.sweeper.cores[0][: self.yardstick.system.N_DIFFERENTIAL, -1]
+        last = trial.sweeper.cores[0][: self.reference_set.system.N_DIFFERENTIAL, -1]
         source = [last * np.sqrt(self.collocation.count), *trial.sweeper.cores[1:]]
         bases = self.nodes.coarsened(trial.spectra, COARSENING_SHARE * trial.record.tolerance)
         if bases is self.nodes.bases:

@@ -24,7 +24,7 @@ from rankone.solvers.train.constants import (
 )
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
-from rankone.verification.measure import Yardstick
+from rankone.verification.measure import ReferenceSet
 from rankone.verification.reference import times_within
 
 __all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
@@ -90,7 +90,7 @@ class SlabLengths:
 
     Parameters
     ----------
-    yardstick : Yardstick
+    reference_set : ReferenceSet
         Its reference has to be resolved; no slab crosses its cuts.
     guesses : sequence of Guess
         Slabs of the attempt before.
@@ -98,16 +98,16 @@ class SlabLengths:
         Of the slabs.
     """
 
-    yardstick: Yardstick
+    reference_set: ReferenceSet
     collocation: RadauCollocation
     accuracy: Accuracy
     guesses: Sequence[Guess] = ()
     longest: float = math.inf
 
     def __post_init__(self) -> None:
-        end = self.yardstick.end
-        self.borders = (*self.yardstick.cuts, end)
-        self.horizon = end - self.yardstick.reference.start
+        end = self.reference_set.end
+        self.borders = (*self.reference_set.cuts, end)
+        self.horizon = end - self.reference_set.reference.start
         self.length = self.ceiling = self._proposed = min(self.horizon, self.longest)
         self._memory = self._hopeless = False
 
@@ -150,11 +150,11 @@ class SlabLengths:
     def resolved(self, start: float, length: float) -> float:
         """The longest slab, up to ``length``, on which the time nodes resolve the reference."""
         tolerance = max(self.accuracy.resolution, REFERENCE_NOISE)
-        scale = self.yardstick.states[:, None, None]
+        scale = self.reference_set.states[:, None, None]
         nodes = self.collocation
         for _ in range(60):
             times = times_within(start, start + length, nodes.points)
-            states = self.yardstick.reference(times) / scale
+            states = self.reference_set.reference(times) / scale
             tail = float(np.abs((states @ nodes.to_modal.T)[..., -2:]).max())
             if tail <= tolerance:
                 break

@@ -7,10 +7,10 @@ import rankone as ro
 from rankone.codegen.events import event_functions, parameter_surfaces
 from rankone.ir.domain import Domain
 from rankone.ir.forms import Coordinate
+from rankone.trajectories.defects import _zeros
 from rankone.trajectories.steppers import StackedDOP853
-from rankone.trajectories.watch import _zeros
+from rankone.verification.points import surface_points
 from rankone.verification.reference import check_points, integrate_reference
-from rankone.verification.suspects import surface_points
 from tests.honesty.cases import t, unknown
 
 SHAPES = {

@@ -17,7 +17,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import Cost, rates_cost
 
-__all__ = ["Watch"]
+__all__ = ["DefectControl"]
 
 _AT_CROSSINGS, _ANYWHERE = 100.0, 300.0
 """Largest defect, if it were that of the whole step, in units of the tolerance. Without anything
@@ -32,7 +32,7 @@ _LOOKED = Cost(50e3, 15.0)
 """Operations of a look at an interpolant, and for each number looked at."""
 
 
-class Watch:
+class DefectControl:
     """Looks at the steps of a stack of trajectories.
 
     Parameters

@@ -8,7 +8,7 @@ import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.ir.domain import Domain
 from rankone.tensors.slab import SlabTrain
-from rankone.verification.suspects import active_points, suspects
+from rankone.verification.points import active_points, candidate_points
 
 
 def system(rate: str, box: dict[str, tuple[float, float]]):
@@ -37,12 +37,12 @@ def slab(nodes: int, parameters: int = 1) -> SlabTrain:
 
 
 def test_smooth_solutions_of_few_parameters_are_not_looked_at():
-    assert suspects([slab(9)], np.ones(1), 0, 1e-3) is None
-    assert suspects([slab(60)], np.ones(1), 0, 1e-3) is None
+    assert candidate_points([slab(9)], np.ones(1), 0, 1e-3) is None
+    assert candidate_points([slab(60)], np.ones(1), 0, 1e-3) is None
 
 
 def test_many_nodes_or_many_parameters_are_looked_at():
-    assert len(suspects([slab(100)], np.ones(1), 0, 1e-3)) == 12
-    assert suspects([slab(9, 4)], np.ones(1), 0, 1e-3).shape == (12, 4)
-    one, two = (suspects([slab(100)], np.ones(1), number, 1e-3) for number in (0, 1))
+    assert len(candidate_points([slab(100)], np.ones(1), 0, 1e-3)) == 12
+    assert candidate_points([slab(9, 4)], np.ones(1), 0, 1e-3).shape == (12, 4)
+    one, two = (candidate_points([slab(100)], np.ones(1), number, 1e-3) for number in (0, 1))
     assert not np.array_equal(one, two)

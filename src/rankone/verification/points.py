@@ -14,7 +14,7 @@ from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.integration import initial_values
 
-__all__ = ["active_points", "cell_points", "steepest_point", "surface_points", "suspects"]
+__all__ = ["active_points", "candidate_points", "cell_points", "steepest_point", "surface_points"]
 
 _SMOOTH, _SMOOTH_ALONE = 3.0, 9.0
 """Nodes in one parameter, over those of a smooth dependence, from which a solution is steep, with
@@ -174,7 +174,9 @@ def cell_points(domain: Domain, special: Sequence[Sequence[float]]) -> Array:
     return points
 
 
-def suspects(slabs: Sequence[SlabTrain], sizes: Array, number: int, rtol: float) -> Array | None:
+def candidate_points(
+    slabs: Sequence[SlabTrain], sizes: Array, number: int, rtol: float
+) -> Array | None:
     """Parameter points (m, d) at which a solution is to be measured beside random ones.
 
     Where a parameter has elements or many nodes: inside narrow elements, and where the solution is
