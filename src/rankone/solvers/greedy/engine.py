@@ -45,7 +45,7 @@ class SlabLengths:
     start, end : float
         The horizon.
     longest : float
-        Of the first slab if the lengths adapt.
+        Longest first slab, if the lengths adapt.
     cuts : sequence of float
         Times, ascending, that no slab crosses.
     """
@@ -147,7 +147,7 @@ class GreedyMarcher(Marcher):
         return True
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
-        """Where the lagged terms were furthest from settled, if that is why."""
+        """Say where the lagged terms settled least, if the iteration did not converge."""
         unsettled = status is Status.NO_CONVERGENCE
         return status, _unsettled(attempt.result.records) if unsettled else status.value
 
@@ -165,7 +165,7 @@ def _stiffness(reference_set: ReferenceSet) -> float:
 
 
 def _unsettled(records: Sequence[SlabRecord]) -> str:
-    """Where the lagged terms were furthest from settled."""
+    """The slab on which the lagged terms settled least, as a sentence."""
     worst = max(records, key=lambda record: record.residuals[-1])
     return (
         f"the lagged terms did not settle: after {len(worst.residuals)} updates on "

@@ -79,8 +79,7 @@ class Enrichment:
         Squared norm of the source over the box; with it the residuals recorded are those of the
         minimal residual, ``||D(U) - G||`` over the box.
     units : tuple of float
-        What residuals and amplitudes are divided by in the records; the tolerance of a run is in
-        the unit of residuals.
+        Units of residuals and amplitudes in the records; the tolerance of a run is in the first.
     """
 
     equation: Equation
@@ -277,7 +276,7 @@ class Enrichment:
         self._refresh(j)
 
     def _refresh(self, j: int) -> None:
-        """Products that the functions of dimension j are part of."""
+        """Form the products with the functions of dimension j again."""
         factor, count = self.factors[j], len(self.equation.matrices[j])
         charge(2.0 * count * product(len(factor), *factor.shape))
         self._images[j] = self.equation.matrices[j] @ factor

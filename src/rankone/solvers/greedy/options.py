@@ -27,11 +27,11 @@ _SLIDES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class GreedyOptions(Options):
-    """What is solved, how it is projected, and the limits of ``method="greedy"``.
+    """Formulation, projection and limits of ``method="greedy"``.
 
-    The defaults are the best choice found over the reference problems, the same for all: the
-    Volterra form, whose operator is the identity but for the own linear terms of an equation, and
-    all modes updated. :meth:`slides` is the choice of the slides.
+    The defaults are the best choice over all reference problems: the Volterra form, whose operator
+    is the identity plus the own linear terms of an equation, with all modes updated.
+    :meth:`slides` is the choice of the slides.
 
     Attributes
     ----------
@@ -40,8 +40,8 @@ class GreedyOptions(Options):
     projection : {"galerkin", "minimal-residual"}
         Test functions: the shape functions, or the operator applied to them.
     update : {"all", "time", "amplitudes"}
-        What is solved for again with every new mode: the functions of each dimension in turn, the
-        time functions, or the amplitudes alone.
+        What each new mode updates: the functions of each dimension in turn, the time functions, or
+        the amplitudes alone.
     elements : {"legendre", "linear", "quadratic"}
         One spectral element, or finite elements, in every dimension.
     time_nodes : int or None

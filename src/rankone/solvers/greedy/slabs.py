@@ -1,6 +1,7 @@
 """From slab to slab: shape functions, the lagged iteration, and the states at the end.
 
-With a fixed number of slabs the iteration is taken as far as it came, and the outcome says so.
+With a fixed number of slabs, an iteration that does not settle is accepted as it is, and the
+outcome says so.
 """
 
 from __future__ import annotations
@@ -51,19 +52,19 @@ __all__ = ["Coupling", "GreedyTrial", "LaggedSlab", "LaggedSlabs", "SlabResult",
 
 @dataclass(frozen=True)
 class SlabResult:
-    """What the lagged iteration on one slab came to.
+    """The end of the lagged iteration on one slab.
 
     Attributes
     ----------
     modes : tuple of RankOneSum
-        For each state the values at the nodes of what is added to its initial value.
+        For each state its difference from its initial value, at the nodes.
     converged : bool
         Whether the last change is within the tolerance.
     usable : bool
-        Whether the iteration stayed bounded; what it came to may still be far off.
+        Whether the iteration stayed bounded; its last iterate may still be far off.
     changes : tuple of float
-        Largest change of a state in each iteration, in units of its size, in the block of
-        equations that took longest or did not settle.
+        Largest change of a state in each iteration, in units of its size, in the slowest
+        block of equations.
     residual : float
         Largest residual of an equation at the end, in the same unit.
     """
@@ -252,7 +253,7 @@ def compressed(
 
 @dataclass(frozen=True)
 class GreedyTrial(Trial):
-    """What the lagged iteration on one slab came to."""
+    """The lagged iteration on one slab, accepted or rejected."""
 
     space: ShapeSpace
     solved: SlabResult

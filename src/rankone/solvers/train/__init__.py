@@ -1,20 +1,17 @@
 """``method="train"``: tensor-train sweeps on the preconditioned Volterra form.
 
-======================  ==========================================================================
-module                  subject
-======================  ==========================================================================
-``groups``              terms that share their parameter factors; diagonal parameter operators
-``slab``                collocation, mean Jacobian and kernels of one time slab
-``products``            a symmetric environment against two copies of a core
-``sweep``               two-site alternating sweeps: contraction, truncated SVD, enrichment
-``convergence``         whether the sweeps on a slab are done, or hopeless
-``nodes``               parameter nodes: first, refined, coarsened
-``iteration``           the solve of one slab
-``jump``                the states after a jump, on nodes that resolve them
-``length``              the lengths of slabs
-``engine``              inner tolerances, tightened after the check
-``options``             limits and discretisation
-======================  ==========================================================================
+===============  ===============================================================================
+module           subject
+===============  ===============================================================================
+``engine``       attempts: inner tolerances, tightened after the check
+``length``       lengths of slabs
+``iteration``    the solve of one slab, and when its sweeps have converged or diverged
+``sweep``        two-site alternating sweeps: contraction, truncated SVD, enrichment
+``slab``         operators of one slab: collocation, mean Jacobian, kernels of the term groups
+``nodes``        parameter nodes: first, refined, coarsened, and after a jump
+``options``      limits and discretisation
+``constants``    tuning constants
+===============  ===============================================================================
 """
 
 from rankone.solvers.train.engine import ENGINE

@@ -1,4 +1,4 @@
-"""The solve of one slab: sweeps until the residual fits, with more parameter nodes on the way."""
+"""The solve of one slab: sweeps until the residual is small, on as many nodes as needed."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class Convergence:
     """How fine the next sweep truncates, whether the slab is solved, whether it is hopeless.
 
     The residual of a sweep is the largest change of a pair of cores, in units of the states'
-    sizes. What is still missing after a sweep is about the residual times the contraction.
+    sizes. The error left after a sweep is about the residual times the contraction.
 
     Parameters
     ----------
     tolerance : float
-        Accuracy wanted of the slab.
+        Target accuracy of the slab.
     coarse : float
         Tolerance of the first sweep, which need not be fine.
 
@@ -68,7 +68,7 @@ class Convergence:
         return self.tolerance if self._since_restart else max(self.tolerance, self.coarse)
 
     def add(self, residual: float) -> None:
-        """Take notice of a sweep."""
+        """Record a sweep."""
         if self._since_restart:
             last = self.residuals[-1]
             self.contraction = residual / last if last > 0.0 else 0.0
@@ -77,12 +77,12 @@ class Convergence:
         self._since_restart += 1
 
     def restart(self) -> None:
-        """Parameter nodes were added: count anew, from the last residual."""
+        """Count the sweeps anew after parameter nodes were added."""
         self._since_restart = min(self._since_restart, 1)
         self.contraction = 0.1
 
     def solved(self, limited: bool) -> bool:
-        """Whether the slab is as accurate as wanted, or as the rank limit allows."""
+        """Whether the slab is accurate enough, or as accurate as the rank limit allows."""
         if limited and self._since_restart >= 3 and self.contraction > STAGNANT_CONTRACTION:
             return True
         reliable = self._since_restart > 1 and self.contraction < RELIABLE_CONTRACTION
@@ -90,7 +90,7 @@ class Convergence:
         return self._final and ahead <= self.tolerance
 
     def hopeless(self, limited: bool) -> bool:
-        """Whether the sweeps diverge or fall too slowly."""
+        """Whether the sweeps diverge or converge too slowly."""
         residual = self.residuals[-1]
         if not math.isfinite(residual) or residual > DIVERGED_RESIDUAL:
             return True
@@ -129,7 +129,7 @@ class SlabIteration:
         self._trials = 0
 
     def solve(self, span: TrainSpan) -> TrainTrial:
-        """Sweep on one slab, from its earlier self or from its initial values."""
+        """Sweep on one slab, from an earlier attempt or from its initial values."""
         tolerance = self.accuracy.tolerance(span.start)
         sweeper = self._started(span)
         limits: set[Status] = set()
@@ -199,7 +199,7 @@ class SlabIteration:
     def _swept(
         self, sweeper: Sweeper, convergence: Convergence, limits: set[Status]
     ) -> tuple[Sweeper, list[Array], bool]:
-        """Sweep until the slab is solved or hopeless: the sweeper, spectra, and whether it is."""
+        """Sweep until the slab is solved or hopeless; the last item says whether it is solved."""
         tolerance = convergence.tolerance
         spectra: list[Array] = []
         sweeper.settle(max(tolerance, 1e-3), 8)
@@ -235,7 +235,7 @@ class SlabIteration:
         return self._sweeper(sweeper.operator, cores)
 
     def _at_end(self, trial: TrainTrial) -> list[Array]:
-        """The train at the end of the slab, on parameter nodes coarsened to what it needs."""
+        """The train at the end of the slab, on no more parameter nodes than it needs."""
         last = trial.sweeper.cores[0][: self.reference_set.system.N_DIFFERENTIAL, -1]
         source = [last * np.sqrt(self.collocation.count), *trial.sweeper.cores[1:]]
         bases = self.nodes.coarsened(trial.spectra, COARSENING_SHARE * trial.record.tolerance)

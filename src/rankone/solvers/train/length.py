@@ -1,4 +1,4 @@
-"""The lengths of slabs: what the time nodes resolve, and what the sweeps converge on."""
+"""Lengths of slabs: the time nodes resolve them, and the sweeps converge on them."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ __all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What is asked of the slabs of one attempt, in units of the sizes.
+    """Tolerances of the slabs of one attempt, in units of the states' sizes.
 
-    ``level`` is the inner tolerance where errors do not grow, ``growth`` the largest later growth
-    of an error made at a time.
+    ``level`` is the inner tolerance where errors do not grow; ``growth`` gives the largest later
+    growth of an error made at a time.
     """
 
     level: float
     growth: Callable[[float], float]
 
     def tolerance(self, time: float) -> float:
-        """Inner tolerance at a time: what is dropped there is amplified until the end."""
+        """Inner tolerance at a time: errors made there are amplified until the end."""
         return max(self.level / self.growth(time), 1e-14)
 
     @property
     def resolution(self) -> float:
-        """Largest time mode left out: not amplified, as the end points are superconvergent."""
+        """Largest dropped time mode: not amplified, as the end points are superconvergent."""
         return 0.1 * self.level
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A slab of an earlier attempt: its place and its cores, a first guess for the next."""
+    """A slab of an earlier attempt, with its cores as a first guess."""
 
     start: float
     length: float
@@ -63,14 +63,14 @@ class Guess:
 
 @dataclass(frozen=True)
 class TrainSpan(Span):
-    """Where a slab lies, and its earlier self if there is one."""
+    """The interval of a slab, and the same slab of an earlier attempt if there is one."""
 
     guess: Guess | None = None
 
 
 @dataclass(frozen=True)
 class TrainTrial(Trial):
-    """What the sweeps on one slab came to; ``spectra`` are norms of the modes by parameter."""
+    """A swept slab; ``spectra`` holds the norms of the modes by parameter."""
 
     sweeper: Sweeper
     spectra: Sequence[Array]
@@ -91,11 +91,11 @@ class SlabLengths:
     Parameters
     ----------
     reference_set : ReferenceSet
-        Its reference has to be resolved; no slab crosses its cuts.
+        The time nodes resolve its reference; no slab crosses its cuts.
     guesses : sequence of Guess
         Slabs of the attempt before.
     longest : float
-        Of the slabs.
+        Longest slab allowed.
     """
 
     reference_set: ReferenceSet
@@ -112,7 +112,7 @@ class SlabLengths:
         self._memory = self._hopeless = False
 
     def propose(self, start: float) -> TrainSpan | Status:
-        """The next slab: an earlier one, or as long as the reference is resolved on it."""
+        """The next slab: the same as earlier, or as long as its nodes resolve the reference."""
         end = self.borders[-1]
         if self._hopeless:
             return Status.MEMORY_LIMIT

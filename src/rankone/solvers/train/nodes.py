@@ -35,11 +35,11 @@ class ParameterNodes:
     Parameters
     ----------
     bases : tuple of Basis1D
-        To begin with.
+        The first bases.
     floors : tuple of int
         Degrees below which they are not coarsened.
     options : TrainOptions
-        Their limits.
+        Limits of degrees and nodes.
     """
 
     system: System
@@ -112,9 +112,8 @@ class ParameterNodes:
     def probe(self, count: int, seed: int) -> list[Array]:
         """Random sums of low-degree functions of one parameter each, as cores 1, ..., d.
 
-        A pair of cores only sees what its frame does not hide. With a frame widened by the
-        constant and by these functions the sweeps find dependences that the initial values do
-        not have.
+        Sweeps see a pair of cores only through its frame. A frame widened by the constant and
+        these functions shows dependences on parameters that the initial values do not have.
         """
         generator = np.random.default_rng(seed)
         sums = np.arange(1, count + 1)
@@ -174,18 +173,18 @@ def after_jump(
     """The train (n, r_1), ... right after a jump from the one right before it.
 
     The jump, which may be any function of states and parameters, acts at each node on its own.
-    Nodes are refined until they resolve what it makes.
+    Nodes are refined until they resolve the states after it.
 
     Parameters
     ----------
     kind : int
-        Which one.
+        Number of the jump in the system.
     nodes : ParameterNodes
     source : sequence of ndarray
         In units of the states (n,), scaled by the roots of the weights of the nodes.
     units : ndarray (n,)
     tolerance : float
-        What may be lost.
+        Largest interpolation error.
     """
     cores, bases = list(source), nodes.bases
     for refinement in range(MAX_REFINEMENTS + 1):

@@ -45,7 +45,7 @@ def _indices(rank: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 @lru_cache(maxsize=512)
 def multiplicity(rank: int) -> Array:
-    """How often a packed pair stands in the full square: 1 on the diagonal, else 2."""
+    """Copies of a packed pair in the full square: 1 on the diagonal, else 2."""
     i, j = _indices(rank)
     return np.where(i == j, 1.0, 2.0)
 
@@ -60,7 +60,7 @@ def unpack(packed: Array, rank: int) -> Array:
 
 
 def _blocks(rank: int, work: float) -> list[tuple[int, int]]:
-    """Rows that are treated together, where one row takes so many multiplications."""
+    """Blocks of rows for one matrix product; ``work`` counts the multiplications of a row."""
     step = -(-rank // BLOCK_COUNT) if rank > 2 * BLOCK_COUNT else rank
     step = max(min(step, int(BLOCK_MULTIPLICATIONS / max(work, 1.0))), 1)
     return [(first, min(first + step, rank)) for first in range(0, rank, step)]
@@ -452,7 +452,7 @@ class Sweeper:
         return np.asarray(np.sqrt(np.einsum("anb,anb->n", modes, modes)))
 
     def _changed(self, b: int) -> None:
-        """Forget what was contracted with the cores b and b + 1."""
+        """Drop the contractions with the cores b and b + 1."""
         for halves in (self._left_halves, self._right_halves):
             halves[b] = {}
             halves[b + 1] = {}
