@@ -8,8 +8,9 @@ import sympy as sp
 
 import rankone as ro
 from rankone.ir.domain import Domain, check_factors
+from rankone.ir.request import SolveRequest
+from rankone.solvers.engine import solve_with
 from rankone.solvers.registry import ENGINES
-from rankone.solvers.task import Asked, Task
 from tests.problems import EXAMPLES, REFERENCE
 
 DOMAIN = Domain((0.0, 6.0), ((8.0, 12.0), (4.0, 6.0)))
@@ -98,15 +99,18 @@ def test_poles_between_the_samples_are_refused(pole, method):
     compiled = ro.compile(
         ro.Problem.from_strings({"x": f"-x/({pole})"}, {"x": "1"}, {"k": (1, 2)}, time=(0, 1))
     )
-    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, None, {})
-    task = Task.of([ENGINES[method]], compiled.system, asked)
+    engine = ENGINES[method]
+    request = SolveRequest.of(
+        compiled.system, [engine.options], {}, rtol=1e-3, parameters={"k": (-1, 2)}
+    )
     with pytest.raises(ro.OptionError, match="a coefficient is not finite for `k` in"):
-        task.run(compiled.metadata())
+        solve_with([engine], compiled.system, request, compiled.metadata())
 
 
 def test_poles_of_initial_values_are_refused():
     problem = ro.Problem.from_strings({"x": "-x"}, {"x": "1/k"}, {"k": (1, 2)}, time=(0, 1))
     compiled = ro.compile(problem)
-    asked = Asked(1e-3, {"k": (-1, 2)}, None, True, None, None, {})
+    engine = ENGINES["train"]
+    request = SolveRequest.of(compiled.system, [engine.options], {}, parameters={"k": (-1, 2)})
     with pytest.raises(ro.OptionError, match="not finite for `k`"):
-        Task.of([ENGINES["train"]], compiled.system, asked).run(compiled.metadata())
+        solve_with([engine], compiled.system, request, compiled.metadata())

@@ -11,12 +11,12 @@ import pytest
 import rankone as ro
 from rankone.ir.domain import Domain
 from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.ir.request import Check, SolveRequest
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
-from rankone.solvers.engine import Report, Request
 from rankone.solvers.march import MarchResult
 from rankone.support.errors import RankoneError
 from rankone.support.options import Options, integer
-from rankone.support.progress import quiet
+from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
@@ -68,11 +68,12 @@ def slabs() -> tuple[SlabTrain, ...]:
 def run(
     system: Any, fake: Fake, rtol: float = 1e-3, check: int = 5, most: int | None = 6
 ) -> Outcome:
-    def prepared(request: Request[FakeOptions], reference_set: ReferenceSet) -> Fake:
+    def prepared(request: SolveRequest, reference_set: ReferenceSet) -> Fake:
         return fake
 
-    request = Request(rtol, check, FakeOptions(most))
-    return solve_in_attempts(prepared, system, Domain.of(system), request, quiet)
+    options = (FakeOptions(most),)
+    request = SolveRequest(rtol, Domain.of(system), Check(check), options=options)
+    return solve_in_attempts(prepared, FakeOptions, system, request, quiet)
 
 
 def test_attempts_end_with_the_first_that_fits(system: Any, slabs: Any) -> None:

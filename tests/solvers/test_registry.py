@@ -10,6 +10,7 @@ import pytest
 import rankone as ro
 from rankone.ir.domain import Domain
 from rankone.ir.outcome import SlabRecord
+from rankone.ir.request import SolveRequest
 from rankone.solvers.greedy import GreedySlabRecord
 from rankone.solvers.registry import ENGINES, engines_for
 from rankone.support.errors import OptionError
@@ -64,12 +65,24 @@ def test_an_engine_solves_on_the_domain_it_is_given(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENGINES)
 def test_requests_are_checked(name: str) -> None:
-    engine = ENGINES[name]
-    assert engine.request(1e-3, True, {}).points == 96
-    assert engine.request(1e-3, False, {}).points == 0
+    system, groups = ro.compile(REFERENCE["decay"]()).system, [ENGINES[name].options]
+    request = SolveRequest.of(system, groups, {}, check=True)
+    assert request.check.points == 96
+    assert isinstance(request.options_of(groups[0]), groups[0])
+    assert SolveRequest.of(system, groups, {}, check=False).check.points == 0
     for rtol, check, options in [(0.5, True, {}), (1e-3, -1, {}), (1e-3, True, {"max_slab": 1})]:
         with pytest.raises(OptionError):
-            engine.request(rtol, check, options)
+            SolveRequest.of(system, groups, options, rtol=rtol, check=check)
+
+
+def test_a_request_for_a_part_of_the_box() -> None:
+    system = ro.compile(REFERENCE["decay"]()).system
+    request = SolveRequest.of(system, [], {}, max_seconds=8.0)
+    part = request.on_box({0: (1.0, 1.5)}, 0.25)
+    assert part.domain.box[0] == (1.0, 1.5)
+    assert part.domain.horizon == request.domain.horizon
+    assert part.limits.operations == 0.25 * request.limits.operations
+    assert part.limits.seconds == 2.0
 
 
 @pytest.mark.parametrize("record", [SlabRecord, GreedySlabRecord])

@@ -7,6 +7,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.domain import Domain
+from rankone.ir.request import Check, SolveRequest
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.residual import doubtful_points
 
@@ -18,7 +19,9 @@ def decay():
     )
     compiled = ro.compile(problem)
     solution = compiled.solve(1e-6, method="cross")
-    reference_set = ReferenceSet.of(compiled.system, Domain.of(compiled.system), 1e-6, 24)
+    reference_set = ReferenceSet.of(
+        compiled.system, SolveRequest(1e-6, Domain.of(compiled.system), Check(24))
+    )
     return compiled.system, solution.outcome, reference_set
 
 
@@ -61,6 +64,8 @@ def test_products_of_parameters_are_right_near_the_corner(rate, initial, end, rt
     solution = compiled.solve(rtol)
     assert solution.success
     points = np.random.default_rng(8).random((500, 4))
-    stricter = ReferenceSet.of(compiled.system, Domain.of(compiled.system), 1e-3 * rtol, 24)
+    stricter = ReferenceSet.of(
+        compiled.system, SolveRequest(1e-3 * rtol, Domain.of(compiled.system), Check(24))
+    )
     measured = stricter.with_points(points).measured(solution.outcome.slabs)
     assert max(measured.interior) <= 5 * rtol

@@ -7,6 +7,7 @@ import pytest
 
 import rankone as ro
 from rankone.ir.domain import Domain
+from rankone.ir.request import Check, SolveRequest
 from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
 
@@ -17,7 +18,7 @@ def reference_set(
     name: str = "decay", check: int = 4, domain: Domain | None = None
 ) -> ReferenceSet:
     system = ro.compile(REFERENCE[name]()).system
-    return ReferenceSet.of(system, domain or Domain.of(system), 1e-6, check)
+    return ReferenceSet.of(system, SolveRequest(1e-6, domain or Domain.of(system), Check(check)))
 
 
 def test_more_points_are_integrated_alone() -> None:

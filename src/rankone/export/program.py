@@ -17,16 +17,15 @@ import numpy as np
 
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import SlabRecord
+from rankone.ir.request import SOLVE_ARGUMENTS, SolveRequest
 from rankone.ir.system import System
 from rankone.solution.core import SolutionCore, raise_blow_up
-from rankone.solvers.engine import Engine
-from rankone.solvers.task import Asked, Task
+from rankone.solvers.engine import Engine, solve_with
 from rankone.storage.npz import read, target
 from rankone.support.arrays import Array
 from rankone.support.budget import EFFORT_HELP, effort_of
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.support.files import npz, write_files
-from rankone.support.options import check_points
 from rankone.support.wording import quote
 
 __all__ = ["box_of", "load_solution", "options_of", "pairs_of", "run", "solve_system"]
@@ -39,19 +38,15 @@ _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and
 
 
 def solve_system(
-    engine: Engine[Any],
-    system: System,
-    metadata: SolutionMetadata,
-    asked: Asked,
+    engine: Engine, system: System, metadata: SolutionMetadata, request: SolveRequest
 ) -> SolutionCore:
     """Solve the system on its own box and horizon, or on others."""
-    check_points(asked.check)
-    solution = SolutionCore(*Task.of((engine,), system, asked).run(metadata))
+    solution = SolutionCore(*solve_with([engine], system, request, metadata))
 
-    def again(intervals: Mapping[str, tuple[float, float]], factor: float) -> SolutionCore:
-        return solve_system(engine, system, metadata, asked.on_part(intervals, factor))
+    def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> SolutionCore:
+        return solve_system(engine, system, metadata, request.on_box(intervals, factor))
 
-    raise_blow_up(solution, again)
+    raise_blow_up(solution, on_box)
     return solution
 
 
@@ -126,7 +121,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
 
 def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> SolutionCore:
     """Solve as the command line asks; after a blow-up take the part before it."""
-    box, options = box_of(given.box), options_of(given.options, Asked.keywords())
+    box, options = box_of(given.box), options_of(given.options, SOLVE_ARGUMENTS)
     effort = "normal" if given.effort is None else given.effort
     limits = {"t_final": given.t_final, "effort": effort, "max_seconds": given.max_seconds}
     rtol = 1e-6 if given.rtol is None else given.rtol

@@ -216,7 +216,7 @@ def _system_object(module: _GeneratedModule) -> str:
     return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
 
 
-def _end(engine: Engine[Any], metadata: SolutionMetadata) -> str:
+def _end(engine: Engine, metadata: SolutionMetadata) -> str:
     """What ties the parts together: the metadata, ``solve`` and ``load``."""
     fields = (f.name for f in dataclasses.fields(metadata) if _is_said(metadata, f))
     entries = [
@@ -284,9 +284,20 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
-    given = rtol, parameters, t_final, check, cover, max_seconds, options, unknowns, effort
-    asked = Asked(*given)
-    return solve_system(ENGINE, SYSTEM, METADATA, asked)
+    request = SolveRequest.of(
+        SYSTEM,
+        [ENGINE.options],
+        options,
+        rtol=rtol,
+        parameters=parameters,
+        t_final=t_final,
+        check=check,
+        cover=cover,
+        effort=effort,
+        max_seconds=max_seconds,
+        unknowns=unknowns,
+    )
+    return solve_system(ENGINE, SYSTEM, METADATA, request)
 
 
 def load(path: str) -> Solution:

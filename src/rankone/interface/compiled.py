@@ -52,10 +52,11 @@ from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Status
+from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.solution.core import raise_blow_up
+from rankone.solvers.engine import Engine, solve_with
 from rankone.solvers.registry import AUTO, ENGINES, engines_for
-from rankone.solvers.task import Asked, Task
 from rankone.support.budget import preparing
 from rankone.support.errors import (
     ConvergenceError,
@@ -65,7 +66,7 @@ from rankone.support.errors import (
     bounded_depth,
     check_kind,
 )
-from rankone.support.options import check_points, refuse_positional
+from rankone.support.options import refuse_positional
 from rankone.support.progress import Report, resolve_progress
 from rankone.support.version import __version__
 from rankone.support.wording import count, quote
@@ -283,19 +284,42 @@ class CompiledProblem:
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=separated)
         form = self.form_for(str(method))
-        check_points(check)
-        asked = Asked(
-            rtol, parameters, t_final, check, cover, max_seconds, options, unknowns, effort
+        request = SolveRequest.of(
+            form.system,
+            [engine.options for engine in engines],
+            options,
+            rtol=rtol,
+            parameters=parameters,
+            t_final=t_final,
+            check=check,
+            cover=cover,
+            effort=effort,
+            max_seconds=max_seconds,
+            unknowns=unknowns,
+            arguments=("method", "progress", "on_failure"),
         )
-        task = Task.of(engines, form.system, asked, "method", "progress", "on_failure")
-        if form is not self:
-            task = replace(task, truth=self.system)
-        if parameters or t_final is not None:
-            self._check_gaps(task.domain)
-            check_moved(self.problem, self.first_order, self.separated, self.system, task.domain)
+        solution = self._solved(request, engines, form, progress)
+        if on_failure == "raise" and not solution.success:
+            raise ConvergenceError(solution.message, solution=solution)
+        return solution
+
+    def _solved(
+        self,
+        request: SolveRequest,
+        engines: Sequence[Engine],
+        form: CompiledProblem | LiftedProblem,
+        progress: bool | Report,
+    ) -> Solution:
+        """Solve in one of the forms; a BlowUpError where a trajectory blows up."""
+        if request.domain != Domain.of(form.system):
+            self._check_gaps(request.domain)
+            check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
+        truth = None if form is self else self.system
         began = time.perf_counter()
         with resolve_progress(progress) as report, _one_blas_thread():
-            outcome, metadata = task.run(self.metadata(), report)
+            outcome, metadata = solve_with(
+                engines, form.system, request, self.metadata(), report, truth
+            )
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
@@ -305,14 +329,10 @@ class CompiledProblem:
             message = "; ".join(filter(None, [message, smoothing]))
         solution = Solution(replace(outcome, timings=timings, message=message), metadata)
 
-        def again(intervals: Mapping[str, tuple[float, float]], factor: float) -> Solution:
-            smaller = asked.on_part(intervals, factor)
-            given = {name: getattr(smaller, name) for name in asked.keywords()}
-            return self.solve(**given, method=method, **options)
+        def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> Solution:
+            return self._solved(request.on_box(intervals, factor), engines, form, False)
 
-        raise_blow_up(solution, again, smoothing)
-        if on_failure == "raise" and not solution.success:
-            raise ConvergenceError(message, solution=solution)
+        raise_blow_up(solution, on_box, smoothing)
         return solution
 
     def _check_gaps(self, domain: Domain) -> None:

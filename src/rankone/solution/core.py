@@ -315,12 +315,12 @@ def _memory() -> Iterator[None]:
 
 def raise_blow_up(
     solution: SolutionCore,
-    again: Callable[[Mapping[str, tuple[float, float]], float], Any],
+    on_box: Callable[[Mapping[int, tuple[float, float]], float], SolutionCore],
     smoothing: str | None = None,
 ) -> None:
     """Raise a BlowUpError that carries the solution if a trajectory has no end.
 
-    ``again`` solves with other intervals of some parameters, and a factor on the budget;
+    ``on_box`` solves with other intervals of some parameters, and a fraction of the budget;
     ``smoothing`` says which term switches.
     """
     outcome = solution.outcome
@@ -342,7 +342,7 @@ def raise_blow_up(
         remedy += ", or narrow the box"
 
     def part() -> Any:
-        return solved_part(lambda j, ends: again({names[j]: ends}, 1.0 / PARTS), safe)
+        return solved_part(lambda j, ends: on_box({j: ends}, 1.0 / PARTS), safe)
 
     raise BlowUpError(
         f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"

@@ -12,10 +12,9 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import Measured, Outcome, SafeInterval, SlabRecord, Status
+from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
-from rankone.solvers.engine import Request
 from rankone.solvers.march import MarchResult
 from rankone.solvers.verdict import Verdict, spent_sentence
 from rankone.support.arrays import Array
@@ -161,28 +160,28 @@ class Marcher(Protocol):
 
 
 def solve_in_attempts(
-    prepared: Callable[[Request[Any], ReferenceSet], Marcher],
+    prepared: Callable[[SolveRequest, ReferenceSet], Marcher],
+    group: type[Options],
     system: System,
-    domain: Domain,
-    request: Request[Any],
+    request: SolveRequest,
     report: Report,
 ) -> Outcome:
     """Integrate the reference, then march and check until the measured error fits.
 
-    ``prepared`` makes the marcher from the request and its reference set. A part of the budget is
-    kept for saying why it failed.
+    ``prepared`` makes the marcher from the request and its reference set; ``group`` is the type
+    of the engine's options. A part of the budget is kept for saying why it failed.
     """
     stages = Stages()
     with _keeping_some():
         try:
             with stages.of("reference"):
-                asked = request.rtol, request.points, request.cover, request.counted
-                reference_set = ReferenceSet.of(system, domain, *asked)
+                reference_set = ReferenceSet.of(system, request)
                 marcher = prepared(request, reference_set)
                 marcher.reference_set = reference_set
         except OutOfBudgetError as out:
             return _out_at_reference(Status.of_limit(out), out.args, system, stages)
-        best, records, met = _attempts(marcher, request, report, stages)
+        options = request.options_of(group)
+        best, records, met = _attempts(marcher, request.rtol, options, report, stages)
     reference_set = marcher.reference_set
     status = best.status(reference_set, request.rtol)
     if met is not None and status is not Status.CONVERGED:
@@ -200,7 +199,7 @@ def solve_in_attempts(
     safe: tuple[SafeInterval, ...] = ()
     if blow_up is not None and reference_set.reference.switching is None:
         with stages.of("reference"):
-            safe = safe_intervals(system, domain, reference_set.cuts, np.array(blow_up[1]))
+            safe = safe_intervals(system, request.domain, reference_set.cuts, np.array(blow_up[1]))
     ended = blow_up, safe, reference_set.reference.switching
     return Outcome(
         slabs, status, message, best.measured, tuple(records), stages.timings, stages.work, *ended
@@ -227,7 +226,7 @@ def _out_at_reference(
 
 
 def _attempts(
-    marcher: Marcher, request: Request[Any], report: Report, stages: Stages
+    marcher: Marcher, rtol: float, options: Options, report: Report, stages: Stages
 ) -> tuple[Attempt, list[SlabRecord], Status | None]:
     """The best attempt, the records of all, and the limit of the whole solve that ended them."""
     records: list[SlabRecord] = []
@@ -247,7 +246,7 @@ def _attempts(
         with stages.of("check"):
             attempt = Attempt(result, before.measured(result.slabs))
             try:
-                further = _further_points(before, attempt, request.rtol, index)
+                further = _further_points(before, attempt, rtol, index)
                 if further is not None:
                     marcher.reference_set = before.with_points(further)
             except OutOfBudgetError as out:  # not measured where it must be
@@ -262,14 +261,14 @@ def _attempts(
         progress.add(attempt.error, best.error if best else math.inf)
         best = attempt if attempt.better_than(best) else best
         met = result.stopped if result.stopped in _OF_ALL else None
-        done = result.stopped or not before.checked or attempt.error <= request.rtol
-        if done or _enough(index + 1, request.options, progress):
+        done = result.stopped or not before.checked or attempt.error <= rtol
+        if done or _enough(index + 1, options, progress):
             break
         if not marcher.refine(attempt, progress):
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
-    return _restated(best, marcher.reference_set, request.rtol), records, met
+    return _restated(best, marcher.reference_set, rtol), records, met
 
 
 def _enough(count: int, options: Options, progress: Progress) -> bool:

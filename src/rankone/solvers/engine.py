@@ -1,54 +1,39 @@
-"""What every engine offers, and what it is asked."""
+"""What every engine offers, and a solve that tries one engine after the other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
-from rankone.ir.domain import Domain
-from rankone.ir.outcome import Outcome, SlabRecord
+import numpy as np
+
+from rankone.ir.domain import Domain, check_factors
+from rankone.ir.jumps import warn_of_last
+from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
-from rankone.support.errors import OptionError
-from rankone.support.options import Options, checked_number
+from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
+from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
+from rankone.verification.drift import drift
+from rankone.verification.measure import ReferenceSet
 
-__all__ = ["Engine", "Report", "Request"]
+__all__ = ["Engine", "Report", "solve_with"]
 
-_TIGHTEST, _LOOSEST = 1e-10, 0.1
-_CHECK_POINTS = 96
-_COVERS = ("interior", "box")
-
-AnyOptions = TypeVar("AnyOptions", bound=Options)
-
-
-@dataclass(frozen=True)
-class Request(Generic[AnyOptions]):
-    """What is asked of a solve.
-
-    Attributes
-    ----------
-    rtol : float
-        Largest measured error asked for, relative to the size of each unknown.
-    points : int
-        Number of interior check points; 0 skips the check.
-    options : Options
-        Limits and discretisation, those of the engine.
-    cover : {"interior", "box"} or None
-        Whether success covers the corners of the box; None where there are few parameters.
-    counted : tuple of int or None
-        The states whose error counts; None for all.
-    """
-
-    rtol: float
-    points: int
-    options: AnyOptions
-    cover: str | None = None
-    counted: tuple[int, ...] | None = None
+_FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
+"""How a solve ends that no other engine is tried after."""
+_TRAIN_OPERATIONS = 2e9
+"""Most operations for train where cross follows: a system that suits train needs fewer."""
+_TRAIN_SHARE = 0.4
+"""Largest share of the budget for train where cross follows."""
+_CROSS_SHARE = 0.7
+"""Share of the budget for cross where train follows."""
+_AS_WRITTEN = "method='cross', the default, takes the system as it was written"
 
 
 @dataclass(frozen=True)
-class Engine(Generic[AnyOptions]):
+class Engine:
     """A way to solve a generated system for a whole box.
 
     ``name`` is the ``method`` of ``rankone.solve``; ``record`` is what the history consists of. The
@@ -56,31 +41,9 @@ class Engine(Generic[AnyOptions]):
     """
 
     name: str
-    options: type[AnyOptions]
+    options: type[Options]
     record: type[SlabRecord]
-    solve: Callable[[System, Domain, Request[AnyOptions], Report], Outcome]
-
-    def request(
-        self,
-        rtol: float,
-        check: bool | int,
-        options: Mapping[str, Any],
-        keywords: Sequence[str] = (),
-        cover: str | None = None,
-    ) -> Request[AnyOptions]:
-        """What is asked, or an OptionError: 96 points for ``check=True``, none for False.
-
-        ``keywords`` are what the caller takes beside options.
-        """
-        rtol = checked_number("rtol", rtol, _TIGHTEST, _LOOSEST, float)
-        points = (
-            _CHECK_POINTS * check if isinstance(check, bool) else checked_number("check", check, 0)
-        )
-        if cover is not None and (not isinstance(cover, str) or cover not in _COVERS):
-            raise OptionError(
-                f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
-            )
-        return Request(rtol, points, self.options.of(keywords, **options), cover)
+    solve: Callable[[System, SolveRequest, Report], Outcome]
 
     def run(
         self,
@@ -90,8 +53,118 @@ class Engine(Generic[AnyOptions]):
         domain: Domain | None = None,
         check: bool | int = True,
         report: Report = quiet,
-        **options: Any,
+        **options: object,
     ) -> Outcome:
         """Solve a generated system directly, by default on the domain it was written for."""
-        request = self.request(rtol, check, options)
-        return self.solve(system, domain or Domain.of(system), request, report)
+        request = SolveRequest.of(system, [self.options], options, rtol=rtol, check=check)
+        return self.solve(system, replace(request, domain=domain or request.domain), report)
+
+
+def solve_with(
+    engines: Sequence[Engine],
+    system: System,
+    request: SolveRequest,
+    metadata: SolutionMetadata,
+    report: Report = quiet,
+    truth: System | None = None,
+) -> tuple[Outcome, SolutionMetadata]:
+    """Solve with one engine after the other until the error is within the tolerance.
+
+    Parameters
+    ----------
+    truth : System, optional
+        The system as it was before functions of its states were lifted: the solution is measured
+        against its trajectories.
+
+    Returns
+    -------
+    Outcome
+    SolutionMetadata
+        That of the problem, with what was asked of this solve.
+
+    Raises
+    ------
+    OptionError
+        If a known factor is not finite somewhere on the domain.
+    """
+    domain, limits = request.domain, request.limits
+    check_factors(system, domain)
+    warn_of_last(system, *domain.horizon)
+    with limited(limits.operations, limits.seconds), np.errstate(all="ignore"):  # is checked
+        outcome, method = _best_outcome(engines, system, request, report)
+        outcome = _without_lifted(outcome, system, request, truth)
+    box, horizon, rtol = domain.box, domain.horizon, request.rtol
+    return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
+
+
+def _best_outcome(
+    engines: Sequence[Engine], system: System, request: SolveRequest, report: Report
+) -> tuple[Outcome, str]:
+    """The best outcome, and the name of its engine."""
+    end = request.domain.horizon[1]
+
+    def badness(attempt: tuple[Outcome, str]) -> tuple[bool, bool, float]:
+        """Final outcomes first, then those that reach the end, then the most accurate."""
+        outcome, _ = attempt
+        whole = bool(outcome.slabs) and outcome.slabs[-1].end >= end
+        return outcome.status not in _FINAL, not whole, outcome.error
+
+    outcomes: list[tuple[Outcome, str]] = []
+    for engine in engines:
+        if outcomes and min(work_left(), seconds_left()) <= 0.0:
+            break
+        with limited(*_share(engine, last=engine is engines[-1])):
+            outcome = engine.solve(system, request, report)
+        outcomes.append((outcome, engine.name))
+        if outcome.status in _FINAL:
+            break
+    best, method = min(outcomes, key=badness)
+    if len(outcomes) == 1:
+        return best, method
+    timings = {stage: sum(o.timings[stage] for o, _ in outcomes) for stage in best.timings}
+    work = {stage: sum(o.work[stage] for o, _ in outcomes) for stage in best.work}
+    tried = "".join(f". Tried too, {n}: {o.message}" for o, n in outcomes if o is not best)
+    message = f"{method}: {best.message}{tried}"
+    return replace(best, timings=timings, work=work, message=message), method
+
+
+def _share(engine: Engine, last: bool) -> tuple[float, float]:
+    """Operations and seconds for an engine: train before cross gets no more than a try."""
+    work, seconds = work_left(), seconds_left()
+    if last:
+        return work, seconds
+    if engine.name == "train":
+        return min(_TRAIN_OPERATIONS, _TRAIN_SHARE * work), _TRAIN_SHARE * seconds
+    return _CROSS_SHARE * work, _CROSS_SHARE * seconds
+
+
+def _without_lifted(
+    outcome: Outcome, system: System, request: SolveRequest, truth: System | None
+) -> Outcome:
+    """The outcome without lifted states, measured against the system as it was written."""
+    lifted = getattr(system, "LIFTED", 0)
+    if not lifted or not outcome.slabs:
+        return outcome
+    with unlimited():
+        drifted = drift(system, request.domain, outcome.slabs)
+    slabs = tuple(slab.first_states(system.N_DIFFERENTIAL - lifted) for slab in outcome.slabs)
+    measured = outcome.measured and replace(outcome.measured, drift=drifted)
+    outcome = replace(outcome, slabs=slabs, measured=measured)
+    if truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:
+        return outcome
+    if outcome.status is not Status.CONVERGED:
+        return replace(outcome, message=f"{outcome.message}; {_AS_WRITTEN}")
+    try:
+        measured = ReferenceSet.of(truth, request).measured(outcome.slabs)
+    except OutOfBudgetError as out:
+        status = Status.of_limit(out)
+        return replace(outcome, status=status, message=status.value)
+    assert measured is not None
+    measured, error = replace(measured, drift=drifted), measured.error
+    if error <= request.rtol:
+        message = f"{Status.CONVERGED.value}: {error:.1e} of {request.rtol:.1e}"
+        return replace(outcome, measured=measured, message=message)
+    message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
+    message += f" (of the system as it was written; lifted states drift by {drifted:.1e})"
+    message += f"; {_AS_WRITTEN}"
+    return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from difflib import SequenceMatcher
-from typing import Any
 
 from rankone.solvers import cross, greedy, train
 from rankone.solvers.engine import Engine
@@ -20,14 +19,14 @@ _FEW_PARAMETERS = 1
 _RESOURCES = {"executor"}
 """Options of single engines that say with what to compute, and not what."""
 
-ENGINES: dict[str, Engine[Any]] = {
+ENGINES: dict[str, Engine] = {
     engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)
 }
 
 
 def engines_for(
     method: str, options: Collection[str] = (), parameters: int = 0, *, separated: bool = True
-) -> tuple[Engine[Any], ...]:
+) -> tuple[Engine, ...]:
     """The engines that are tried for a method, with the options given.
 
     ======  ===================  ================================================================
@@ -75,7 +74,7 @@ def engines_for(
     return (engine,)
 
 
-def _knows(engine: Engine[Any], options: Collection[str]) -> tuple[int, float]:
+def _knows(engine: Engine, options: Collection[str]) -> tuple[int, float]:
     """How many of the options an engine has, and how much alike to them its own are spelt."""
     names = engine.options.names()
     alike = sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)

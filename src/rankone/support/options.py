@@ -13,7 +13,6 @@ from rankone.support.wording import did_you_mean, shown
 
 __all__ = [
     "Options",
-    "check_points",
     "checked_count",
     "checked_number",
     "choice",
@@ -26,8 +25,8 @@ __all__ = [
 
 _MOST_NUMBERS = 2**28
 """Floating-point numbers that random, or evenly spread, points may take."""
-_MOST, _MOST_CHECK_POINTS = 10**9, 100000
-"""Largest integer of an option, and most check points."""
+_LARGEST_INTEGER = 10**9
+"""Largest integer of an option: beyond it a limit limits nothing."""
 
 
 def checked_number(
@@ -54,12 +53,6 @@ def checked_count(name: str, value: Any, least: int, each: int) -> int:
     return int(checked_number(name, value, least, max(least, _MOST_NUMBERS // max(each, 1))))
 
 
-def check_points(check: Any) -> None:
-    """Raise an OptionError if so many check points are out of the question."""
-    if not isinstance(check, bool):
-        checked_number("check", check, 0, _MOST_CHECK_POINTS)
-
-
 def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:
     """Raise an OptionError if there are arguments by position, with the form by keyword."""
     if arguments:
@@ -69,7 +62,7 @@ def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:
         )
 
 
-def integer(default: int | None, least: int = 1, most: int = _MOST) -> Any:
+def integer(default: int | None, least: int = 1, most: int = _LARGEST_INTEGER) -> Any:
     """Declare an integer between two others."""
     return _declared(default, lambda name, value: checked_number(name, value, least, most))
 
@@ -84,8 +77,8 @@ def integers(default: int | None, least: int = 1) -> Any:
 
     def check(name: str, value: Any) -> Any:
         if isinstance(value, list | tuple):
-            return tuple(checked_number(name, item, least, _MOST) for item in value)
-        return checked_number(name, value, least, _MOST)
+            return tuple(checked_number(name, item, least, _LARGEST_INTEGER) for item in value)
+        return checked_number(name, value, least, _LARGEST_INTEGER)
 
     return _declared(default, check)
 

@@ -13,6 +13,7 @@ import numpy as np
 from rankone.ir.domain import Domain
 from rankone.ir.jumps import jump_times
 from rankone.ir.outcome import Measured
+from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import unlimited
@@ -83,20 +84,10 @@ class ReferenceSet:
     counted: tuple[int, ...] | None = None
 
     @classmethod
-    def of(
-        cls,
-        system: System,
-        domain: Domain,
-        rtol: float,
-        check: int,
-        cover: str | None = None,
-        counted: tuple[int, ...] | None = None,
-    ) -> ReferenceSet:
-        """Integrate the reference for a solve to ``rtol`` with ``check`` interior points.
-
-        ``cover`` says whether corners count, "box", or not, "interior"; they do by default where
-        there are few parameters. ``counted`` are the states whose error counts, if not all do.
-        """
+    def of(cls, system: System, request: SolveRequest) -> ReferenceSet:
+        """Integrate the reference for a solve."""
+        domain, rtol = request.domain, request.rtol
+        check, cover, counted = request.check.points, request.check.cover, request.check.states
         whole_box = len(domain.box) <= FEW if cover is None else cover == "box"
         in_time, *special = system_breakpoints(system, domain)
         cuts = _with_jumps(in_time.points, system, domain)

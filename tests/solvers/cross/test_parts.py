@@ -8,6 +8,7 @@ import pytest
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.ir.domain import Domain
+from rankone.ir.request import Check, SolveRequest
 from rankone.solvers.cross.nodes import needed
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import Trajectories
@@ -42,7 +43,7 @@ def test_cuts_are_kept():
 @pytest.fixture(scope="module")
 def trajectories():
     system = ro.compile(EXAMPLES["coupled"].problem).system
-    reference_set = ReferenceSet.of(system, Domain.of(system), 1e-6, 24)
+    reference_set = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(24)))
     return Trajectories(reference_set, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 1.0, 10_000)
 
 

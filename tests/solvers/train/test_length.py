@@ -12,6 +12,7 @@ import rankone as ro
 from rankone.discretization import RadauCollocation
 from rankone.ir.domain import Domain
 from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.request import Check, SolveRequest
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths, TrainSpan
 from rankone.verification.measure import ReferenceSet
 
@@ -23,7 +24,7 @@ def lengths(
 ) -> SlabLengths:
     problem = ro.Problem.from_strings({"x": rhs}, {"x": "1"}, {"k": (1, 2)}, (0, end))
     system = ro.compile(problem).system
-    reference_set = ReferenceSet.of(system, Domain.of(system), 1e-6, 0)
+    reference_set = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(0)))
     return SlabLengths(reference_set, COLLOCATION, Accuracy(level, lambda time: 1.0), guesses)
 
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import Outcome, Status
+from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
@@ -20,7 +20,7 @@ from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.steep import steepest_front
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
-from rankone.solvers.engine import Engine, Report, Request
+from rankone.solvers.engine import Engine, Report
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, unlimited
@@ -87,10 +87,11 @@ class CrossMarcher:
     }
 
     def __init__(
-        self, request: Request[CrossOptions], reference_set: ReferenceSet, workers: Workers
+        self, request: SolveRequest, reference_set: ReferenceSet, workers: Workers
     ) -> None:
         self.workers = workers
-        self.rtol, self.options, self.reference_set = request.rtol, request.options, reference_set
+        self.rtol, self.options = request.rtol, request.options_of(CrossOptions)
+        self.reference_set = reference_set
         self.share, self.left = 1.0, _LEFT_POINTS
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
@@ -275,13 +276,11 @@ class CrossMarcher:
         return Status.STEEP, front.sentence(system.STATES, system.PARAMETERS)
 
 
-def solve_cross(
-    system: System, domain: Domain, request: Request[CrossOptions], report: Report
-) -> Outcome:
+def solve_cross(system: System, request: SolveRequest, report: Report) -> Outcome:
     """Solve a system for the whole box by cross interpolation of its trajectories."""
-    with open_workers(system, request.options.executor) as workers:
+    with open_workers(system, request.options_of(CrossOptions).executor) as workers:
         prepared = partial(CrossMarcher, workers=workers)
-        return solve_in_attempts(prepared, system, domain, request, report)
+        return solve_in_attempts(prepared, CrossOptions, system, request, report)
 
 
 ENGINE = Engine("cross", CrossOptions, CrossRecord, solve_cross)

@@ -11,8 +11,9 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.request import SolveRequest
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
-from rankone.solvers.engine import Engine, Request
+from rankone.solvers.engine import Engine
 from rankone.solvers.greedy.constants import (
     FAST_FACTOR,
     FEW_ITERATIONS,
@@ -106,8 +107,9 @@ class GreedyMarcher(Marcher):
         Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
     }
 
-    def __init__(self, request: Request[GreedyOptions], reference_set: ReferenceSet) -> None:
-        self.rtol, self.options, self.reference_set = request.rtol, request.options, reference_set
+    def __init__(self, request: SolveRequest, reference_set: ReferenceSet) -> None:
+        self.rtol, self.options = request.rtol, request.options_of(GreedyOptions)
+        self.reference_set = reference_set
         system, domain, sizes = reference_set.system, reference_set.domain, reference_set.states
         self.growth = amplification(system, reference_set.reference, sizes, reference_set.end)
         self.coupling = Coupling(system, sizes, self.options)
@@ -175,5 +177,8 @@ def _unsettled(records: Sequence[SlabRecord]) -> str:
 
 
 ENGINE = Engine(
-    "greedy", GreedyOptions, GreedySlabRecord, partial(solve_in_attempts, GreedyMarcher)
+    "greedy",
+    GreedyOptions,
+    GreedySlabRecord,
+    partial(solve_in_attempts, GreedyMarcher, GreedyOptions),
 )

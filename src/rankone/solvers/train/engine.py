@@ -9,8 +9,9 @@ from typing import ClassVar
 
 from rankone.discretization import RadauCollocation
 from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.request import SolveRequest
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
-from rankone.solvers.engine import Engine, Request
+from rankone.solvers.engine import Engine
 from rankone.solvers.march import March, MarchResult
 from rankone.solvers.train.constants import CORNERS_TOLERANCE_SHARE, INTERIOR_TOLERANCE_SHARE
 from rankone.solvers.train.iteration import SlabIteration
@@ -37,8 +38,9 @@ class TrainMarcher(Marcher):
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
     }
 
-    def __init__(self, request: Request[TrainOptions], reference_set: ReferenceSet) -> None:
-        self.rtol, self.options, self.reference_set = request.rtol, request.options, reference_set
+    def __init__(self, request: SolveRequest, reference_set: ReferenceSet) -> None:
+        self.rtol, self.options = request.rtol, request.options_of(TrainOptions)
+        self.reference_set = reference_set
         system, domain, reference = (
             reference_set.system,
             reference_set.domain,
@@ -85,4 +87,6 @@ class TrainMarcher(Marcher):
         return True
 
 
-ENGINE = Engine("train", TrainOptions, SlabRecord, partial(solve_in_attempts, TrainMarcher))
+ENGINE = Engine(
+    "train", TrainOptions, SlabRecord, partial(solve_in_attempts, TrainMarcher, TrainOptions)
+)

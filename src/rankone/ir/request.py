@@ -1,0 +1,219 @@
+"""What is asked of a solve: tolerance, domain, check, limits, and the options of the engines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from rankone.discretization.coordinates import name_of
+from rankone.ir.domain import Domain
+from rankone.ir.system import Recipe, System
+from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.options import Options, checked_number
+from rankone.support.wording import did_you_mean, listing, quote
+
+__all__ = ["SOLVE_ARGUMENTS", "Check", "Limits", "SolveRequest"]
+
+SOLVE_ARGUMENTS = (
+    "rtol",
+    "parameters",
+    "t_final",
+    "check",
+    "cover",
+    "max_seconds",
+    "unknowns",
+    "effort",
+)
+"""Arguments of every ``solve``, beside the options of an engine."""
+_TIGHTEST_RTOL = 1e-10
+"""Smallest tolerance: the reference, three digits better, comes close to rounding errors there."""
+_LOOSEST_RTOL = 0.1
+"""Largest tolerance: beyond it a solution says little."""
+_USUAL_POINTS = 96
+"""Interior check points for ``check=True``: a twentieth of the box is missed with probability
+below 1 %."""
+_MOST_POINTS = 100_000
+"""Most interior check points, so that their trajectories fit into memory."""
+_COVERS = ("interior", "box")
+_USER_FUNCTION_FACTOR = 10.0
+"""Factor on the budget of work where functions of the user are called, which may be slow."""
+
+EngineOptions = TypeVar("EngineOptions", bound=Options)
+
+
+@dataclass(frozen=True)
+class Check:
+    """How a solution is compared with reference trajectories.
+
+    Attributes
+    ----------
+    points : int
+        Number of check points in the interior; 0 skips the check.
+    cover : {"interior", "box"} or None
+        Whether success covers the corners of the box. None: it does where there are few parameters.
+    states : tuple of int or None
+        The states whose error counts; None for all.
+    """
+
+    points: int = _USUAL_POINTS
+    cover: str | None = None
+    states: tuple[int, ...] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        check: bool | int = True,
+        cover: str | None = None,
+        unknowns: object = None,
+    ) -> Check:
+        """The check for arguments of ``solve``, or an OptionError."""
+        points = _USUAL_POINTS * check
+        if not isinstance(check, bool):
+            points = checked_number("check", check, 0, _MOST_POINTS)
+        if cover is not None and (not isinstance(cover, str) or cover not in _COVERS):
+            raise OptionError(
+                f"cover={cover!r} is not valid", remedy="choose 'interior' or 'box'", term=cover
+            )
+        return cls(points, cover, _counted_states(system, unknowns))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The budget of a solve.
+
+    Attributes
+    ----------
+    operations : float
+        Operations of counted work.
+    seconds : float
+        Seconds on the clock; infinite unless a user set a limit.
+    """
+
+    operations: float = math.inf
+    seconds: float = math.inf
+
+    @classmethod
+    def of(
+        cls, system: System, effort: str | float = "normal", max_seconds: float | None = None
+    ) -> Limits:
+        """The limits for arguments of ``solve``, or an OptionError."""
+        recipe: Recipe | None = getattr(system, "RECIPE", None)
+        slow = recipe is not None and recipe.namespace
+        operations = operations_for(effort) * (_USER_FUNCTION_FACTOR if slow else 1.0)
+        if max_seconds is None:
+            return cls(operations)
+        return cls(operations, checked_number("max_seconds", max_seconds, 0.0, kind=float))
+
+    def scaled(self, factor: float) -> Limits:
+        """A fraction of these limits."""
+        return Limits(max(factor * self.operations, LEAST_EFFORT * NORMAL), factor * self.seconds)
+
+
+@dataclass(frozen=True)
+class SolveRequest:
+    """What is asked of a solve, checked.
+
+    Attributes
+    ----------
+    rtol : float
+        Largest measured error asked for, relative to the size of each unknown.
+    domain : Domain
+        Horizon and box.
+    check : Check
+    limits : Limits
+    options : tuple of Options
+        One group for each engine that may be tried.
+    """
+
+    rtol: float
+    domain: Domain
+    check: Check = Check()
+    limits: Limits = Limits()
+    options: tuple[Options, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        groups: Sequence[type[Options]],
+        options: Mapping[str, object],
+        *,
+        rtol: float = 1e-6,
+        parameters: Mapping[object, Sequence[float]] | None = None,
+        t_final: float | None = None,
+        check: bool | int = True,
+        cover: str | None = None,
+        effort: str | float = "normal",
+        max_seconds: float | None = None,
+        unknowns: object = None,
+        arguments: Sequence[str] = (),
+    ) -> SolveRequest:
+        """Check the arguments of a ``solve``.
+
+        Parameters
+        ----------
+        groups : sequence of type
+            The options of the engines that may be tried. Several engines take each the ``options``
+            that they know; a single one has to know all of them.
+        arguments : sequence of str
+            What the caller's ``solve`` takes beside ``SOLVE_ARGUMENTS``.
+
+        Raises
+        ------
+        OptionError
+            If an argument or an option is unknown or out of its range.
+        """
+        rtol = checked_number("rtol", rtol, _TIGHTEST_RTOL, _LOOSEST_RTOL, float)
+        compared = Check.of(system, check, cover, unknowns)
+        keywords = (*SOLVE_ARGUMENTS, *arguments)
+        chosen = tuple(
+            group.of(
+                keywords,
+                **{k: v for k, v in options.items() if len(groups) == 1 or k in group.names()},
+            )
+            for group in groups
+        )
+        domain = Domain.of(system).moved(system.PARAMETERS, parameters, t_final)
+        return cls(rtol, domain, compared, Limits.of(system, effort, max_seconds), chosen)
+
+    def options_of(self, group: type[EngineOptions]) -> EngineOptions:
+        """The options of one engine, by their type."""
+        return next(options for options in self.options if isinstance(options, group))
+
+    def on_box(self, intervals: Mapping[int, tuple[float, float]], factor: float) -> SolveRequest:
+        """The same with other intervals of some parameters, and a fraction of the limits."""
+        box = tuple(intervals.get(j, interval) for j, interval in enumerate(self.domain.box))
+        domain = replace(self.domain, box=box)
+        return replace(self, domain=domain, limits=self.limits.scaled(factor))
+
+
+def _counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
+    """The states whose error counts, of names, functions of time or derivatives; None for all."""
+    if unknowns is None:
+        return None
+    states = system.STATES[: system.N_DIFFERENTIAL - getattr(system, "LIFTED", 0)]
+    remedy = f"give some of {listing(states)}"
+    single = isinstance(unknowns, str) or hasattr(unknowns, "free_symbols")
+    listed = [unknowns] if single else unknowns
+    try:
+        if not isinstance(listed, Iterable):
+            raise TypeError
+        names = [name_of(unknown) for unknown in listed]
+    except (TypeError, EvaluationError):
+        raise OptionError(
+            f"unknowns={unknowns!r} is no list of unknowns", term=unknowns, remedy=remedy
+        ) from None
+    for name in names:
+        if name not in states:
+            raise OptionError(
+                f"there is no unknown {quote(name)}{did_you_mean(name, states)}",
+                term=name,
+                remedy=remedy,
+            )
+    if not names:
+        raise OptionError("no unknown is to count: unknowns is empty", remedy=remedy)
+    return tuple(sorted({states.index(name) for name in names}))
