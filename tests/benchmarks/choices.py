@@ -2,8 +2,9 @@
 
 Each choice is undone on its own, by an option or by replacing one function, and the solve is made
 once with the same inner tolerance (one attempt). Errors are relative to each unknown's size,
-against SciPy trajectories at 256 random interior points and at corners × 21 times. ``--update``
-writes the table to docs/engine.md.
+against SciPy trajectories at 256 random interior points and at corners × 21 times. A second table
+says for each choice how much larger errors are and how much longer a solve takes without it;
+``--update`` writes that one to docs/engine.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from rankone.tensors.truncation import truncated_svd  # noqa: E402
 from rankone.verification.reference import integrate_reference  # noqa: E402
 from tests.benchmarks.report import machine, update  # noqa: E402
 
+AS_IT_IS = "as it is"
 PROBLEMS = {
     "linear": (linear.problem, 1e-6),
     "coupled": (coupled.problem, 1e-6),
@@ -84,7 +86,7 @@ def _replaced(module: Any, name: str, value: Any) -> Iterator[None]:
 VARIANTS: dict[
     str, tuple[dict[str, Any], Callable[[], AbstractContextManager[None]], list[str]]
 ] = {
-    "as it is": ({}, nullcontext, list(PROBLEMS)),
+    AS_IT_IS: ({}, nullcontext, list(PROBLEMS)),
     "Gauss–Legendre nodes": ({"basis": "legendre"}, nullcontext, list(PROBLEMS)[1:]),
     "sweeps both ways": (
         {},
@@ -124,12 +126,23 @@ VARIANTS: dict[
 }
 
 
+LEAST_RATIO = 1.05
+"""Smaller ratios cannot be told from one."""
+HEADERS = (
+    "problem",
+    "rtol",
+    "engine",
+    "random points",
+    "corners",
+    "largest rank",
+    "entries",
+    "solve",
+)
+
+
 def main() -> None:
     compiled = {title: ro.compile(problem) for title, (problem, _) in PROBLEMS.items()}
-    lines = [
-        "| problem | rtol | engine | random points | corners | largest rank | entries | solve |",
-        "|---|---|---|--:|--:|--:|--:|--:|",
-    ]
+    rows = []
     for title, (_, rtol) in PROBLEMS.items():
         exact = _trajectories(compiled[title])
         for variant, (options, replacement, titles) in VARIANTS.items():
@@ -146,13 +159,46 @@ def main() -> None:
                 cores = (core for slab in solution.outcome.slabs for core in slab.cores)
                 entries = sum(np.count_nonzero(core) for core in cores)
                 row += [str(solution.rank), f"{entries:,}", f"{seconds:.2g} s"]
-            lines.append(f"| {' | '.join(row)} |")
-    text = "\n".join(lines)
-    print(text)
+            rows.append(row)
+    print(_table(HEADERS, rows))
+    worth = worth_of_choices(rows)
+    print(f"\n{worth}")
     if "--update" in sys.argv[1:]:
         update(
-            ROOT / "docs" / "engine.md", f"{text}\n\nMeasured on {', '.join(machine().values())}."
+            ROOT / "docs" / "engine.md", f"{worth}\n\nMeasured on {', '.join(machine().values())}."
         )
+
+
+def worth_of_choices(rows: Sequence[Sequence[str]]) -> str:
+    """For each choice by how much errors and seconds grow without it, where they grow most."""
+    usual = {row[0]: row for row in rows if row[2] == AS_IT_IS}
+    lines = []
+    for variant in VARIANTS:
+        solved = [row for row in rows if row[2] == variant != AS_IT_IS and row[-1]]
+        failures = [row[0] for row in rows if row[2] == variant and not row[-1]]
+        if solved:
+            worst = [_largest_ratio(solved, usual, column) for column in (3, 4, 7)]
+            lines.append([variant, *worst, ", ".join(failures) or "–"])
+    headers = ("choice undone", "error inside", "error at corners", "time", "not solved")
+    return _table(headers, lines)
+
+
+def _largest_ratio(
+    rows: Sequence[Sequence[str]], usual: dict[str, Sequence[str]], column: int
+) -> str:
+    """The largest ratio of a column to the same as it is, and the problem; a dash for none."""
+    ratio, problem = max(
+        (float(row[column].split()[0]) / float(usual[row[0]][column].split()[0]), row[0])
+        for row in rows
+    )
+    if ratio < LEAST_RATIO:
+        return "–"
+    return f"× {ratio:,.0f} ({problem})" if ratio > 10 else f"× {ratio:.1f} ({problem})"
+
+
+def _table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    rule = ["---"] * len(headers)
+    return "\n".join(f"| {' | '.join(row)} |" for row in [headers, rule, *rows])
 
 
 def _solve(
