@@ -18,6 +18,7 @@ from rankone.tensors.cross import rounded
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
 from rankone.tensors.train import thinned
+from rankone.verification.search import Climb, climbed
 
 __all__ = ["Rounding", "rounded_slabs"]
 
@@ -29,9 +30,10 @@ _MARGIN = 0.7
 _ENOUGH = 0.45
 """Of what was asked; no larger difference is sought."""
 _ATTEMPTS = 9
-_CLIMBERS, _TRIES, _ROUNDS, _RADIUS, _SHRINK = 24, 6, 15, 0.2, 0.8
-"""Points from which larger differences are looked for, steps that each tries in a round, rounds,
-the size of the first steps in widths of the box, and the factor on it."""
+_CLIMBERS = 24
+"""Points from which larger differences are looked for."""
+_TO_DIFFERENCES = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, seed=1)
+"""The way to them."""
 
 
 @dataclass(frozen=True)
@@ -108,22 +110,17 @@ def _changes(
     before, after = TrainEvaluator(slabs), TrainEvaluator(found)
     rows = slice(0, len(sizes))
     each = np.abs(after.many(points, rows) - values) / sizes[:, None]
-    worst = np.argsort(-each.max(axis=0))[:_CLIMBERS]
-    at, heights = points[:, worst], each[:, worst].max(axis=0)
     largest = each.max(axis=1)
-    ends, rng, radius = np.array(intervals), np.random.default_rng(1), _RADIUS
-    for _ in range(_ROUNDS):
-        steps = rng.standard_normal((*at.shape, _TRIES)) * (rng.random((*at.shape, _TRIES)) < 0.5)
-        tried = at[:, :, None] + radius * np.diff(ends)[:, :, None] * steps
-        tried = np.clip(tried, ends[:, :1, None], ends[:, 1:, None]).reshape(len(ends), -1)
-        there = np.abs(after.many(tried, rows) - before.many(tried, rows)) / sizes[:, None]
+
+    def difference(tried: Array) -> Array:
+        nonlocal largest
+        there = np.abs(after.many(tried.T, rows) - before.many(tried.T, rows)) / sizes[:, None]
         largest = np.maximum(largest, there.max(axis=1))
-        height = there.max(axis=0).reshape(-1, _TRIES)
-        best, columns = height.argmax(axis=1), np.arange(len(height))
-        better = height[columns, best] > heights
-        chosen = tried.reshape(len(ends), -1, _TRIES)[:, columns, best]
-        at, heights = np.where(better, chosen, at), np.maximum(heights, height[columns, best])
-        radius *= _SHRINK
+        return np.asarray(there.max(axis=0))
+
+    worst = np.argsort(-each.max(axis=0))[:_CLIMBERS]
+    heights = each[:, worst].max(axis=0)
+    climbed(difference, points[:, worst].T, heights, np.array(intervals), _TO_DIFFERENCES)
     return np.asarray(largest)
 
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.domain import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.support.arrays import Array
-from rankone.support.spread import spread
+from rankone.support.spread import corners, spread
 from rankone.tensors.slab import SlabTrain
+from rankone.verification.search import Climb, bisected, climbed
 
 __all__ = ["Check", "CheckPoints", "critical_points", "split", "spread_over"]
 
@@ -22,10 +24,14 @@ _ROUNDING = 1e-13
 """Quantities so small, over what they are made of, are zero."""
 _POINTS, _CORNERS = 96, 32
 """Points of the interior where an error is measured, and most corners of the box."""
-_SCOUTS, _CLIMBERS, _TRIES = 512, 16, 5
-"""Points where a search begins, best of them that go on, and steps that each tries."""
-_DESCENTS, _CLIMBS, _RADIUS, _SHRINK = 24, 10, 0.25, 0.8
-"""Rounds of steps, the size of the first ones in widths of the box, and the factor on it."""
+_SCOUTS = 512
+"""Points where a search begins."""
+_CLIMBERS = 16
+"""Best of them that go on."""
+_TO_CHANGES = Climb(rounds=24, tries=5, first_step=0.25, shrinkage=0.8)
+"""The way to where extremes, durations or crossings are nearest to a change."""
+_TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)
+"""The way to larger errors."""
 _FIRST_PART = 0.55
 """Of a slab of the grid on which the error is measured, so that its nodes are others."""
 _MOST_BREAKS, _NEAR, _BISECTIONS = 32, 1e-6, 60
@@ -82,11 +88,11 @@ class Check:
         best = np.argsort(-missed)[:_CLIMBERS]
         points, errors = self.points[best], missed[best]
 
-        def minus_error(at: Array) -> Array:
-            found = Check(at, sampler(at), self.sizes).missed(slabs, sampler)
-            return np.asarray(-found.max(axis=0))
+        def error(at: Array) -> Array:
+            missed = Check(at, sampler(at), self.sizes).missed(slabs, sampler)
+            return np.asarray(missed.max(axis=0))
 
-        points, _ = _descended(minus_error, points, -errors, domain, _CLIMBS)
+        points, _ = climbed(error, points, errors, domain.bounds, _TO_ERRORS)
         return Check(points, sampler(points), self.sizes)
 
     def amplified(self, sampler: Sampler, rtol: float) -> Array:
@@ -118,29 +124,11 @@ def critical_points(sampler: Sampler, domain: Domain) -> Array:
     points = spread_over(domain, _SCOUTS)
     margins = sampler.margins(points)
     best = np.argsort(margins)[:_CLIMBERS]
-    found, left = _descended(sampler.margins, points[best], margins[best], domain, _DESCENTS)
-    return found[np.isfinite(left)]
-
-
-def _descended(
-    function: Callable[[Array], Array], points: Array, values: Array, domain: Domain, rounds: int
-) -> tuple[Array, Array]:
-    """Points (m, d) of lower values of a function, by random steps that grow smaller."""
-    lower, upper = domain.bounds.T
-    generator = np.random.default_rng(20147)
-    radius = _RADIUS
-    for _ in range(rounds):
-        steps = generator.standard_normal((_TRIES, *points.shape)) * radius * (upper - lower)
-        some = generator.random(steps.shape) < 0.5  # some coordinates stay, such as at an end
-        tried = np.clip(points + steps * some, lower, upper)
-        found = function(tried.reshape(-1, points.shape[1])).reshape(_TRIES, -1)
-        best = found.argmin(axis=0)
-        columns = np.arange(len(points))
-        better = found[best, columns] < values
-        points = np.where(better[:, None], tried[best, columns], points)
-        values = np.where(better, found[best, columns], values)
-        radius *= _SHRINK
-    return points, values
+    heights = -margins[best]
+    critical, heights = climbed(
+        lambda at: -sampler.margins(at), points[best], heights, domain.bounds, _TO_CHANGES
+    )
+    return critical[np.isfinite(heights)]
 
 
 @dataclass(frozen=True)
@@ -163,11 +151,11 @@ class CheckPoints:
     @classmethod
     def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
         """The points for some quantities."""
-        corners = _corners(domain)
+        at_corners = _corners(domain)
         special = [_beside(domain, quantities.breaks[1:]), _on_ridges(domain, quantities)]
         halves = np.split(spread_over(domain, 2 * _POINTS if domain.box else 2), 2)
-        aimed, further = (np.concatenate([corners, half, *special]) for half in halves)
-        return cls(len(corners), aimed, further)
+        aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
+        return cls(len(at_corners), aimed, further)
 
 
 def spread_over(domain: Domain, count: int) -> Array:
@@ -210,23 +198,19 @@ def _on_ridges(domain: Domain, quantities: Quantities) -> Array:
                 return np.sign(np.broadcast_to(quantities.ridges(at.T)[k], len(at)))
 
             here = np.flatnonzero(sign(left) * sign(right) < 0.0)[:_MOST_BREAKS]
-            a, b = left[here], right[here]
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (a + b)
-                same = (sign(middle) == sign(a))[:, None]
-                a, b = np.where(same, middle, a), np.where(same, b, middle)
-            found.append(a)
+            on_left = sign(left[here])
+
+            def like_left(at: Array, on_left: Array = on_left) -> NDArray[np.bool_]:
+                return np.asarray(sign(at) == on_left)
+
+            found.append(bisected(left[here], right[here], like_left, _BISECTIONS)[0])
     return np.concatenate(found)
 
 
 def _corners(domain: Domain) -> Array:
     """Corners of the box, all or some: (m, d)."""
-    bounds = domain.bounds
-    count = len(bounds)
-    if not count:
+    if not domain.box:
         return np.zeros((0, 0))
-    if 2**count <= _CORNERS:
-        which = np.stack(np.unravel_index(np.arange(2**count), (2,) * count), axis=1)
-    else:
-        which = np.random.default_rng(20146).integers(0, 2, (_CORNERS, count))
-    return np.asarray(np.take_along_axis(bounds.T, which, axis=0))
+    lower, upper = domain.bounds.T
+    unit = corners(lower.size, _CORNERS, np.random.default_rng(20146))
+    return np.asarray(np.where(unit == 1.0, upper, lower))

@@ -1,12 +1,14 @@
-"""Points that fill a cube evenly."""
+"""Points of a cube: evenly spread ones, and corners."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 
 from rankone.support.arrays import Array
 
-__all__ = ["spread"]
+__all__ = ["corners", "spread"]
 
 _ITERATIONS = 40
 """Fixed-point iterations for the root of φ^(d + 1) = φ + 1."""
@@ -25,3 +27,12 @@ def spread(count: int, d: int, generator: np.random.Generator) -> Array:
         phi = (1.0 + phi) ** (1.0 / (d + 1))
     steps = phi ** -np.arange(1.0, d + 1.0)
     return np.asarray((generator.random(d) + np.outer(np.arange(1, count + 1), steps)) % 1.0)
+
+
+def corners(d: int, most: int, generator: np.random.Generator) -> Array:
+    """Corners of the unit cube, (m, d): all, or so many random ones and two that are opposite."""
+    if 2**d <= most:
+        return np.array(list(itertools.product((0.0, 1.0), repeat=d))).reshape(2**d, d)
+    drawn = generator.integers(0, 2, (most, d)).astype(float)
+    drawn[0], drawn[1] = 0.0, 1.0
+    return drawn

@@ -13,6 +13,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.integration import initial_values
+from rankone.verification.search import Climb, bisected, climbed
 
 __all__ = ["active_points", "candidate_points", "cell_points", "steepest_point", "surface_points"]
 
@@ -29,12 +30,16 @@ _GRID = 1025
 """Samples of a factor over its interval."""
 _RARE, _TERMS = 0.2, 4
 """Share of the box below which a term is rarely active, and the number of such terms at most."""
-_ON_SURFACES, _LEAST, _HALVED = 32, 4, 50
-"""Points on all surfaces, on each at least, and halvings of the distance to them."""
+_ON_SURFACES, _LEAST = 32, 4
+"""Points on all surfaces, on each at least."""
+_HALVINGS = 50
+"""Halvings of the distance to a surface."""
 _CELLS = 2
 """Parameters with special values from which their cells are looked at."""
-_FIRST_STEP, _SHORTENED, _TRIED, _DESCENT = 0.2, 0.6, 64, 60
-"""Steps towards a least value: the first, how much they shrink, how many are tried, how often."""
+_CLIMBERS = 4
+"""Points from which a surface that is met nowhere is approached."""
+_CLIMB = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
+"""The way there: islands of a few percent of six parameters are met, and narrow ones of two."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
 
@@ -91,13 +96,13 @@ def surface_points(system: System, domain: Domain) -> Array:
             below, above = points[row < 0.0][:each], points[row > 0.0][:each]
             if i < several and not (len(below) and len(above)):
                 side = 1.0 if len(above) else -1.0
-                best = _least(functions, i, side, points, side * row)
+                best = _nearest(functions, i, side, points, -side * row)
                 found.append(best)
                 ends = np.broadcast_to(best[0], (each, d))
                 below, above = (ends, above) if len(above) else (below, ends)
             pairs = min(len(below), len(above))
             if pairs and functions(below[:1])[i, 0] < 0.0 < functions(above[:1])[i, 0]:
-                found.append(_between(functions, i, below[:pairs], above[:pairs]))
+                found.append(_zeros(functions, i, below[:pairs], above[:pairs]))
     lower, upper = domain.bounds.T
     return np.asarray(lower + (upper - lower) * np.concatenate(found))
 
@@ -124,35 +129,28 @@ def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] 
     return evaluate, several
 
 
-def _between(functions: Callable[[Array], Array], i: int, a: Array, b: Array) -> Array:
+def _zeros(functions: Callable[[Array], Array], i: int, below: Array, above: Array) -> Array:
     """Zeros of a function between points where it is negative and points where it is not."""
-    for _ in range(_HALVED):
-        middle = 0.5 * (a + b)
-        left = functions(middle)[i][:, None] < 0.0
-        a, b = np.where(left, middle, a), np.where(left, b, middle)
+    a, b = bisected(below, above, lambda points: functions(points)[i] < 0.0, _HALVINGS)
     return np.asarray(0.5 * (a + b))
 
 
-def _least(
-    functions: Callable[[Array], Array], i: int, sign: float, points: Array, values: Array
+def _nearest(
+    functions: Callable[[Array], Array], i: int, side: float, points: Array, heights: Array
 ) -> Array:
-    """Where a function times a sign is least on the unit cube, (1, d): by random, shorter steps.
+    """Where a function of one sign comes closest to zero on the unit cube, (1, d).
 
-    ``values`` are those at ``points``.
+    ``heights`` are minus its absolute values at ``points``.
     """
-    generator = np.random.default_rng(20144)
-    best, lowest = points[np.argmin(values)], float(values.min())
-    length = _FIRST_STEP
-    for _ in range(_DESCENT):
-        near = best + length * generator.standard_normal((_TRIED, best.size))
-        near = np.clip(near, 0.0, 1.0)
-        found = sign * functions(near)[i]
-        j = int(np.argmin(np.where(np.isfinite(found), found, np.inf)))
-        if found[j] < lowest:
-            best, lowest = near[j], float(found[j])
-        else:
-            length *= _SHORTENED
-    return np.asarray(best[None, :])
+    best = np.argsort(-heights, kind="stable")[:_CLIMBERS]
+    unit = np.tile([0.0, 1.0], (points.shape[1], 1))
+
+    def height(tried: Array) -> Array:
+        distances = side * functions(tried)[i]
+        return -np.where(np.isfinite(distances), distances, np.inf)
+
+    nearest, heights = climbed(height, points[best], heights[best], unit, _CLIMB)
+    return nearest[[np.argmax(heights)]]
 
 
 def cell_points(domain: Domain, special: Sequence[Sequence[float]]) -> Array:

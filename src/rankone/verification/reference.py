@@ -17,7 +17,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
-from rankone.support.spread import spread
+from rankone.support.spread import corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.chatter import switching_state
 from rankone.trajectories.integration import NUMBERS_LEFT, Stack, initial_values, quickest
@@ -29,7 +29,6 @@ __all__ = [
     "check_points",
     "integrate_reference",
     "measure",
-    "spread",
     "times_within",
 ]
 
@@ -66,7 +65,7 @@ def check_points(
     count: int,
     seed: int = 20140,
     special: Sequence[Sequence[float]] = (),
-    every_corner: bool | None = None,
+    every_corner: bool = False,
 ) -> Array:
     """The centre of the box, corners, and interior points that are spread evenly, shape (m, d).
 
@@ -77,21 +76,16 @@ def check_points(
         Number of interior points; with it come corners, all or eight of them.
     special : sequence of sequences of float
         For each parameter values inside of its interval that are checked on either side.
-    every_corner : bool, optional
-        Whether all corners are taken, or 256 of more; None for d <= 3.
+    every_corner : bool
+        Whether to take all corners, or 256 of more; else eight of them.
     """
     rng = np.random.default_rng(seed)
     d = len(box)
     lower, width = box[:, 0], box[:, 1] - box[:, 0]
     if d == 0 or count == 0:
         return (lower + 0.5 * width)[None, :]
-    if d <= FEW if every_corner is None else every_corner and 2**d <= _MOST_CORNERS:
-        corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    else:
-        number = _MOST_CORNERS if every_corner else _FEW_CORNERS
-        corners = rng.integers(0, 2, size=(number, d)).astype(float)
-        corners[0], corners[1] = 0.0, 1.0
-    unit = np.concatenate([np.full((1, d), 0.5), corners, spread(count, d, rng)])
+    corner = corners(d, _MOST_CORNERS if every_corner else _FEW_CORNERS, rng)
+    unit = np.concatenate([np.full((1, d), 0.5), corner, spread(count, d, rng)])
     points = [lower + width * unit]
     for j, values in enumerate(special):
         for side in (-_BESIDE, _BESIDE):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import rates_cost
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.measure import ReferenceSet
+from rankone.verification.search import Climb, climbed
 
 __all__ = ["doubtful_points"]
 
@@ -42,10 +44,10 @@ errors reach 1.4 and are overestimates, where something was missed 3 and more.""
 _LOOKED_AT_JUMPS, _WRONG_AFTER = 16_384, 3.0
 """Points looked at where a jump is no polynomial of the states, and the error there, over the
 tolerance, that is doubtful."""
-_RADII = (0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)
-_CLIMBING, _MOST_TRIES = 64, 512
-"""Then points in boxes of these half widths, of the intervals, around so many of the worst, and
-tries in each round at most."""
+_CLIMBERS = 64
+"""Points with the largest errors after a jump, from which larger ones are looked for."""
+_TO_KINKS = Climb(rounds=8, tries=8, first_step=0.1, shrinkage=0.4)
+"""The way to them: the last steps are as short as the kinks that a solution may miss are thin."""
 _KNOWN = 64
 """Most trajectories of the reference whose residuals are looked at."""
 
@@ -138,12 +140,13 @@ def _at_jumps(
         wrong = np.flatnonzero(errors > _WRONG_AFTER * rtol)
         every = max(1, len(wrong) // _CHOSEN)
         found.append(some[wrong[::every][:_CHOSEN]])
-        for radius in _RADII if kind in rough else ():  # kinks are thin: climb towards them
-            best = some[np.argsort(-errors, kind="stable")[:_CLIMBING]]
-            tries = min(max(affordable, _CLIMBING), _MOST_TRIES) // _CLIMBING
-            moves = generator.uniform(-radius, radius, (tries, *best.shape)) * (upper - lower)
-            new = np.clip(best + moves, lower, upper).reshape(-1, lower.size)
-            some, errors = np.concatenate([best, new]), missed(np.concatenate([best, new]))
+        if kind in rough:  # kinks are thin: climb towards them
+            best = np.argsort(-errors, kind="stable")[:_CLIMBERS]
+            tries = min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries)
+            climb = replace(_TO_KINKS, tries=tries)
+            some, errors = climbed(
+                missed, some[best], errors[best], reference_set.domain.bounds, climb
+            )
         worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
         found.append(some[worst[errors[worst] > _WRONG_AFTER * rtol]])
     return np.concatenate(found)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.domain import Domain
 from rankone.ir.outcome import SafeInterval, Status
@@ -16,6 +17,7 @@ from rankone.support.budget import OutOfBudgetError, limited, work_left
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
 from rankone.verification.reference import check_points, integrate_reference
+from rankone.verification.search import bisected
 
 __all__ = ["PARTS", "safe_intervals", "safe_sentence", "solved_part"]
 
@@ -76,20 +78,18 @@ def _intervals(
         others = check_points(np.delete(bounds, j, axis=0), _ON_FACE)
         others = np.concatenate([others, np.delete(point, j)[None]])
 
-        def survives(value: float, j: int = j, others: Array = others) -> bool:
-            face = np.insert(others, j, value, axis=1)
+        def survives(place: Array, j: int = j, others: Array = others) -> NDArray[np.bool_]:
+            face = np.insert(others, j, place.item(), axis=1)
             try:
                 ends = integrate_reference(system, face, *domain.horizon, _ACCURACY, cuts)
             except ConvergenceError:
-                return False
-            return ends.blown is None
+                return np.array([False])
+            return np.array([ends.blown is None])
 
-        if not survives(bounds[j, side]):
+        if not survives(bounds[j, side]).all():
             continue
-        safe, lost = float(bounds[j, side]), float(point[j])
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (safe + lost)
-            safe, lost = (middle, lost) if survives(middle) else (safe, middle)
+        border, lost = bounds[j, side].reshape(1, 1), point[j].reshape(1, 1)
+        safe = bisected(border, lost, survives, _HALVINGS)[0].item()
         share = abs(safe - bounds[j, side]) / width[j]
         if share > largest:
             largest = share

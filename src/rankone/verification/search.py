@@ -1,0 +1,94 @@
+"""Searches for the worst points of a box: climbing by random steps, and bisection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.support.arrays import Array
+
+__all__ = ["Climb", "bisected", "climbed"]
+
+
+@dataclass(frozen=True)
+class Climb:
+    """Rounds of random steps that become shorter.
+
+    Attributes
+    ----------
+    rounds : int
+    tries : int
+        Steps that each climber tries in a round.
+    first_step : float
+        Standard deviation of the first steps, in widths of the box.
+    shrinkage : float
+        Factor on the length of steps from round to round.
+    patient : bool
+        Whether a climber shortens its steps only after a round without success.
+    seed : int
+    """
+
+    rounds: int
+    tries: int
+    first_step: float
+    shrinkage: float
+    patient: bool = False
+    seed: int = 20147
+
+
+def climbed(
+    height: Callable[[Array], Array], points: Array, heights: Array, bounds: Array, climb: Climb
+) -> tuple[Array, Array]:
+    """Points of a box to which climbers come from given ones, and the heights there.
+
+    Parameters
+    ----------
+    height : callable
+        Maps points (N, d) to heights (N,), none of them NaN.
+    points, heights : ndarray (m, d), (m,)
+        Where each climber begins.
+    bounds : ndarray (d, 2)
+        The box.
+    climb : Climb
+
+    Returns
+    -------
+    points, heights : ndarray (m, d), (m,)
+    """
+    lower, upper = bounds.T
+    generator = np.random.default_rng(climb.seed)
+    climbers = np.arange(len(points))
+    step = np.full((len(points), 1), climb.first_step)
+    for _ in range(climb.rounds):
+        moves = generator.standard_normal((climb.tries, *points.shape)) * step * (upper - lower)
+        moves *= generator.random(moves.shape) < 0.5  # some coordinates stay, such as at an end
+        tried = np.clip(points + moves, lower, upper)
+        reached = height(tried.reshape(-1, points.shape[1])).reshape(climb.tries, -1)
+        best = reached.argmax(axis=0)
+        higher = reached[best, climbers] > heights
+        points = np.where(higher[:, None], tried[best, climbers], points)
+        heights = np.where(higher, reached[best, climbers], heights)
+        step = np.where(higher[:, None] & climb.patient, step, climb.shrinkage * step)
+    return points, heights
+
+
+def bisected(
+    a: Array, b: Array, like_a: Callable[[Array], NDArray[np.bool_]], halvings: int
+) -> tuple[Array, Array]:
+    """Both ends of the last halves of segments that begin as [a, b].
+
+    Parameters
+    ----------
+    a, b : ndarray (m, d)
+    like_a : callable
+        Tells for points (m, d) on the segments whether each belongs on the side of ``a``: (m,).
+    halvings : int
+    """
+    for _ in range(halvings):
+        middle = 0.5 * (a + b)
+        near_a = like_a(middle)[:, None]
+        a, b = np.where(near_a, middle, a), np.where(near_a, b, middle)
+    return a, b
