@@ -8,7 +8,7 @@ import scipy.stats
 import sympy as sp
 
 import rankone as ro
-from rankone.statistics import conditional
+from rankone.statistics import moments
 from rankone.support.errors import OptionError
 from tests.problems import EXAMPLES
 
@@ -170,8 +170,8 @@ def test_what_is_not_there_for_correlations():
 
 
 def test_a_quadrature_that_does_not_settle_is_said(monkeypatch):
-    monkeypatch.setattr(conditional, "_SETTLED", 0.0)
-    monkeypatch.setattr(conditional, "_SAID", 0.0)
+    monkeypatch.setattr(moments, "_SETTLED_CHANGE", 0.0)
+    monkeypatch.setattr(moments, "_WARNED_CHANGE", 0.0)
     with pytest.warns(ro.RankoneWarning, match="has settled to"):
         rated("a*b", names="ab").mean(1.0, correlation={("a", "b"): 0.51})
 

@@ -7,8 +7,8 @@ import pytest
 import scipy.stats
 
 import rankone as ro
-from rankone.statistics import higher
-from rankone.statistics.measures import Measure, gauss_rule
+from rankone.statistics import higher_moments
+from rankone.statistics.distributions import Measure, gauss_rule
 from rankone.support.errors import EvaluationError, OptionError
 from tests.problems import EXAMPLES
 
@@ -129,7 +129,7 @@ def test_what_does_not_vary_has_no_shape():
 def test_high_ranks_are_truncated_and_said(monkeypatch):
     solution = solved("lotka_volterra", 1e-5)
     exact = solution.kurtosis(4.5)
-    monkeypatch.setattr(higher, "_LARGEST_RANK", 2)
+    monkeypatch.setattr(higher_moments, "_LARGEST_RANK", 2)
     with pytest.warns(ro.RankoneWarning, match="is truncated to .* of its standard deviation"):
         found = solution.kurtosis(4.5)
     np.testing.assert_allclose(found, exact, atol=0.2)

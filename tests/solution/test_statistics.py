@@ -11,7 +11,7 @@ import scipy.stats
 import sympy as sp
 
 import rankone as ro
-from rankone.statistics.measures import Measure
+from rankone.statistics.distributions import Measure
 from rankone.support.errors import EvaluationError, OptionError
 from tests.problems import EXAMPLES
 

@@ -12,8 +12,8 @@ import numpy as np
 from rankone.discretization.coordinates import name_of
 from rankone.estimation.free import Free
 from rankone.estimation.least_squares import LeastSquares
-from rankone.statistics.measures import Measure
-from rankone.statistics.solution_statistics import measures_of
+from rankone.statistics.distributions import Measure
+from rankone.statistics.joint_distribution import measures_of
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote

@@ -17,9 +17,9 @@ from rankone.outputs.solved import samples_of, with_outputs
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.summary import summary_html, summary_text
 from rankone.solvers.registry import ENGINES
-from rankone.statistics.copula import copula_of
-from rankone.statistics.distribution_over_box import DistributionOverBox
+from rankone.statistics.densities import DistributionOverBox
 from rankone.statistics.distributions import from_text
+from rankone.statistics.joint_distribution import copula_of
 from rankone.storage import read, write
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, RankoneError, StorageError

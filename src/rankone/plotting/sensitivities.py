@@ -92,8 +92,7 @@ def plot_sobol(
         )
     _needs_parameters(solution)
     times = sometimes_of(solution, t, _TIMES)
-    over: dict[str, Any] = {"under": under, "correlation": correlation}
-    found, _ = solution._indices(times, **over)
+    found, _ = solution._indices(times, solution._statistics(under, correlation))
     row, count = found.unknowns.index(name), len(found.parameters)
     kinds = ("total", "first") if kind == "both" else (kind,)
     shares = {one: np.reshape(getattr(found, one)[row], (count, -1)) for one in kinds}

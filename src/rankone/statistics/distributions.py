@@ -1,36 +1,85 @@
-"""Distributions of scipy.stats: what is one, its interval, and as text.
+"""Distributions of one parameter: of scipy.stats, as text, and cut at the ends of an interval.
 
 The text, such as ``norm(1.0, 0.1)`` or ``gamma(2.0, scale=0.5)``, is what a Python reader would
-write; it is read as a name and numbers, and nothing is executed.
+write. It is read as a name and numbers; nothing is executed.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 import scipy.stats
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import ArrayLike
+from scipy.special import ndtri
 
-from rankone.support.errors import OptionError
+from rankone.discretization import Basis1D
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError, warn
 from rankone.support.wording import did_you_mean, quote
 
-__all__ = ["as_text", "from_text", "interval_of", "is_frozen"]
+__all__ = [
+    "Distribution",
+    "Measure",
+    "as_text",
+    "from_text",
+    "gauss_rule",
+    "interval_of",
+    "is_frozen",
+]
 
 _EXAMPLE = "give one of scipy.stats, for example scipy.stats.norm(1, 0.1)"
+_FINITE_MOMENTS = "give one with finite moments, or one that is cut, such as scipy.stats.truncnorm"
+
+_PANEL_NODES = 24
+"""Gauss nodes on each panel: exact for smooth densities to rounding on the panels below."""
+_PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 0.5)
+"""Ends of panels, together with their complements: densities vary on the scale of quantiles."""
+_EXACT_MASS_ERROR = 1e-10
+"""Relative error of the probability of the interval below which a quadrature counts as exact."""
+_SHARE_RANGE = (1e-300, 1.0 - 2.0**-53)
+"""Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite."""
+_MOST_HALVINGS = 52
+"""Most halvings of a panel: after 52 it is as narrow as the spacing of numbers."""
+_SETTLED_CHANGE = 1e-14
+"""Change of the mean of a mode below which a panel is not halved: near rounding."""
+_WARNED_OUTSIDE = 1e-3
+"""Probability outside the box above which a user is warned: it shows in three digits."""
+_NEGLIGIBLE_WEIGHT = 1e-40
+"""Weight, relative to the largest, of points that a Gauss rule leaves out."""
+_LEAST_NORM = 1e-13
+"""Norm below which the next orthogonal polynomial is rounding."""
 
 
-def is_frozen(distribution: Any) -> bool:
+class Distribution(Protocol):
+    """A frozen continuous distribution, as scipy.stats makes them."""
+
+    def pdf(self, x: ArrayLike, /) -> Array: ...
+    def logpdf(self, x: ArrayLike, /) -> Array: ...
+    def cdf(self, x: ArrayLike, /) -> Array: ...
+    def sf(self, x: ArrayLike, /) -> Array: ...
+    def ppf(self, q: ArrayLike, /) -> Array: ...
+    def isf(self, q: ArrayLike, /) -> Array: ...
+    def mean(self) -> float: ...
+    def var(self) -> float: ...
+    def support(self) -> tuple[float, float]: ...
+
+
+def is_frozen(distribution: object) -> TypeGuard[Distribution]:
     """Whether this is one continuous distribution with all its parameters."""
     methods = all(hasattr(distribution, name) for name in ("pdf", "cdf", "sf", "ppf", "isf"))
     generic = isinstance(distribution, scipy.stats.rv_continuous)
     if not methods or (generic and not isinstance(distribution, scipy.stats.rv_histogram)):
         return False
-    return np.ndim(distribution.ppf(0.5)) == 0
+    return np.ndim(distribution.ppf(0.5)) == 0  # type: ignore[attr-defined]
 
 
-def interval_of(distribution: Any, tail: float) -> tuple[float, float]:
+def interval_of(distribution: Distribution, tail: float) -> tuple[float, float]:
     """The support; where that has no end, from one quantile to another.
 
     Parameters
@@ -50,8 +99,7 @@ def interval_of(distribution: Any, tail: float) -> tuple[float, float]:
             f"{quote(_shown(distribution))} has no finite mean and variance: where it is cut would "
             "decide about all statistics",
             term=distribution,
-            remedy="give one with finite moments, or one that is cut, such as "
-            "scipy.stats.truncnorm",
+            remedy=_FINITE_MOMENTS,
         )
     lower, upper = map(float, distribution.support())
     if math.isfinite(lower) and math.isfinite(upper):
@@ -59,7 +107,7 @@ def interval_of(distribution: Any, tail: float) -> tuple[float, float]:
     return float(distribution.ppf(tail)), float(distribution.isf(tail))
 
 
-def as_text(distribution: Any) -> str:
+def as_text(distribution: object) -> str:
     """A frozen distribution of scipy.stats as text.
 
     Raises
@@ -77,14 +125,14 @@ def as_text(distribution: Any) -> str:
         )
     if type(family) is not type(getattr(scipy.stats, str(name), None)):
         raise OptionError(
-            f"the distribution {quote(name)} is none that scipy.stats knows by name",
+            f"scipy.stats knows no distribution named {quote(name)}",
             term=distribution,
             remedy="give an interval, and the distribution with under={...} in the statistics",
         )
     return _shown(distribution)
 
 
-def from_text(text: str) -> Any:
+def from_text(text: str) -> Distribution:
     """The frozen distribution of scipy.stats that a text stands for.
 
     Raises
@@ -93,7 +141,7 @@ def from_text(text: str) -> Any:
         If it is no name of one with numbers.
     """
     try:
-        name, numbers, named = _parsed(text)
+        name, arguments, keywords = _parsed(text)
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
         raise OptionError(
             f"{quote(text)} is not the name of a distribution with numbers",
@@ -102,17 +150,18 @@ def from_text(text: str) -> Any:
         ) from None
     family = getattr(scipy.stats, name, None)
     if not isinstance(family, scipy.stats.rv_continuous):
+        families = vars(scipy.stats).items()
+        names = [key for key, kin in families if isinstance(kin, scipy.stats.rv_continuous)]
         raise OptionError(
-            f"scipy.stats has no continuous distribution {quote(name)}"
-            f"{did_you_mean(name, _names())}",
+            f"scipy.stats has no continuous distribution {quote(name)}{did_you_mean(name, names)}",
             term=text,
         )
     try:
-        distribution = family(*numbers, **named)
-        middle = float(distribution.ppf(0.5))
+        distribution: Distribution = family(*arguments, **keywords)
+        median = float(distribution.ppf(0.5))
     except TypeError as error:
         raise OptionError(f"{quote(text)}: {error}", term=text) from None
-    if not math.isfinite(middle):
+    if not math.isfinite(median):
         raise OptionError(
             f"{quote(text)} is not defined for these numbers",
             term=text,
@@ -121,20 +170,14 @@ def from_text(text: str) -> Any:
     return distribution
 
 
-def _names() -> list[str]:
-    """Names of the continuous distributions."""
-    found = vars(scipy.stats).items()
-    return [name for name, value in found if isinstance(value, scipy.stats.rv_continuous)]
-
-
 def _shown(distribution: Any) -> str:
     """Name and numbers, as far as they are known."""
     name = getattr(getattr(distribution, "dist", None), "name", None)
     if name is None:
         return repr(distribution)
-    numbers = [repr(float(value)) for value in distribution.args]
-    named = [f"{key}={float(value)!r}" for key, value in distribution.kwds.items()]
-    return f"{name}({', '.join([*numbers, *named])})"
+    arguments = [repr(float(argument)) for argument in distribution.args]
+    keywords = [f"{key}={float(argument)!r}" for key, argument in distribution.kwds.items()]
+    return f"{name}({', '.join([*arguments, *keywords])})"
 
 
 def _parsed(text: str) -> tuple[str, list[float], dict[str, float]]:
@@ -142,15 +185,229 @@ def _parsed(text: str) -> tuple[str, list[float], dict[str, float]]:
     call = ast.parse(text.strip(), mode="eval").body
     if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name):
         raise ValueError(text)
-    numbers = [_number(value) for value in call.args]
-    named = {str(item.arg): _number(item.value) for item in call.keywords if item.arg}
-    if len(named) < len(call.keywords):
+    arguments = [_constant(node) for node in call.args]
+    keywords = {word.arg: _constant(word.value) for word in call.keywords if word.arg}
+    if len(keywords) < len(call.keywords):
         raise ValueError(text)
-    return call.func.id, numbers, named
+    return call.func.id, arguments, keywords
 
 
-def _number(node: ast.expr) -> float:
-    value = ast.literal_eval(node)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(value)
-    return float(value)
+def _constant(node: ast.expr) -> float:
+    literal = ast.literal_eval(node)
+    if isinstance(literal, bool) or not isinstance(literal, int | float):
+        raise ValueError(literal)
+    return float(literal)
+
+
+# --- cut at the ends of an interval --------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """A distribution of one parameter on its interval, of total mass one there.
+
+    Parameters
+    ----------
+    name : str
+        Of the parameter.
+    lower, upper : float
+    distribution : frozen continuous distribution of scipy.stats, optional
+        Cut at the ends of the interval; uniform if none is given.
+    from_problem : bool
+        Whether it came with the problem, which said where it is cut.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    distribution: Distribution | None = None
+    from_problem: bool = False
+
+    def __post_init__(self) -> None:
+        distribution = self.distribution
+        if distribution is None:
+            return
+        if not is_frozen(distribution):
+            raise OptionError(
+                f"the distribution of {quote(self.name)} is {distribution!r}, not a frozen "
+                "continuous distribution",
+                term=distribution,
+                remedy=_EXAMPLE,
+            )
+        if not self.mass > 0.0:
+            raise OptionError(
+                f"the distribution of {quote(self.name)} has no probability in "
+                f"[{self.lower:g}, {self.upper:g}]",
+                term=distribution,
+                remedy="choose one that fits the box, or solve on another box",
+            )
+        outside = 1.0 - self.mass
+        if outside > _WARNED_OUTSIDE and not math.isfinite(distribution.var()):
+            raise OptionError(
+                f"the distribution of {quote(self.name)} has no finite mean and variance, and "
+                f"{100 * outside:.3g} % of it is outside of [{self.lower:g}, {self.upper:g}]: "
+                "where it is cut would decide about all statistics",
+                term=distribution,
+                remedy=_FINITE_MOMENTS,
+            )
+        if outside > _WARNED_OUTSIDE and not self.from_problem:
+            warn(
+                f"{100 * outside:.3g} % of the distribution of {quote(self.name)} is outside of "
+                f"[{self.lower:g}, {self.upper:g}] and left out; remedy: solve on a wider box"
+            )
+
+    @cached_property
+    def mass(self) -> float:
+        """Probability of the interval before it is cut."""
+        if self.distribution is None:
+            return 1.0
+        below, above = self._ends
+        return abs(above - below)
+
+    @cached_property
+    def _ends(self) -> tuple[float, float]:
+        """Probabilities at both ends, of what is below, or above in the upper tail."""
+        lower, upper = self._cumulative([self.lower, self.upper])
+        return float(lower), float(upper)
+
+    @cached_property
+    def _in_upper_tail(self) -> bool:
+        """Whether most of the distribution is below the interval: differences to one are lost."""
+        return self.distribution is not None and bool(self.distribution.cdf(self.lower) > 0.5)
+
+    def _cumulative(self, points: ArrayLike) -> Array:
+        """Probabilities below points, or above them in the upper tail."""
+        assert self.distribution is not None
+        tail = self.distribution.sf if self._in_upper_tail else self.distribution.cdf
+        return tail(points)
+
+    def integrals(self, basis: Basis1D) -> tuple[Array, Array]:
+        """Means of the modes of a basis, (size,), and a root R of those of their products.
+
+        R (size, k) has the means of products as R R^T; by QR, so that nothing is squared.
+        """
+        points, weights = self._quadrature(basis)
+        modes = basis.modal_values(points)
+        root: Array = np.asarray(np.linalg.qr(np.sqrt(weights)[:, None] * modes, mode="r"))
+        return weights @ modes, np.ascontiguousarray(root.T)
+
+    def sample(self, shares: Array) -> Array:
+        """Values at shares in [0, 1] of the probability of the interval, from its lower end."""
+        if self.distribution is None:
+            return np.asarray(self.lower + (self.upper - self.lower) * shares)
+        lower, upper = self._ends
+        inverse = self.distribution.isf if self._in_upper_tail else self.distribution.ppf
+        points = inverse(lower + (upper - lower) * np.clip(shares, *_SHARE_RANGE))
+        return np.asarray(np.clip(points, self.lower, self.upper))
+
+    def normal(self, point: float) -> float:
+        """The standard normal number below which there is as much probability as below a point."""
+        if self.distribution is None:
+            share = (point - self.lower) / (self.upper - self.lower)
+        else:
+            lower, upper = self._ends
+            share = (float(self._cumulative(point)) - lower) / (upper - lower)
+        return float(ndtri(min(max(share, 1e-15), 1.0 - 1e-15)))
+
+    def rule(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
+        """Few points and weights of sum one that integrate products of so many modes.
+
+        On each element the Gauss rule of the distribution.
+        """
+        points, weights = self._quadrature(basis, factors)
+        count = factors * (basis.degree - 1) // 2 + 1
+        element = np.searchsorted(basis.edges[1:-1], points, side="right")
+        masks = [element == e for e in range(basis.elements)]
+        rules = [gauss_rule(points[mask], weights[mask], count) for mask in masks]
+        points, weights = (np.concatenate(arrays) for arrays in zip(*rules, strict=True))
+        return points, weights / weights.sum()
+
+    def _quadrature(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
+        """Points and weights of sum one that integrate products of modes."""
+        enough = factors * basis.degree // 2 + 1
+        if self.distribution is None:
+            return _panels(np.asarray(basis.edges), enough, 1.0 / (self.upper - self.lower))
+        shares = np.array([*_PANEL_QUANTILES, *(1.0 - q for q in _PANEL_QUANTILES)])
+        quantiles = map(float, self.distribution.ppf(shares))
+        inside = [q for q in quantiles if math.isfinite(q) and self.lower < q < self.upper]
+        edges = sorted({*basis.edges.tolist(), *inside})
+        points, weights = _panels(np.array(edges), max(_PANEL_NODES, enough), 1.0)
+        weights = weights * self.distribution.pdf(points)
+        if not abs(float(weights.sum()) - self.mass) <= _EXACT_MASS_ERROR * self.mass:
+            points, weights = self._by_probability(basis)
+        return points, weights / weights.sum()
+
+    def _by_probability(self, basis: Basis1D) -> tuple[Array, Array]:
+        """The same over the probability, for densities that are not finite, jump or have gaps.
+
+        Panels are halved until the means of the modes do not change.
+        """
+        lower, upper = self._ends
+        shares = (np.asarray(self._cumulative(basis.edges)) - lower) / (upper - lower)
+        tails = np.array(_PANEL_QUANTILES)
+        edges = np.unique(np.clip([*shares, *tails, *(1.0 - tails)], 0.0, 1.0))
+        waiting = np.stack([edges[:-1], edges[1:]], axis=1)
+        rules: list[tuple[Array, Array]] = []
+        for level in range(_MOST_HALVINGS):
+            points, weights = self._on_panels(waiting)
+            halves = np.repeat(waiting, 2, axis=0)
+            halves[::2, 1] = halves[1::2, 0] = waiting.mean(axis=1)
+            finer, finer_weights = self._on_panels(halves)
+            coarse = _sums(basis, points, weights)
+            fine = _sums(basis, finer, finer_weights).reshape(len(waiting), 2, -1).sum(axis=1)
+            good = np.abs(fine - coarse).max(axis=1) <= _SETTLED_CHANGE
+            good |= level == _MOST_HALVINGS - 1
+            both = np.repeat(good, 2)
+            rules.append((finer[both].ravel(), finer_weights[both].ravel()))
+            waiting = halves[~both]
+            if not len(waiting):
+                break
+        points, weights = (np.concatenate(arrays) for arrays in zip(*rules, strict=True))
+        return points, weights
+
+    def _on_panels(self, panels: Array) -> tuple[Array, Array]:
+        """Points and weights on panels (k, 2) of the probability, (k, nodes) each."""
+        xi, weights = leggauss(_PANEL_NODES)
+        half = 0.5 * (panels[:, 1:] - panels[:, :1])
+        return self.sample(panels[:, :1] + half * (xi + 1.0)), half * weights
+
+
+def gauss_rule(points: Array, weights: Array, count: int) -> tuple[Array, Array]:
+    """The Gauss rule of a discrete measure: at most ``count`` of points, exact to 2 count - 1.
+
+    By the Lanczos process with full orthogonalisation (Gautschi, Orthogonal Polynomials, 2004,
+    section 2.2.3).
+    """
+    used = weights > _NEGLIGIBLE_WEIGHT * weights.max(initial=0.0)
+    points, weights = points[used], weights[used]
+    if points.size <= count:
+        return points, weights
+    mass = weights.sum()
+    centre = float(weights @ points / mass)
+    size = float(np.abs(points - centre).max())
+    x = (points - centre) / size
+    rows = np.sqrt(weights / mass)[None, :]
+    while len(rows) < count:
+        polynomial = x * rows[-1]
+        for _ in range(2):
+            polynomial = polynomial - (rows @ polynomial) @ rows
+        length = float(np.linalg.norm(polynomial))
+        if length < _LEAST_NORM:
+            break
+        rows = np.vstack([rows, polynomial / length])
+    nodes, vectors = np.linalg.eigh((rows * x) @ rows.T)
+    return centre + size * nodes, mass * vectors[0] ** 2
+
+
+def _sums(basis: Basis1D, points: Array, weights: Array) -> Array:
+    """Sums of the modes over each panel, (panels, size)."""
+    modes = basis.modal_values(points.ravel()).reshape(*points.shape, basis.size)
+    return np.asarray(np.einsum("kp,kps->ks", weights, modes))
+
+
+def _panels(edges: Array, count: int, factor: float) -> tuple[Array, Array]:
+    """Gauss-Legendre points and weights on consecutive panels."""
+    xi, weights = leggauss(count)
+    half = 0.5 * np.diff(edges)[:, None]
+    points = edges[:-1, None] + half * (xi + 1.0)
+    return points.ravel(), (factor * half * weights).ravel()

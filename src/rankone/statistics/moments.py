@@ -6,20 +6,36 @@ parameters the mean of the product is the product of the means, and every part o
 squares of fluctuations ``c_j - E c_j``, so that nothing cancels (ANOVA decomposition: Sobol,
 "Global sensitivity indices for nonlinear mathematical models", 2001; in tensor trains:
 Ballester-Ripoll, Paredes & Pajarola, "Sobol tensor trains for global sensitivity analysis", 2019).
+
+Given the parameters that are correlated, the others are independent: means are products again.
+Over the correlated ones there is a quadrature, finer and finer until nothing changes. The variance
+is the variance of the mean given them plus the mean of the variance given them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D
-from rankone.statistics.measures import Measure
+from rankone.statistics.distributions import Measure
+from rankone.statistics.joint_distribution import Copula
 from rankone.support.arrays import Array
+from rankone.support.budget import check_time
+from rankone.support.errors import warn
 
-__all__ = ["TrainMoments"]
+__all__ = ["ConditionalMoments", "TrainMoments"]
+
+_SETTLED_CHANGE = 1e-6
+"""Relative change from one quadrature to the next that is accepted. For smooth functions the error
+of the finer one is far below it, with kinks it is about as large."""
+_WARNED_CHANGE = 1e-4
+"""Relative change above which a user is warned: it shows in four digits."""
+_NUMBERS_AT_ONCE = 8_000_000
+"""Numbers that are formed at once, 64 MB."""
 
 
 class TrainMoments:
@@ -42,7 +58,7 @@ class TrainMoments:
         self.fluctuations: list[Array] = []
         for core, basis, measure in zip(cores, bases, measures, strict=True):
             mean, root = measure.integrals(basis)
-            one = basis.to_modal @ np.sqrt(basis.weights)  # the constant one
+            one = basis.to_modal @ np.sqrt(basis.weights)  # modes of the constant function one
             average = np.tensordot(core, mean, (1, 0))
             self.means.append(average)
             self.whole.append(np.einsum("rms,mk->rks", core, root, optimize=True))
@@ -52,18 +68,18 @@ class TrainMoments:
     @cached_property
     def after(self) -> list[Array]:
         """Mean of the product of the matrices from each on: vectors (r_j,), the last is one."""
-        found = [np.ones(1)]
+        vectors = [np.ones(1)]
         for mean in reversed(self.means):
-            found.append(mean @ found[-1])
-        return found[::-1]
+            vectors.append(mean @ vectors[-1])
+        return vectors[::-1]
 
     @cached_property
     def _squares(self) -> list[Array]:
         """Mean of the product from each on, times itself: (r_j, r_j)."""
-        found = [np.ones((1, 1))]
+        squares = [np.ones((1, 1))]
         for core in reversed(self.whole):
-            found.append(_sandwich(core, found[-1]))
-        return found[::-1]
+            squares.append(_sandwich(core, squares[-1]))
+        return squares[::-1]
 
     @cached_property
     def mean(self) -> Array:
@@ -73,40 +89,42 @@ class TrainMoments:
     @cached_property
     def covariance(self) -> Array:
         """The matrix of the variance, (1, r_1, r_1)."""
-        found = np.zeros((1, 1))
+        covariance = np.zeros((1, 1))
         for j in reversed(range(self.count)):
-            found = _sandwich(self.whole[j], found) + self._own[j] @ self._own[j].T
-        return found[None]
+            local = self._fluctuations_of_mean[j]
+            covariance = _sandwich(self.whole[j], covariance) + local @ local.T
+        return covariance[None]
 
     @cached_property
     def first(self) -> Array:
         """For each parameter the matrix of the variance of the mean given it, (d, r_1, r_1)."""
-        parts = [self._before(j) @ own for j, own in enumerate(self._own)]
-        return self._stacked([part @ part.T for part in parts])
+        roots = [self._before(j) @ local for j, local in enumerate(self._fluctuations_of_mean)]
+        return self._stacked([root @ root.T for root in roots])
 
     @cached_property
     def total(self) -> Array:
         """For each parameter that of the mean of the variance over it, the others given."""
-        parts = []
+        matrices = []
         for j in range(self.count):
-            found = _sandwich(self.fluctuations[j], self._squares[j + 1])
+            matrix = _sandwich(self.fluctuations[j], self._squares[j + 1])
             for core in reversed(self.whole[:j]):
-                found = _sandwich(core, found)
-            parts.append(found)
-        return self._stacked(parts)
+                matrix = _sandwich(core, matrix)
+            matrices.append(matrix)
+        return self._stacked(matrices)
 
     @cached_property
     def second(self) -> Array:
         """For pairs i < j that of their interaction beyond their first orders, by i, then by j."""
-        parts = []
+        matrices = []
         for i, fluctuation in enumerate(self.fluctuations[:-1]):
             between, before = np.eye(fluctuation.shape[2]), self._before(i)
-            for own, mean in zip(self._own[i + 1 :], self.means[i + 1 :], strict=True):
-                both = np.tensordot(fluctuation, between @ own, (2, 0))
+            later = zip(self._fluctuations_of_mean[i + 1 :], self.means[i + 1 :], strict=True)
+            for local, mean in later:
+                both = np.tensordot(fluctuation, between @ local, (2, 0))
                 both = before @ both.reshape(len(both), -1)
-                parts.append(both @ both.T)
+                matrices.append(both @ both.T)
                 between = between @ mean
-        return self._stacked(parts)
+        return self._stacked(matrices)
 
     def main_effect(self, j: int, points: Array) -> Array:
         """The vectors m with the mean ``a(t) m`` given one parameter, (r_1, points)."""
@@ -119,16 +137,188 @@ class TrainMoments:
         return np.stack(matrices) if matrices else np.zeros((0, rank, rank))
 
     @cached_property
-    def _own(self) -> list[Array]:
+    def _fluctuations_of_mean(self) -> list[Array]:
         """Fluctuations times the mean of what comes after them: (r_j, modes)."""
         return [f @ v for f, v in zip(self.fluctuations, self.after[1:], strict=True)]
 
     def _before(self, j: int) -> Array:
         """Mean of the product of the matrices before: (r_1, r_j)."""
-        found = np.eye(len(self.after[0]))
+        product = np.eye(len(self.after[0]))
         for mean in self.means[:j]:
-            found = found @ mean
-        return found
+            product = product @ mean
+        return product
+
+
+class ConditionalMoments(TrainMoments):
+    """Mean and covariance where some parameters are correlated.
+
+    Parameters
+    ----------
+    cores, bases, measures
+        As for :class:`TrainMoments`.
+    copula : Copula
+    """
+
+    def __init__(
+        self,
+        cores: Sequence[Array],
+        bases: Sequence[Basis1D],
+        measures: Sequence[Measure],
+        copula: Copula,
+    ) -> None:
+        super().__init__(cores, bases, measures)
+        self.measures, self.copula = measures, copula
+
+    @property
+    def mean(self) -> Array:
+        """The vector m with the mean ``a(t) m``."""
+        return self._both[0]
+
+    @property
+    def covariance(self) -> Array:
+        """The matrix of the variance, (1, r_1, r_1)."""
+        return self._both[1][None]
+
+    @cached_property
+    def _both(self) -> tuple[Array, Array]:
+        """Mean and covariance, by the first rule that settles."""
+        coarser, change = None, 0.0
+        for shares, weights in self.copula.rules():
+            self._rule = self._points(shares), weights
+            mean, covariance = self._over(*self._rule)
+            if coarser is not None:
+                size = np.linalg.norm(covariance)
+                change = max(
+                    float(np.linalg.norm(mean - coarser[0]) / np.sqrt(size or 1.0)),
+                    float(np.linalg.norm(covariance - coarser[1]) / (size or 1.0)),
+                )
+            settled = coarser is not None and change <= _SETTLED_CHANGE
+            coarser = mean, covariance
+            if settled:
+                break
+        assert coarser is not None
+        if change > _WARNED_CHANGE:
+            warn(
+                f"the quadrature over correlated parameters has settled to {change:.1e} only, "
+                "relative to the standard deviation"
+            )
+        return coarser
+
+    def main_effect(self, j: int, points: Array) -> Array:
+        """The vectors m with the mean ``a(t) m`` given one parameter, (r_1, points)."""
+        if j in self.copula.positions:
+            return np.stack([self._mean_given(j, point) for point in points], axis=1)
+        self._both  # noqa: B018 - finds the rule
+        nodes, weights = self._rule
+        before, _, after = self.cores[j].shape
+        rank = self.cores[0].shape[0]
+        around = np.zeros((rank, before, after))
+        for block in _blocks(weights.size, max(self._largest, rank * before)):
+            fixed = dict(zip(self.copula.positions, nodes[:, block], strict=True))
+            left = np.eye(rank)[None]
+            for i in range(j):
+                left = left @ (self.matrices(i, fixed[i]) if i in fixed else self.means[i])
+            right = self._means_of_product(fixed, weights[block].size, j + 1)
+            left = np.broadcast_to(left, (weights[block].size, rank, before))
+            around += np.einsum("qab,q,cq->abc", left, weights[block], right, optimize=True)
+        at = np.einsum("pm,rms->prs", self.bases[j].modal_values(points), self.cores[j])
+        return np.asarray(np.einsum("abc,pbc->ap", around, at))
+
+    def _mean_given(self, j: int, point: float) -> Array:
+        """The same for one value of a correlated parameter, (r_1,)."""
+        place = self.copula.positions.index(j)
+        coarser = None
+        for shares, weights in self.copula.given(place, self.measures[j].normal(point)):
+            nodes = self._points(shares)
+            nodes[place] = point
+            fixed = dict(zip(self.copula.positions, nodes, strict=True))
+            mean = self._means_of_product(fixed, weights.size, 0) @ weights
+            if coarser is not None:
+                change = np.linalg.norm(mean - coarser)
+                if change <= _SETTLED_CHANGE * np.linalg.norm(mean):
+                    break
+            coarser = mean
+        return np.asarray(mean)
+
+    def _means_of_product(self, fixed: dict[int, Array], count: int, first: int) -> Array:
+        """Means of the product from one parameter on, the correlated ones fixed, (r, Q)."""
+        check_time()
+        mean = np.ones((1, count))
+        for j in reversed(range(first, self.count)):
+            if j in fixed:
+                mean = np.einsum("qrs,sq->rq", self.matrices(j, fixed[j]), mean)
+            else:
+                mean = self.means[j] @ mean
+        return mean
+
+    def _points(self, shares: Array) -> Array:
+        """Values of the correlated parameters at shares of their probabilities, (k, Q)."""
+        pairs = zip(self.copula.positions, shares, strict=True)
+        return np.array([self.measures[j].sample(row) for j, row in pairs])
+
+    def _over(self, nodes: Array, weights: Array) -> tuple[Array, Array]:
+        """Mean and covariance of the product of all matrices by one rule."""
+        tails, inner = [], np.zeros((1, 1))
+        for block in _blocks(weights.size, self._largest):
+            tail, within, places = self._given(nodes[:, block])
+            tails.append(tail[:, places])
+            shares = np.bincount(places, weights[block])
+            inner = inner + np.tensordot(shares, within, 1)
+        tail = np.hstack(tails)
+        mean = tail @ weights
+        spread = (tail - mean[:, None]) * np.sqrt(weights)
+        covariance = spread @ spread.T + inner
+        for j in reversed(range(self.copula.positions[0])):
+            mean, covariance = self._free(j, mean[:, None], covariance[None])
+            mean, covariance = mean[:, 0], covariance[0]
+        return mean, covariance
+
+    def _given(self, nodes: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Means (r, U) and covariances (U, r, r) of the product from the first correlated parameter
+        on, for the correlated ones fixed at nodes (k, Q), and which of the U is of each node (Q,).
+
+        Nodes that share the values of the last parameters share their products.
+        """
+        positions = self.copula.positions
+        mean, covariance = np.ones((1, 1)), np.zeros((1, 1, 1))
+        places: NDArray[np.intp] = np.zeros(nodes.shape[1], dtype=np.intp)
+        for j in reversed(range(positions[0], self.count)):
+            check_time()
+            if j not in positions:
+                mean, covariance = self._free(j, mean, covariance)
+                continue
+            tails = nodes[positions.index(j) :]
+            _, firsts, owners = np.unique(tails, axis=1, return_index=True, return_inverse=True)
+            matrices = self.matrices(j, tails[0, firsts])
+            mean = np.einsum("qrs,sq->rq", matrices, mean[:, places[firsts]])
+            covariance = matrices @ covariance[places[firsts]] @ matrices.swapaxes(1, 2)
+            places = owners.ravel()
+        return mean, covariance, places
+
+    def _free(self, j: int, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """Means (r, U) and covariances (U, r, r) with one more parameter that is independent."""
+        local = np.tensordot(self.fluctuations[j], mean, (2, 0)).transpose(2, 0, 1)
+        whole = self.whole[j]
+        left = whole.reshape(-1, whole.shape[2]) @ covariance
+        left = left.reshape(len(local), len(whole), -1)
+        inner = left @ whole.reshape(len(whole), -1).T
+        return self.means[j] @ mean, inner + local @ local.swapaxes(1, 2)
+
+    def matrices(self, j: int, points: Array) -> Array:
+        """The matrices of one parameter at values of it, (Q, r_j, r_{j+1})."""
+        modes = self.bases[j].modal_values(points)
+        return np.asarray(np.einsum("qm,rms->qrs", modes, self.cores[j], optimize=True))
+
+    @property
+    def _largest(self) -> int:
+        """Numbers for each point."""
+        return max(core.size for core in self.whole)
+
+
+def _blocks(count: int, size: int) -> Iterator[slice]:
+    """Slices of points whose numbers, ``size`` for each point, fit in memory together."""
+    step = max(_NUMBERS_AT_ONCE // max(size, 1), 1)
+    return (slice(start, start + step) for start in range(0, count, step))
 
 
 def _sandwich(core: Array, inner: Array) -> Array:

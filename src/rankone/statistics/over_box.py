@@ -1,39 +1,43 @@
-"""Statistics of a solution over its box, as methods."""
+"""Moments, sensitivities and quantiles of a solution over its box, as methods."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rankone.solution.core import SolutionCore
-from rankone.statistics.certainty import Certainty
-from rankone.statistics.copula import Copula, copula_of
-from rankone.statistics.distributions import from_text
-from rankone.statistics.measures import Measure
-from rankone.statistics.solution_statistics import Sobol, Statistics, measures_of
+from rankone.statistics.distributions import Distribution, from_text
+from rankone.statistics.joint_distribution import (
+    Correlations,
+    Distributions,
+    JointDistribution,
+    copula_of,
+    measures_of,
+)
+from rankone.statistics.solution_statistics import Certainty, MainEffects, Sobol, Statistics
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
 
-__all__ = ["StatisticsOverBox"]
+__all__ = ["StatisticsOverBox", "Times"]
 
+Times = ArrayLike | None
+"""Times; None where nothing depends on time."""
 
-_TIMES = 25
-"""Times at which the size of an unknown is looked for."""
+_SIZE_TIMES = 25
+"""Times at which the size of an unknown is measured: a size need not be exact."""
+_TRUNCATION_SHARE = 0.1
+"""Truncation of a train for higher moments, in shares of the tolerance of the solution."""
 
 
 class StatisticsOverBox(SolutionCore):
-    """A solution whose parameters are random: means, spreads, sensitivities, quantiles."""
+    """A solution whose parameters are random: moments, sensitivities, quantiles."""
 
     def mean(
-        self,
-        t: Any = None,
-        *,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
     ) -> Array:
         """Means of the unknowns over the box at times.
 
@@ -67,44 +71,97 @@ class StatisticsOverBox(SolutionCore):
             If there is no such parameter, or a distribution has no probability in its interval, or
             correlations are not inside of (-1, 1) or contradict each other.
         """
-        return self._over_box(t, under, Statistics.mean, correlation)
+        return self._at(t, self._statistics(under, correlation).mean)
 
     def var(
-        self,
-        t: Any = None,
-        *,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
     ) -> Array:
         """Variances; arguments and shape as for :meth:`mean`."""
-        return self._over_box(t, under, Statistics.variance, correlation)
+        return self._at(t, self._statistics(under, correlation).variance)
 
     def std(
-        self,
-        t: Any = None,
-        *,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
     ) -> Array:
         """Standard deviations; arguments and shape as for :meth:`mean`."""
         return np.asarray(np.sqrt(self.var(t, under=under, correlation=correlation)))
 
     def cov(
-        self,
-        t: Any = None,
-        *,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
     ) -> Array:
         """Covariances of the unknowns at the same time, (unknowns, unknowns, *shape of t)."""
-        return self._over_box(t, under, Statistics.covariance, correlation)
+        return self._at(t, self._statistics(under, correlation).covariance)
+
+    def moment(
+        self,
+        order: int,
+        t: Times = None,
+        *,
+        under: Distributions = None,
+        correlation: Correlations = None,
+        central: bool = True,
+    ) -> Array:
+        """Means of powers of the unknowns, minus their means if ``central``.
+
+        Nothing is sampled. The third and fourth are inner products of squares of the tensor train,
+        truncated first to a tenth of the solution's ``rtol``, relative to the standard deviation.
+        Their cost grows with the sixth power of the ranks left; where these are above 32 for a
+        single unknown and time, more is truncated, and from 1e-5 on a warning says so.
+
+        Parameters
+        ----------
+        order : int
+            From 1 to 4.
+        t, under
+            As for :meth:`mean`.
+        correlation
+            As for :meth:`mean`, for orders up to 2.
+        central : bool
+
+        Returns
+        -------
+        ndarray (unknowns, *shape of t)
+            In the unit of the unknown to the power of the order.
+
+        Raises
+        ------
+        OptionError
+            If the order is another, or is 3 or 4 and parameters are correlated; and as for
+            :meth:`mean`.
+        """
+        order = checked_number("order", order, 1, 4)
+        statistics = self._statistics(under, correlation)
+        if order > 2:
+            size, *shares = self._higher(t, statistics, central)
+            return np.asarray(size**order * np.nan_to_num(shares[order - 3]))
+        if order == 2 and central:
+            return self._at(t, statistics.variance)
+        mean = self._at(t, statistics.mean)
+        if order == 2:
+            return self._at(t, statistics.variance) + mean**2
+        return np.zeros_like(mean) if central else mean
+
+    def skewness(
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+    ) -> Array:
+        """Third central moments over the cubes of the standard deviations.
+
+        Arguments, shape and errors as for :meth:`moment`. NaN where nothing varies; where the
+        standard deviation is below the error of the solution, they are those of the error.
+        """
+        return np.asarray(self._higher(t, self._statistics(under, correlation), True)[1])
+
+    def kurtosis(
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
+    ) -> Array:
+        """Fourth central moments over the squared variances, minus 3 (0 for a normal distribution).
+
+        Arguments, shape and errors as for :meth:`moment`. NaN where nothing varies; where the
+        standard deviation is below the error of the solution, they are those of the error.
+        """
+        return np.asarray(self._higher(t, self._statistics(under, correlation), True)[2] - 3.0)
 
     def sobol(
-        self,
-        t: Any = None,
-        *,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        self, t: Times = None, *, under: Distributions = None, correlation: Correlations = None
     ) -> Sobol:
         """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
 
@@ -115,68 +172,60 @@ class StatisticsOverBox(SolutionCore):
         refused: the shares of correlated parameters overlap, and depend on the order in which they
         are counted.
         """
-        indices, certainty = self._indices(t, under, correlation)
+        indices, certainty = self._indices(t, self._statistics(under, correlation))
         if message := certainty.message:
             warn(message)
         return indices
 
-    def _indices(
-        self, t: Any, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None
-    ) -> tuple[Sobol, Certainty]:
-        """Sobol indices, and how far they can be trusted."""
-        if self._copula(correlation) is not None:
-            raise OptionError(
-                "Sobol indices are not defined for correlated parameters: what two of them explain "
-                "together cannot be told apart without an order",
-                term=correlation,
-                remedy="leave out the correlation (correlation={} if the problem has it); compare "
-                "the standard deviations with one parameter fixed at a time; main_effects takes "
-                "correlations",
-            )
-        parts = Statistics.variance, Statistics.first, Statistics.total, Statistics.second
-        times = t if t is None else np.atleast_1d(np.asarray(t))
-        if times is not None and times.ndim > 1:
-            raise OptionError("times have more than one dimension", term=t, remedy="give a list")
-        variance, first, total, second = (
-            self._over_box(times, under, part, correlation) for part in parts
-        )
-        clock = np.asarray([] if times is None else times, dtype=float)
-        sizes = self._sizes(under, correlation)
-        errors = np.array([self.errors[name] for name in self.unknowns])
-        certainty = Certainty(self.unknowns, clock, self.time[0], np.sqrt(variance), sizes, errors)
-        with np.errstate(all="ignore"):
-            share = np.where(certainty.defined, 1.0 / variance, np.nan)
-        shares = first * share[:, None], total * share[:, None], second * share[:, None, None]
-        return Sobol(self.metadata.parameters, self.unknowns, clock, *shares), certainty
+    def main_effects(
+        self,
+        t: Times = None,
+        *,
+        count: int = 101,
+        under: Distributions = None,
+        correlation: Correlations = None,
+    ) -> MainEffects:
+        """Means of the unknowns as functions of each parameter, over all others.
+
+        Exact for the tensor train. Of correlated parameters the others follow the one that is
+        given: what is seen is what is observed, not what a change of this one alone would do.
+
+        Parameters
+        ----------
+        t, under, correlation
+            As for :meth:`mean`.
+        count : int
+            Number of values of each parameter, from one end of its interval to the other.
+        """
+        return self._main_effects(t, count, self._statistics(under, correlation))
 
     def sample(
         self,
         count: int,
         *,
         seed: int | None = None,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        under: Distributions = None,
+        correlation: Correlations = None,
     ) -> dict[str, Array]:
         """Random values of the parameters, by name, (count,) each.
 
         ``solution(t=1.0, **solution.sample(1000))`` are values of the unknowns. ``under``
         and ``correlation`` are as for :meth:`mean`.
         """
-        count = checked_count("count", count, 0, 3 * len(self.metadata.parameters))
-        measures = self._measures(under)
+        names = self.metadata.parameters
+        count = checked_count("count", count, 0, 3 * len(names))
         seed = None if seed is None else checked_number("seed", seed, 0)
-        shares = np.random.default_rng(seed).random((len(measures), count))
-        copula = self._copula(correlation)
-        shares = shares if copula is None else copula.joined(shares)
-        return {m.name: m.sample(row) for m, row in zip(measures, shares, strict=True)}
+        shares = np.random.default_rng(seed).random((len(names), count))
+        points = self._joint_distribution(under, correlation).points(shares)
+        return dict(zip(names, points, strict=True))
 
     def quantile(
         self,
-        q: Any,
-        t: Any = None,
+        q: ArrayLike,
+        t: Times = None,
         *,
-        under: Mapping[Any, Any] | None = None,
-        correlation: Mapping[Any, Any] | None = None,
+        under: Distributions = None,
+        correlation: Correlations = None,
         count: int = 2**14,
     ) -> Array:
         """Quantiles of the unknowns over the box at times.
@@ -209,40 +258,75 @@ class StatisticsOverBox(SolutionCore):
         if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
             raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
         count = checked_count("count", count, 1, self._numbers_each())
+        statistics = self._statistics(under, correlation)
 
-        def of(statistics: Statistics, times: Array) -> Array:
+        def quantiles(times: Array) -> Array:
             return statistics.quantiles(times, probabilities.ravel(), count)
 
-        values = self._over_box(t, under, of, correlation)
-        return values.reshape(*probabilities.shape, *values.shape[1:])
+        table = self._at(t, quantiles)
+        return table.reshape(*probabilities.shape, *table.shape[1:])
+
+    # --- for one joint distribution of the parameters ------------------------------------------
+
+    def _at(self, t: Times, statistic: Callable[[Array], Array]) -> Array:
+        """A statistic, (..., times) of times, at times of any shape."""
+        times = self._times(t)
+        table = statistic(times.ravel())
+        return table.reshape(*table.shape[:-1], *times.shape)
+
+    def _higher(self, t: Times, statistics: Statistics, central: bool) -> Array:
+        """Root mean squares, and third and fourth moments relative to them."""
+        statistics.parameters.require_independent(
+            "third and fourth moments are not there for correlated parameters",
+            remedy="take those of samples: solution(t=t, **solution.sample(10**5, "
+            "correlation=...))",
+        )
+        tolerance = _TRUNCATION_SHARE * self.rtol
+        return self._at(t, lambda times: statistics.higher(times, central, tolerance))
+
+    def _indices(self, t: Times, statistics: Statistics) -> tuple[Sobol, Certainty]:
+        """Sobol indices, and how far they can be trusted."""
+        statistics.parameters.require_independent(
+            "Sobol indices are not defined for correlated parameters: what two of them explain "
+            "together cannot be told apart without an order",
+            remedy="leave out the correlation (correlation={} if the problem has it); compare "
+            "the standard deviations with one parameter fixed at a time; main_effects takes "
+            "correlations",
+        )
+        times = t if t is None else np.atleast_1d(np.asarray(t))
+        if times is not None and times.ndim > 1:
+            raise OptionError("times have more than one dimension", term=t, remedy="give a list")
+        variance = self._at(times, statistics.variance)
+        clock = np.asarray([] if times is None else times, dtype=float)
+        ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
+        mean, spread = self._at(ends, statistics.mean), np.sqrt(self._at(ends, statistics.variance))
+        sizes = np.asarray(np.hypot(mean, spread).reshape(len(mean), -1).max(axis=1))
+        errors = np.array([self.errors[name] for name in self.unknowns])
+        certainty = Certainty(self.unknowns, clock, self.time[0], np.sqrt(variance), sizes, errors)
+        with np.errstate(all="ignore"):
+            share = np.where(certainty.defined, 1.0 / variance, np.nan)
+        first, total = self._at(times, statistics.first), self._at(times, statistics.total)
+        second = self._at(times, statistics.second) * share[:, None, None]
+        indices = first * share[:, None], total * share[:, None], second
+        return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), certainty
+
+    def _main_effects(self, t: Times, count: int, statistics: Statistics) -> MainEffects:
+        """Means given one parameter."""
+        count = checked_count("count", count, 2, self._numbers_each())
+        ranges = {name: np.linspace(*ends, count) for name, ends in self.parameters.items()}
+
+        def mean_given(j: int, points: Array) -> Array:
+            return self._at(t, lambda times: statistics.main_effect(times, j, points))
+
+        means = {name: mean_given(j, ranges[name]) for j, name in enumerate(ranges)}
+        times = np.asarray([] if t is None else t, dtype=float)
+        return MainEffects(tuple(ranges), self.unknowns, times, ranges, means)
 
     def _numbers_each(self) -> int:
         """How many numbers each of evenly spread points takes."""
         return 3 * (len(self.metadata.parameters) + len(self.unknowns))
 
-    def _over_box(
-        self,
-        t: Any,
-        under: Mapping[Any, Any] | None,
-        part: Callable[[Statistics, Array], Array],
-        correlation: Mapping[Any, Any] | None,
-    ) -> Array:
-        """A statistic at times of any shape."""
-        self._evaluator  # noqa: B018 - raises if nothing was solved
-        times = self._times(t)
-        values = part(self._statistics(under, correlation), times.ravel())
-        return values.reshape(*values.shape[:-1], *times.shape)
-
-    def _sizes(
-        self, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None
-    ) -> Array:
-        """Largest root mean square of each unknown over the horizon, (unknowns,)."""
-        ends = None if self.metadata.timeless else np.linspace(*self.time, _TIMES)
-        variance = self._over_box(ends, under, Statistics.variance, correlation)
-        mean = self._over_box(ends, under, Statistics.mean, correlation)
-        return np.asarray(np.hypot(mean, np.sqrt(variance)).reshape(len(mean), -1).max(axis=1))
-
-    def _times(self, t: Any) -> Array:
+    def _times(self, t: Times) -> Array:
         """Checked times; any one of the horizon if nothing depends on time."""
         if t is None and not self.metadata.timeless:
             raise EvaluationError(
@@ -256,31 +340,33 @@ class StatisticsOverBox(SolutionCore):
             )
         return self._coordinates.checked(0, self.time[0] if t is None else t)
 
-    def _measures(self, under: Mapping[Any, Any] | None) -> list[Measure]:
-        """The measure of each parameter."""
-        return measures_of(self.metadata.parameters, self.metadata.box, under, self._distributions)
-
-    def _copula(self, correlation: Mapping[Any, Any] | None) -> Copula | None:
-        """Correlations as given, or else those of the problem."""
-        if correlation is None:
-            correlation = {(a, b): value for a, b, value in self.metadata.correlations}
-        return copula_of(self.metadata.parameters, correlation)
-
     @cached_property
-    def _distributions(self) -> dict[str, Any]:
+    def _problem_distributions(self) -> dict[str, Distribution]:
         """The distributions that came with the problem."""
         return {name: from_text(text) for name, text in self.metadata.distributions}
 
-    def _statistics(
-        self, under: Mapping[Any, Any] | None, correlation: Mapping[Any, Any] | None
-    ) -> Statistics:
-        """The statistics for the distributions that are given, kept for the next question."""
-        copula = self._copula(correlation)
-        measures = self._measures(under)
-        key = copula, tuple(id(measure.distribution) for measure in measures)
-        if self._known is None or self._known[0] != key:
-            rows = self.metadata.unknown_rows
-            self._known = key, Statistics(self.outcome.slabs, rows, measures, copula)
-        return self._known[1]
+    def _joint_distribution(
+        self, under: Distributions, correlation: Correlations
+    ) -> JointDistribution:
+        """Distributions and correlations as given, or else those of the problem."""
+        names, box = self.metadata.parameters, self.metadata.box
+        if correlation is None:
+            correlation = {(a, b): number for a, b, number in self.metadata.correlations}
+        copula = copula_of(names, correlation)
+        return JointDistribution(
+            measures_of(names, box, under, self._problem_distributions), copula
+        )
 
-    _known: tuple[Any, Statistics] | None = None
+    def _statistics(
+        self, under: Distributions = None, correlation: Correlations = None
+    ) -> Statistics:
+        """The statistics for a joint distribution; the latest are kept for the next call."""
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        parameters = self._joint_distribution(under, correlation)
+        latest = self._latest_statistics
+        if latest is None or latest.parameters.key != parameters.key:
+            latest = Statistics(self.outcome.slabs, self.metadata.unknown_rows, parameters)
+            self._latest_statistics = latest
+        return latest
+
+    _latest_statistics: Statistics | None = None

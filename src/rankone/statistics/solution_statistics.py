@@ -1,35 +1,36 @@
-"""Statistics of all states at given times."""
+"""Statistics of all states at given times, and whether shares of the variance are certain."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rankone.discretization import Basis1D
-from rankone.discretization.coordinates import name_of
-from rankone.statistics.conditional import ConditionalMoments
-from rankone.statistics.copula import Copula
-from rankone.statistics.higher import HigherMoments
-from rankone.statistics.measures import Measure
-from rankone.statistics.moments import TrainMoments
+from rankone.statistics.higher_moments import HigherMoments
+from rankone.statistics.joint_distribution import JointDistribution
+from rankone.statistics.moments import ConditionalMoments, TrainMoments
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.spread import spread
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Sobol", "Statistics", "measures_of"]
+__all__ = ["Certainty", "MainEffects", "Sobol", "Statistics"]
 
-_Made = TypeVar("_Made")
+_Moments = TypeVar("_Moments")
 
-_BLOCK = 2**14
-"""Points that are evaluated at once."""
-_CONSTANT = 1e-13
+_POINTS_AT_ONCE = 2**14
+"""Points that are evaluated at once: their products fit in the cache."""
+_SLABS_REMEMBERED = 4
+"""Latest slabs whose moments may serve a slab that shares their cores; only neighbours do."""
+_STILL = 1e-13
 """Standard deviation, relative to the size of a state, below which it is rounding."""
+_ROUNDING_ERROR = 1e-13
+"""Error of values, relative to the largest, where none is measured."""
+_CLEAR_RATIO = 5.0
+"""Spread over error above which the error changes shares of the variance by 4 % at most."""
 
 
 @dataclass(frozen=True)
@@ -60,39 +61,25 @@ class Sobol:
     second: Array
 
 
-def measures_of(
-    names: Sequence[str],
-    box: Sequence[tuple[float, float]],
-    under: Mapping[Any, Any] | None,
-    usual: Mapping[str, Any],
-) -> list[Measure]:
-    """The measure of each parameter: as given, the usual one, or else uniform.
+@dataclass(frozen=True)
+class MainEffects:
+    """Means of the unknowns given one parameter.
 
-    Raises
-    ------
-    OptionError
-        If there is no such parameter, or a distribution does not fit its interval.
+    Attributes
+    ----------
+    parameters, unknowns : tuple of str
+    times : ndarray
+        As they were given; none if nothing depends on time.
+    values : dict of str to ndarray (count,)
+        Values of each parameter, from one end of its interval to the other.
+    means : dict of str to ndarray (unknowns, count, *shape of the times)
     """
-    given: dict[str, Any] = {}
-    if not isinstance(under, Mapping | None):
-        raise OptionError(
-            f"under={under!r} is not a mapping from parameters to distributions", term=under
-        )
-    for key, distribution in (under or {}).items():
-        name = name_of(key)
-        if name not in names:
-            raise OptionError(
-                f"there is no parameter {quote(name)}{did_you_mean(name, names)}",
-                term=name,
-                remedy=f"known are {listing(names)}",
-            )
-        if name in given:
-            raise OptionError(f"{quote(name)} is given twice", term=name)
-        given[name] = distribution
-    return [
-        Measure(name, lower, upper, given.get(name, usual.get(name)), name not in given)
-        for name, (lower, upper) in zip(names, box, strict=True)
-    ]
+
+    parameters: tuple[str, ...]
+    unknowns: tuple[str, ...]
+    times: Array
+    values: dict[str, Array]
+    means: dict[str, Array]
 
 
 class Statistics:
@@ -102,45 +89,38 @@ class Statistics:
     ----------
     slabs : sequence of SlabTrain
     rows : sequence of int
-        The states that are asked for.
-    measures : sequence of Measure
-    copula : Copula, optional
-        Of parameters that are correlated; means, covariances and points know it.
+        The states that are wanted.
+    parameters : JointDistribution
+        Means, covariances and points know correlations; other statistics need independence.
     """
 
     def __init__(
-        self,
-        slabs: Sequence[SlabTrain],
-        rows: Sequence[int],
-        measures: Sequence[Measure],
-        copula: Copula | None = None,
+        self, slabs: Sequence[SlabTrain], rows: Sequence[int], parameters: JointDistribution
     ) -> None:
-        self.slabs, self.rows, self.measures = slabs, list(rows), measures
-        self.copula = copula
+        self.slabs, self.rows, self.parameters = slabs, list(rows), parameters
         self._starts = np.array([slab.start for slab in slabs[1:]])
 
     @cached_property
     def _moments(self) -> list[TrainMoments]:
         """Of each slab; those that share their cores share them."""
-        copula = self.copula
+        measures, copula = self.parameters.measures, self.parameters.copula
         if copula is None:
-            return self.of_slabs(lambda slab: TrainMoments(*self._train(slab)))
-        return self.of_slabs(lambda slab: ConditionalMoments(*self._train(slab), copula))
+            return self._of_slabs(lambda slab: TrainMoments(slab.cores[1:], slab.bases, measures))
+        return self._of_slabs(
+            lambda slab: ConditionalMoments(slab.cores[1:], slab.bases, measures, copula)
+        )
 
-    def _train(self, slab: SlabTrain) -> tuple[Sequence[Array], Sequence[Basis1D], list[Measure]]:
-        return slab.cores[1:], slab.bases, list(self.measures)
-
-    def of_slabs(self, make: Callable[[SlabTrain], _Made]) -> list[_Made]:
-        """What is made of each slab; those that share their cores share it."""
-        known: list[tuple[SlabTrain, _Made]] = []
-        found = []
+    def _of_slabs(self, moments_of: Callable[[SlabTrain], _Moments]) -> list[_Moments]:
+        """Moments of each slab; those that share their cores share them."""
+        latest: list[tuple[SlabTrain, _Moments]] = []
+        moments = []
         for slab in self.slabs:
-            same = [made for other, made in known if slab.shares_parameters(other)]
-            made = same[0] if same else make(slab)
-            if not same:
-                known = [*known[-3:], (slab, made)]
-            found.append(made)
-        return found
+            shared = next((m for other, m in latest if slab.shares_parameters(other)), None)
+            if shared is None:
+                shared = moments_of(slab)
+                latest = [*latest[1 - _SLABS_REMEMBERED :], (slab, shared)]
+            moments.append(shared)
+        return moments
 
     def mean(self, times: Array) -> Array:
         """Means, (states, times)."""
@@ -150,8 +130,9 @@ class Statistics:
         """Covariances, (states, states, times)."""
 
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
-            parts = rows, moments.covariance[0], rows
-            return np.asarray(np.einsum("ntr,rs,mts->nmt", *parts, optimize=True))
+            return np.asarray(
+                np.einsum("ntr,rs,mts->nmt", rows, moments.covariance[0], rows, optimize=True)
+            )
 
         return self._gathered(times, of_slab)
 
@@ -169,31 +150,49 @@ class Statistics:
 
     def second(self, times: Array) -> Array:
         """Variances of interactions, (states, parameters, parameters, times)."""
-        count = len(self.measures)
-        found = np.zeros((len(self.rows), count, count, times.size))
+        count = len(self.parameters.measures)
+        variances = np.zeros((len(self.rows), count, count, times.size))
         i, j = np.triu_indices(count, 1)
-        found[:, i, j] = found[:, j, i] = self._squares(times, lambda moments: moments.second)
-        return found
+        pairs = self._squares(times, lambda moments: moments.second)
+        variances[:, i, j] = variances[:, j, i] = pairs
+        return variances
+
+    def main_effect(self, times: Array, j: int, points: Array) -> Array:
+        """Means given one parameter, (states, points, times)."""
+
+        def of_slab(rows: Array, moments: TrainMoments) -> Array:
+            return (rows @ moments.main_effect(j, points)).swapaxes(1, 2)
+
+        return self._gathered(times, of_slab)
+
+    def higher(self, times: Array, central: bool, tolerance: float) -> Array:
+        """Root mean squares, and third and fourth moments over their powers, (3, states, times).
+
+        Where nothing but rounding varies these are NaN.
+        """
+        measures = self.parameters.measures
+        slab_moments = self._of_slabs(
+            lambda slab: HigherMoments(slab.cores[1:], slab.bases, measures, central, tolerance)
+        )
+
+        def of_slab(rows: Array, moments: HigherMoments) -> Array:
+            return moments(rows.reshape(-1, rows.shape[2])).reshape(3, *rows.shape[:2])
+
+        table = self._gathered_from(times, slab_moments, of_slab)
+        firsts = (slab.cores[0][self.rows] for slab in self.slabs)
+        pairs = zip(slab_moments, firsts, strict=True)
+        sizes = np.max([moments.sizes(first) for moments, first in pairs], axis=0)
+        still = table[0] <= _STILL * sizes[:, None]
+        table[1:, still] = np.nan
+        return table
 
     def quantiles(self, times: Array, probabilities: Array, count: int) -> Array:
         """Quantiles of values at evenly spread points, (probabilities, states, times)."""
 
-        def of(values: Array) -> Array:
-            return np.quantile(values, probabilities, axis=1)
+        def of(samples: Array) -> Array:
+            return np.quantile(samples, probabilities, axis=1)
 
-        return self.over_points(times, self.points(count), of)
-
-    def points(self, count: int, seed: int = 20144) -> Array:
-        """Evenly spread values of the parameters, (parameters, count)."""
-        generator = np.random.default_rng(seed)
-        return self.at_shares(spread(count, len(self.measures), generator).T)
-
-    def at_shares(self, shares: Array) -> Array:
-        """Values of the parameters at independent shares of their probability, (d, count)."""
-        if self.copula is not None:
-            shares = self.copula.joined(shares)
-        points = [m.sample(row) for m, row in zip(self.measures, shares, strict=True)]
-        return np.array(points).reshape(len(self.measures), shares.shape[1])
+        return self.over_points(times, self.parameters.even_points(count), of)
 
     def over_points(
         self,
@@ -204,46 +203,21 @@ class Statistics:
     ) -> Array:
         """A function of values (states, points) of arrays of numbers, (..., times).
 
-        ``rows`` are other states than those that are asked for.
+        ``rows`` are other states than those of the statistics.
         """
         rows = self.rows if rows is None else list(rows)
         owner = np.searchsorted(self._starts, times, side="right")
-        found = np.empty((*of(np.zeros((len(rows), points.shape[1]))).shape, times.size))
-        carry, last = np.zeros((0, 0)), None
+        table = np.empty((*of(np.zeros((len(rows), points.shape[1]))).shape, times.size))
+        products, latest = np.zeros((0, 0)), None
         for k in np.unique(owner):
             slab = self.slabs[k]
-            if last is None or not slab.shares_parameters(last):
-                parts = (points[:, i : i + _BLOCK] for i in range(0, points.shape[1], _BLOCK))
-                carry, last = np.hstack([slab.over_parameters(part) for part in parts]), slab
-            for place in np.flatnonzero(owner == k):
-                found[..., place] = of(slab.on_grid(times[place : place + 1], carry)[rows, :, 0])
-        return found
-
-    def higher(self, times: Array, central: bool, tolerance: float) -> Array:
-        """Root mean squares, and third and fourth moments over their powers, (3, states, times).
-
-        Where nothing but rounding varies these are NaN.
-        """
-        makers = self.of_slabs(lambda slab: HigherMoments(*self._train(slab), central, tolerance))
-
-        def of_slab(rows: Array, moments: HigherMoments) -> Array:
-            return moments(rows.reshape(-1, rows.shape[2])).reshape(3, *rows.shape[:2])
-
-        found = self.gathered(times, makers, of_slab)
-        firsts = (slab.cores[0][self.rows] for slab in self.slabs)
-        pairs = zip(makers, firsts, strict=True)
-        sizes = np.max([moments.sizes(first) for moments, first in pairs], axis=0)
-        still = found[0] <= _CONSTANT * sizes[:, None]
-        found[1:, still] = np.nan
-        return found
-
-    def main_effect(self, times: Array, j: int, points: Array) -> Array:
-        """Means given one parameter, (states, points, times)."""
-
-        def of_slab(rows: Array, moments: TrainMoments) -> Array:
-            return (rows @ moments.main_effect(j, points)).swapaxes(1, 2)
-
-        return self._gathered(times, of_slab)
+            if latest is None or not slab.shares_parameters(latest):
+                starts = range(0, points.shape[1], _POINTS_AT_ONCE)
+                blocks = (points[:, start : start + _POINTS_AT_ONCE] for start in starts)
+                products, latest = np.hstack([slab.over_parameters(b) for b in blocks]), slab
+            for i in np.flatnonzero(owner == k):
+                table[..., i] = of(slab.on_grid(times[i : i + 1], products)[rows, :, 0])
+        return table
 
     def _squares(self, times: Array, matrices: Callable[[TrainMoments], Array]) -> Array:
         """``a(t) P a(t)^T`` for several matrices, (states, matrices, times)."""
@@ -251,30 +225,116 @@ class Statistics:
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
             n, count, rank = rows.shape
             flat = rows.reshape(-1, rank)
-            values = np.einsum("pnr,nr->pn", flat @ matrices(moments), flat)
-            values = np.maximum(values, 0.0)  # but for rounding it is
-            return np.asarray(values.reshape(len(values), n, count).swapaxes(0, 1))
+            squares = np.einsum("pnr,nr->pn", flat @ matrices(moments), flat)
+            squares = np.maximum(squares, 0.0)  # negative by rounding alone
+            return np.asarray(squares.reshape(len(squares), n, count).swapaxes(0, 1))
 
         return self._gathered(times, of_slab)
 
     def _gathered(self, times: Array, of_slab: Callable[[Array, TrainMoments], Array]) -> Array:
-        """What is found on each slab for its times, (..., times)."""
-        return self.gathered(times, self._moments, of_slab)
+        """A function of each slab's rows and moments at its times, (..., times)."""
+        return self._gathered_from(times, self._moments, of_slab)
 
-    def gathered(
+    def _gathered_from(
         self,
         times: Array,
-        of_slabs: Sequence[_Made],
-        found_of: Callable[[Array, _Made], Array],
+        slab_moments: Sequence[_Moments],
+        of_slab: Callable[[Array, _Moments], Array],
     ) -> Array:
-        """What is found of rows (states, times, r_1) and of what is made of their slabs."""
+        """A function of rows (states, times, r_1) and moments of their slab, (..., times)."""
         owner = np.searchsorted(self._starts, times, side="right")
-        found = np.empty(0)
+        table = np.empty(0)
         for k in np.unique(owner) if times.size else [0]:
             here = owner == k
-            rows = self.slabs[k].in_time(times[here])[self.rows]
-            values = found_of(rows, of_slabs[k])
-            if not found.ndim > 1:
-                found = np.empty((*values.shape[:-1], times.size))
-            found[..., here] = values
-        return found
+            columns = of_slab(self.slabs[k].in_time(times[here])[self.rows], slab_moments[k])
+            if not table.ndim > 1:
+                table = np.empty((*columns.shape[:-1], times.size))
+            table[..., here] = columns
+        return table
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """Standard deviations of the unknowns beside the errors of the solution.
+
+    Attributes
+    ----------
+    unknowns : tuple of str
+    times : ndarray (times,)
+        None of them where nothing depends on time.
+    start : float
+        Start of the horizon.
+    spread : ndarray (unknowns, times) or (unknowns,)
+        Standard deviations over the box.
+    sizes : ndarray (unknowns,)
+        Largest values of the unknowns.
+    errors : ndarray (unknowns,)
+        Measured errors relative to the sizes; not finite where none was measured.
+    """
+
+    unknowns: tuple[str, ...]
+    times: Array
+    start: float
+    spread: Array
+    sizes: Array
+    errors: Array
+
+    @property
+    def error(self) -> Array:
+        """Absolute errors, (unknowns,): at least those of rounding."""
+        relative = np.where(np.isfinite(self.errors), self.errors, 0.0)
+        return np.asarray(self.sizes * np.maximum(relative, _ROUNDING_ERROR))
+
+    @property
+    def defined(self) -> NDArray[np.bool_]:
+        """Where the spread is above the error, in the shape of the spread."""
+        return np.asarray(self._spread_rows > self.error[:, None]).reshape(self.spread.shape)
+
+    @property
+    def message(self) -> str | None:
+        """A warning about shares of the variance that are not defined or not certain."""
+        sentences = list(self._sentences())
+        if not sentences:
+            return None
+        remedy = "solve with a smaller rtol if it should vary there"
+        return f"{'; '.join(sentences)}; remedy: {remedy}"
+
+    def _sentences(self) -> Iterator[str]:
+        """For each unknown what is wrong with its shares.
+
+        The start of the horizon is left out, where most initial values are numbers, and so is an
+        unknown that does not vary at all.
+        """
+        later = self.times > self.start if self.times.size else np.ones(1, dtype=bool)
+        for name, spread, size, error in zip(
+            self.unknowns, self._spread_rows, self.sizes, self.error, strict=True
+        ):
+            varies = later & (spread > _ROUNDING_ERROR * size)
+            hidden = varies & (spread <= error)
+            vague = varies & (spread > error) & (spread < _CLEAR_RATIO * error)
+            if hidden.any():
+                yield (
+                    f"the Sobol indices of {quote(name)} are NaN{self._when(hidden)}: its spread "
+                    f"over the box, {spread[hidden].max():.2g}, is below the error of the "
+                    f"solution, {error:.2g}"
+                )
+            if vague.any():
+                yield (
+                    f"the Sobol indices of {quote(name)} are uncertain{self._when(vague)}: its "
+                    f"spread over the box is {spread[vague].min():.2g}, and the error of the "
+                    f"solution {error:.2g}"
+                )
+
+    def _when(self, chosen: NDArray[np.bool_]) -> str:
+        """The times chosen, by their ends."""
+        if not self.times.size:
+            return ""
+        times = self.times[chosen]
+        if times.size == 1:
+            return f" at t = {times[0]:.4g}"
+        return f" at {times.size} times between t = {times.min():.4g} and {times.max():.4g}"
+
+    @property
+    def _spread_rows(self) -> Array:
+        """The spread with an axis of times, of length one where nothing depends on time."""
+        return self.spread.reshape(len(self.unknowns), -1)

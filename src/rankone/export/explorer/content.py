@@ -12,12 +12,11 @@ import numpy as np
 from rankone.export.explorer.mathml import Notation
 from rankone.export.packing import PackedModel
 from rankone.ir.metadata import Role
-from rankone.statistics.distributions import from_text
-from rankone.statistics.measures import Measure
+from rankone.statistics.distributions import Measure, from_text
 from rankone.support.arrays import Array
 
 if TYPE_CHECKING:
-    from rankone.statistics.distribution_over_box import DistributionOverBox
+    from rankone.statistics.densities import DistributionOverBox
 
 __all__ = ["BAND", "content", "with_derivatives"]
 
@@ -102,7 +101,7 @@ def _median(name: str, ends: tuple[float, float], distribution: str | None) -> f
     lower, upper = ends
     if distribution is None:
         return lower + 0.5 * (upper - lower)
-    measure = Measure(name, lower, upper, from_text(distribution), usual=True)
+    measure = Measure(name, lower, upper, from_text(distribution), from_problem=True)
     value = round(float(measure.sample(np.array(0.5))), 3 - math.floor(math.log10(upper - lower)))
     return min(upper, max(lower, value))
 
@@ -162,7 +161,7 @@ def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
 
 def _shares(solution: DistributionOverBox, times: Array) -> Array:
     """Sobol indices, first and total: (2, unknowns, parameters, times)."""
-    indices, _ = solution._indices(times, None, None)
+    indices, _ = solution._indices(times, solution._statistics())
     return np.stack([indices.first, indices.total])
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rankone.discretization import Basis1D
-from rankone.statistics.measures import Measure
+from rankone.statistics.distributions import Measure
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
@@ -20,13 +20,17 @@ from rankone.tensors.train import right_orthonormal, truncated
 
 __all__ = ["HigherMoments"]
 
-_LEAST, _MOST = 1e-9, 0.1
-"""Tolerances of the truncation, relative to the root mean square of y."""
-_SAID = 1e-5
-"""Tolerance above which there is a warning, unless it is the one that is asked for."""
-_LARGEST_RANK, _TOGETHER = 32, 20
-"""Of a train that is squared, and of one for several times. The square has then the rank 528, and
-each point of a quadrature takes 4 times its cube."""
+_LEAST_TOLERANCE = 1e-9
+"""Least tolerance of the truncation, relative to the root mean square of y: above rounding."""
+_LARGEST_TOLERANCE = 0.1
+"""Largest tolerance of the truncation: one digit of the moments is left."""
+_WARNED_TOLERANCE = 1e-5
+"""Tolerance above which a user is warned, unless it was asked for: it shows in five digits."""
+_LARGEST_RANK = 32
+"""Largest rank of a train that is squared. The square has the rank 528, and each point of a
+quadrature takes 4 times its cube."""
+_LARGEST_COMMON_RANK = 20
+"""Largest rank of a train that serves several times; above it each time has a train alone."""
 
 
 class HigherMoments:
@@ -51,22 +55,22 @@ class HigherMoments:
         central: bool,
         tolerance: float,
     ) -> None:
-        self.central, self.tolerance = central, max(tolerance, _LEAST)
+        self.central, self.tolerance = central, max(tolerance, _LEAST_TOLERANCE)
         self.weights: list[Array] = []
-        values = []
+        nodal = []
         for core, basis, measure in zip(cores, bases, measures, strict=True):
             points, weights = measure.rule(basis, 4)
             self.weights.append(weights)
-            values.append(np.einsum("rms,pm->rps", core, basis.modal_values(points)))
-        means = [np.tensordot(c, w, (1, 0)) for c, w in zip(values, self.weights, strict=True)]
+            nodal.append(np.einsum("rms,pm->rps", core, basis.modal_values(points)))
+        means = [np.tensordot(c, w, (1, 0)) for c, w in zip(nodal, self.weights, strict=True)]
         self.mean = np.ones(1)
         after = [self.mean]
         for mean in reversed(means):
             self.mean = mean @ self.mean
             after.append(self.mean)
         if central:
-            values = _centred(values, means, after[-2::-1])
-        weighted = zip(values, self.weights, strict=True)
+            nodal = _centred(nodal, means, after[-2::-1])
+        weighted = zip(nodal, self.weights, strict=True)
         scaled = [core * np.sqrt(weight)[:, None] for core, weight in weighted]
         if scaled:
             self.root, *self.cores = right_orthonormal([np.eye(len(scaled[0])), *scaled])
@@ -78,20 +82,20 @@ class HigherMoments:
         them: (3, T). Where y is zero they are not defined (NaN)."""
         rows = self._rotated(rows)
         norms = np.linalg.norm(rows, axis=1)
-        found = np.full((3, len(rows)), np.nan)
-        found[0] = norms
+        moments = np.full((3, len(rows)), np.nan)
+        moments[0] = norms
         some = norms > 0.0
         if some.any():
-            found[1:, some] = self._normed(rows[some] / norms[some, None])
-        return found
+            moments[1:, some] = self._normed(rows[some] / norms[some, None])
+        return moments
 
     def sizes(self, first: Array) -> Array:
         """Root mean squares of the states over the box and a slab, y or not, (n,).
 
         ``first`` is the core (n, K, r_1) of the slab.
         """
-        parts = np.linalg.norm(self._rotated(first), axis=(1, 2)), first @ self.mean
-        return np.asarray(np.hypot(parts[0], np.linalg.norm(parts[1], axis=1)))
+        spreads, means = np.linalg.norm(self._rotated(first), axis=(1, 2)), first @ self.mean
+        return np.asarray(np.hypot(spreads, np.linalg.norm(means, axis=1)))
 
     def _rotated(self, rows: Array) -> Array:
         """Rows (..., r_1) for the cores that are orthonormal."""
@@ -107,13 +111,13 @@ class HigherMoments:
             return np.stack([rows[:, 0] ** 3, rows[:, 0] ** 4])
         tolerance = self.tolerance
         (first, *cores), _ = truncated([rows, *self.cores], tolerance)
-        if len(rows) > 1 and max(map(len, cores)) > _TOGETHER:
+        if len(rows) > 1 and max(map(len, cores)) > _LARGEST_COMMON_RANK:
             half = len(rows) // 2
             return np.hstack([self._normed(rows[:half]), self._normed(rows[half:])])
-        while max(map(len, cores)) > _LARGEST_RANK and tolerance < _MOST:
+        while max(map(len, cores)) > _LARGEST_RANK and tolerance < _LARGEST_TOLERANCE:
             tolerance *= 3.0
             (first, *cores), _ = truncated([rows, *self.cores], tolerance)
-        if tolerance > max(_SAID, self.tolerance):
+        if tolerance > max(_WARNED_TOLERANCE, self.tolerance):
             warn(
                 f"the train minus its mean is truncated to {tolerance:.0e} of its standard "
                 "deviation, since its ranks are high; third and fourth moments are good to a few "
@@ -132,34 +136,29 @@ class HigherMoments:
         """Means of square times train, and of square times square, from the first parameter on."""
         third = fourth = np.ones((1, 1))
         for core, weights in zip(reversed(cores), reversed(self.weights), strict=True):
-            values = core / np.sqrt(weights)[:, None]
-            new_third, new_fourth = np.zeros((2, 1, 1))
-            for matrix, square, weight in zip(*_squares(values), weights, strict=True):
-                new_third = new_third + weight * (square @ third @ matrix.T)
-                new_fourth = new_fourth + weight * (square @ fourth @ square.T)
-            third, fourth = new_third, new_fourth
+            nodal = core / np.sqrt(weights)[:, None]
+            cubes, fourth_powers = np.zeros((2, 1, 1))
+            for matrix, square, weight in zip(*_squares(nodal), weights, strict=True):
+                cubes = cubes + weight * (square @ third @ matrix.T)
+                fourth_powers = fourth_powers + weight * (square @ fourth @ square.T)
+            third, fourth = cubes, fourth_powers
         return third, fourth
 
 
-def _centred(
-    values: Sequence[Array], means: Sequence[Array], after: Sequence[Array]
-) -> list[Array]:
+def _centred(cores: Sequence[Array], means: Sequence[Array], after: Sequence[Array]) -> list[Array]:
     """The train minus its mean, ``sum_j C_1 ... C_{j-1} (C_j - E C_j) E[C_{j+1} ... C_d]``.
 
     Its matrices are [C_j, (C_j - E C_j) E[C_{j+1} ...]; 0, 1], the last one its last column.
     """
-    found = []
-    for j, (core, mean, rest) in enumerate(zip(values, means, after, strict=True)):
-        fluctuation = (core - mean[:, None, :]) @ rest
+    blocks = []
+    for core, mean, mean_after in zip(cores, means, after, strict=True):
         left, count, right = core.shape
         block = np.zeros((left + 1, count, right + 1))
-        block[:left, :, :right], block[:left, :, right], block[left, :, right] = (
-            core,
-            fluctuation,
-            1,
-        )
-        found.append(block[:, :, right:] if j == len(values) - 1 else block)
-    return found
+        block[:left, :, :right] = core
+        block[:left, :, right] = (core - mean[:, None, :]) @ mean_after
+        block[left, :, right] = 1.0
+        blocks.append(block)
+    return [*blocks[:-1], *(block[:, :, -1:] for block in blocks[-1:])]
 
 
 def _pairs(rows: Array) -> Array:
@@ -168,14 +167,14 @@ def _pairs(rows: Array) -> Array:
     return np.asarray(rows[:, i] * rows[:, j] * np.where(i == j, 1.0, 2.0))
 
 
-def _squares(values: Array) -> tuple[Iterator[Array], Iterator[Array]]:
+def _squares(core: Array) -> tuple[Iterator[Array], Iterator[Array]]:
     """Matrices of a core (r, points, s) at each point, and those on products of pairs i <= j."""
-    i, j = np.triu_indices(values.shape[0])
-    k, m = np.triu_indices(values.shape[2])
+    i, j = np.triu_indices(core.shape[0])
+    k, m = np.triu_indices(core.shape[2])
 
     def squared() -> Iterator[Array]:
-        for matrix in np.moveaxis(values, 1, 0):
+        for matrix in np.moveaxis(core, 1, 0):
             a, b = matrix[i], matrix[j]
             yield np.where(k == m, 0.5, 1.0) * (a[:, k] * b[:, m] + a[:, m] * b[:, k])
 
-    return iter(np.moveaxis(values, 1, 0)), squared()
+    return iter(np.moveaxis(core, 1, 0)), squared()

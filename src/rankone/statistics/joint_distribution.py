@@ -1,0 +1,272 @@
+"""The joint distribution of all parameters: one for each, joined by a Gaussian copula.
+
+Standard normal numbers z with the correlations given are turned into shares Phi(z) of the
+probability of each parameter, and these into its values. The distribution of each parameter alone
+stays as it is (Nelsen, An Introduction to Copulas, 2006, section 2.3).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import numbers
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from rankone.discretization.coordinates import name_of
+from rankone.statistics.distributions import Distribution, Measure
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.spread import spread
+from rankone.support.wording import did_you_mean, listing, quote, shown
+
+__all__ = [
+    "Copula",
+    "Correlations",
+    "Distributions",
+    "JointDistribution",
+    "copula_of",
+    "measures_of",
+]
+
+Distributions = Mapping[Any, Distribution] | None
+"""Distributions by parameter, a name or a symbol; those of the problem where none are given."""
+Correlations = Mapping[Any, float] | None
+"""Correlations by pair of parameters, names or symbols; None for those of the problem."""
+
+_LARGEST_NORMAL = 6.5
+"""Largest normal number of the quadrature; the probability beyond is 1e-10."""
+_MOST_GRID_DIMENSIONS = 3
+"""Correlated parameters up to which there is a grid; beyond, points are spread evenly."""
+_GRID_STEPS = (1.0, 0.75, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625)
+"""Steps of grids in normal numbers, finer and finer."""
+_MOST_GRID_POINTS = 2**17
+"""Most points of a grid: what takes about a second for a train of usual ranks."""
+_EVEN_POINTS = 2**14
+"""Evenly spread points, which are good to about 1e-3 of the standard deviation."""
+_LEAST_EIGENVALUE = 1e-10
+"""Least eigenvalue of a correlation matrix that counts as positive definite."""
+
+
+@dataclass(frozen=True)
+class Copula:
+    """Correlations of some parameters.
+
+    Attributes
+    ----------
+    positions : tuple of int
+        The parameters that are correlated with some other, ascending.
+    matrix : tuple of tuple of float
+        Correlations of their normal numbers.
+    """
+
+    positions: tuple[int, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+    @cached_property
+    def root(self) -> Array:
+        """The upper triangle U with U U^T the matrix: the last parameter has a number alone."""
+        return np.linalg.cholesky(np.array(self.matrix)[::-1, ::-1])[::-1, ::-1]
+
+    def joined(self, shares: Array) -> Array:
+        """Independent shares in [0, 1] of all parameters (d, M), with those here correlated."""
+        joined, rows = shares.copy(), list(self.positions)
+        joined[rows] = ndtr(self.root @ ndtri(np.clip(shares[rows], 1e-300, 1.0 - 2.0**-53)))
+        return joined
+
+    def rules(self) -> list[tuple[Array, Array]]:
+        """Quadratures over the parameters here, finer and finer: shares (k, Q), weights (Q,).
+
+        The trapezoidal rule in independent normal numbers, which converges exponentially for smooth
+        functions (Trefethen, "Exactness of quadrature formulas", SIAM Review 64, 2022); one rule of
+        evenly spread points for more than three parameters.
+        """
+        return [(ndtr(self.root @ z), weights) for z, weights in _normal(len(self.positions))]
+
+    def given(self, index: int, normal: float) -> list[tuple[Array, Array]]:
+        """The same given the normal number of one parameter, the one at ``index`` here."""
+        matrix = np.array(self.matrix)
+        free = [i for i in range(len(matrix)) if i != index]
+        slope = matrix[free, index]
+        root = np.linalg.cholesky(matrix[np.ix_(free, free)] - np.outer(slope, slope))
+        rules = []
+        for z, weights in _normal(len(free)):
+            all_z = np.insert(slope[:, None] * normal + root @ z, index, normal, axis=0)
+            rules.append((ndtr(all_z), weights))
+        return rules
+
+
+def _normal(count: int) -> list[tuple[Array, Array]]:
+    """Quadratures for independent standard normal numbers."""
+    if count > _MOST_GRID_DIMENSIONS:
+        shares = spread(_EVEN_POINTS, count, np.random.default_rng(20144)).T
+        return [(ndtri(np.clip(shares, 1e-15, 1.0)), np.full(_EVEN_POINTS, 1.0 / _EVEN_POINTS))]
+    rules = []
+    for step in _GRID_STEPS:
+        line = np.arange(-_LARGEST_NORMAL, _LARGEST_NORMAL + 0.5 * step, step)
+        if 0.8 * line.size**count > _MOST_GRID_POINTS:
+            break
+        z = np.stack(np.meshgrid(*[line] * count, indexing="ij")).reshape(count, -1)[::-1]
+        squares = np.sum(z**2, axis=0)
+        inside = squares <= _LARGEST_NORMAL**2
+        weights = np.exp(-0.5 * squares[inside])
+        rules.append((z[:, inside], weights / weights.sum()))
+    return rules
+
+
+def copula_of(names: Sequence[str], correlation: Correlations) -> Copula | None:
+    """The copula of correlations by pairs of parameters; None if nothing is correlated.
+
+    Raises
+    ------
+    OptionError
+        If a key is no pair of two parameters, a pair is there twice, a number is not inside of
+        (-1, 1), or the matrix is not positive definite.
+    """
+    if not isinstance(correlation, Mapping | None):
+        raise OptionError(
+            f"correlation={shown(correlation)} is not a mapping from pairs to numbers",
+            term=correlation,
+            remedy="give {(k, c): 0.6}",
+        )
+    coefficients: dict[tuple[int, int], float] = {}
+    for key, coefficient in (correlation or {}).items():
+        pair = _pair(names, key)
+        if pair in coefficients:
+            raise OptionError(
+                f"the correlation of {listing(names[i] for i in pair)} is given twice", term=key
+            )
+        coefficients[pair] = _coefficient(names, pair, coefficient)
+    coefficients = {pair: coefficient for pair, coefficient in coefficients.items() if coefficient}
+    if not coefficients:
+        return None
+    positions = sorted(set(itertools.chain(*coefficients)))
+    matrix = np.eye(len(positions))
+    for (i, j), coefficient in coefficients.items():
+        a, b = positions.index(i), positions.index(j)
+        matrix[a, b] = matrix[b, a] = coefficient
+    if np.linalg.eigvalsh(matrix)[0] < _LEAST_EIGENVALUE:
+        raise OptionError(
+            f"the correlations of {listing(names[i] for i in positions)} contradict each other: "
+            "their matrix is not positive definite",
+            term=correlation,
+            remedy="pairs that are not given have the correlation 0; give all of them, or smaller "
+            "numbers",
+        )
+    return Copula(tuple(positions), tuple(map(tuple, matrix.tolist())))
+
+
+def _pair(names: Sequence[str], key: object) -> tuple[int, int]:
+    """Positions of two parameters, ascending."""
+    if not isinstance(key, tuple | frozenset) or len(key) != 2:
+        raise OptionError(
+            f"{shown(key)} is not a pair of parameters",
+            term=key,
+            remedy="give correlation={(k, c): 0.6}",
+        )
+    pair = [_checked_name(names, parameter) for parameter in key]
+    if pair[0] == pair[1]:
+        raise OptionError(f"{quote(pair[0])} is paired with itself", term=key)
+    i, j = sorted(map(names.index, pair))
+    return i, j
+
+
+def _checked_name(names: Sequence[str], key: object) -> str:
+    """The name of a parameter, or an OptionError if there is none of that name."""
+    name = name_of(key)
+    if name not in names:
+        raise OptionError(
+            f"there is no parameter {quote(name)}{did_you_mean(name, names)}",
+            term=name,
+            remedy=f"known are {listing(names)}",
+        )
+    return name
+
+
+def _coefficient(names: Sequence[str], pair: tuple[int, int], given: object) -> float:
+    """A correlation inside of (-1, 1)."""
+    real = isinstance(given, numbers.Real) and not isinstance(given, bool)
+    coefficient = float(given) if real else math.nan  # type: ignore[arg-type]
+    if -1.0 < coefficient < 1.0:
+        return coefficient
+    raise OptionError(
+        f"the correlation of {listing(names[i] for i in pair)} is {shown(given)}, not a number "
+        "between -1 and 1",
+        term=given,
+        remedy="write one parameter by the other in the equations"
+        if math.isclose(abs(coefficient), 1.0)
+        else None,
+    )
+
+
+def measures_of(
+    names: Sequence[str],
+    box: Sequence[tuple[float, float]],
+    under: Distributions,
+    from_problem: Mapping[str, Distribution],
+) -> tuple[Measure, ...]:
+    """The measure of each parameter: as given, from the problem, or else uniform.
+
+    Raises
+    ------
+    OptionError
+        If there is no such parameter, or a distribution does not fit its interval.
+    """
+    if not isinstance(under, Mapping | None):
+        raise OptionError(
+            f"under={under!r} is not a mapping from parameters to distributions", term=under
+        )
+    by_name: dict[str, Distribution] = {}
+    for key, distribution in (under or {}).items():
+        name = _checked_name(names, key)
+        if name in by_name:
+            raise OptionError(f"{quote(name)} is given twice", term=name)
+        by_name[name] = distribution
+    return tuple(
+        Measure(name, *ends, by_name.get(name, from_problem.get(name)), name not in by_name)
+        for name, ends in zip(names, box, strict=True)
+    )
+
+
+@dataclass(frozen=True)
+class JointDistribution:
+    """The distribution of all parameters over their box.
+
+    Attributes
+    ----------
+    measures : tuple of Measure
+        The distribution of each parameter alone.
+    copula : Copula or None
+        Of parameters that are correlated; None if all are independent.
+    """
+
+    measures: tuple[Measure, ...]
+    copula: Copula | None = None
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Equal for equal correlations and the same objects as distributions."""
+        return self.copula, tuple(id(measure.distribution) for measure in self.measures)
+
+    def points(self, shares: Array) -> Array:
+        """Values of the parameters at independent shares of their probability, (d, count)."""
+        if self.copula is not None:
+            shares = self.copula.joined(shares)
+        rows = [measure.sample(row) for measure, row in zip(self.measures, shares, strict=True)]
+        return np.array(rows).reshape(len(self.measures), shares.shape[1])
+
+    def even_points(self, count: int, seed: int = 20144) -> Array:
+        """Evenly spread values of the parameters, (d, count)."""
+        generator = np.random.default_rng(seed)
+        return self.points(spread(count, len(self.measures), generator).T)
+
+    def require_independent(self, message: str, remedy: str) -> None:
+        """Raise an OptionError if parameters are correlated."""
+        if self.copula is not None:
+            names = tuple(self.measures[i].name for i in self.copula.positions)
+            raise OptionError(message, term=names, remedy=remedy)
