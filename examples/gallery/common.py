@@ -82,10 +82,10 @@ def trajectories(compiled: ro.CompiledProblem, points: Array, times: Array) -> A
     All points are integrated together as one stacked system.
     """
     system = compiled.system
-    count, n = len(points), system.N_DIFFERENTIAL
+    count, n = len(points), system.n_differential
     start = np.zeros((n, count))
     rows = [system.parameter_factors(j, column) for j, column in enumerate(points.T)]
-    for coefficient, state, factors in system.INITIAL:
+    for coefficient, state, factors in system.initial_terms:
         product = np.full(count, coefficient)
         for row, index in zip(rows, factors, strict=True):
             product = product * row[index]
@@ -98,7 +98,7 @@ def trajectories(compiled: ro.CompiledProblem, points: Array, times: Array) -> A
     sizes = np.maximum(np.abs(start).max(axis=1), 1.0)
     done = scipy.integrate.solve_ivp(
         stacked,
-        (system.TIME[0], times[-1]),
+        (system.horizon[0], times[-1]),
         start.ravel(),
         method="DOP853",
         t_eval=times,
@@ -111,9 +111,9 @@ def trajectories(compiled: ro.CompiledProblem, points: Array, times: Array) -> A
 
 @cache
 def _reference(compiled: ro.CompiledProblem) -> tuple[Array, Array, Array]:
-    lower, upper = np.array(compiled.system.BOX).T
+    lower, upper = np.array(compiled.system.box).T
     points = np.random.default_rng(SEED).uniform(lower, upper, (POINTS, lower.size))
-    times = np.linspace(*compiled.system.TIME, TIMES)
+    times = np.linspace(*compiled.system.horizon, TIMES)
     return points, times, trajectories(compiled, points, times)
 
 

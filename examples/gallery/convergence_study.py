@@ -96,7 +96,7 @@ def compute(
     for name in cases or CASES:
         case = CASES[name]
         compiled = ro.compile(case.problem)
-        end = compiled.system.TIME[1]
+        end = compiled.system.horizon[1]
         lines: dict[str, list[Point]] = {}
         for variant, options in VARIANTS.items():
             lines[variant] = []

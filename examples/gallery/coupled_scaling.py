@@ -65,11 +65,11 @@ def median_seconds(run: Callable[[], object], repeats: int) -> float:
 def grid_seconds(compiled: ro.CompiledProblem, nodes: int, sample: int = SAMPLE) -> float:
     """Seconds for a trajectory at every point of the grid."""
     system = compiled.system
-    axes = [np.linspace(low, high, nodes) for low, high in system.BOX]
+    axes = [np.linspace(low, high, nodes) for low, high in system.box]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     if nodes > DIRECT:
         points = np.random.default_rng(1).choice(points, sample, replace=False)
-    times = np.linspace(*system.TIME, nodes)
+    times = np.linspace(*system.horizon, nodes)
     began = time.perf_counter()
     for point in points:
         one_trajectory(compiled, point, times)
@@ -79,14 +79,14 @@ def grid_seconds(compiled: ro.CompiledProblem, nodes: int, sample: int = SAMPLE)
 def stacked_seconds(compiled: ro.CompiledProblem, nodes: int) -> float:
     """Seconds for all points of the grid integrated as one system, vectorised."""
     system = compiled.system
-    axes = [np.linspace(low, high, nodes) for low, high in system.BOX]
+    axes = [np.linspace(low, high, nodes) for low, high in system.box]
     points = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(len(axes), -1)
     began = time.perf_counter()
     scipy.integrate.solve_ivp(
         lambda t, u: system.rhs(t, u.reshape(3, -1), points).ravel(),
-        system.TIME,
+        system.horizon,
         points.ravel(),
-        t_eval=np.linspace(*system.TIME, nodes),
+        t_eval=np.linspace(*system.horizon, nodes),
         rtol=1e-4,
         atol=1e-7,
     )
@@ -97,7 +97,7 @@ def one_trajectory(compiled: ro.CompiledProblem, point: Any, times: Any) -> Any:
     system = compiled.system
     return scipy.integrate.solve_ivp(
         lambda t, u: system.rhs(t, u, point),
-        system.TIME,
+        system.horizon,
         point,
         t_eval=times,
         rtol=1e-4,
@@ -107,7 +107,7 @@ def one_trajectory(compiled: ro.CompiledProblem, point: Any, times: Any) -> Any:
 
 def grid_error(compiled: ro.CompiledProblem) -> float:
     """Error of such trajectories at a few points, relative to the size of the unknowns."""
-    times = np.linspace(*compiled.system.TIME, 21)
+    times = np.linspace(*compiled.system.horizon, 21)
     points = np.random.default_rng(2).uniform(0.5, 1.5, (32, 3))
     exact = trajectories(compiled, points, times)
     got = np.stack([one_trajectory(compiled, point, times) for point in points], axis=1)

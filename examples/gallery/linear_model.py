@@ -55,7 +55,7 @@ def compute(nodes: tuple[int, ...] = (21, 41, 81)) -> dict[str, Model]:
                 tolerance=1e-8,
             )
             errors.append(error_of(compiled, solution))
-        (low, high), end = compiled.system.BOX[0], compiled.system.TIME[1]
+        (low, high), end = compiled.system.box[0], compiled.system.horizon[1]
         times, rates = np.linspace(0, end, 41), np.linspace(low, high, 41)
         surface = solution.grid(t=times, k=rates)[0]
         form = solution.to_canonical(1e-3)["u"]

@@ -89,7 +89,7 @@ def test_reference_problems_agree(name):
     )
     if np.any(
         ro.compile(MEASURED[name]()).system.rhs(
-            0.1, np.ones(len(compiled.first_order.states)), np.mean(compiled.system.BOX, axis=1)
+            0.1, np.ones(len(compiled.first_order.states)), np.mean(compiled.system.box, axis=1)
         )
     ):
         with pytest.raises(ro.ProblemError, match="as it is written"):

@@ -216,13 +216,13 @@ def _solve(
 def _trajectories(compiled: ro.CompiledProblem) -> tuple[Any, Any, Any]:
     """Times, points (random ones, then corners) and states."""
     system = compiled.system
-    box = np.array(system.BOX)
+    box = np.array(system.box)
     d = len(box)
     inside = np.random.default_rng(4711).uniform(box[:, 0], box[:, 1], (256, d))
     corners = np.stack(np.meshgrid(*box, indexing="ij"), axis=-1).reshape(-1, d)
     points = np.concatenate([inside, corners])
-    times = np.linspace(*system.TIME, 21)
-    return times, points, integrate_reference(system, points, *system.TIME, 1e-10)(times)
+    times = np.linspace(*system.horizon, 21)
+    return times, points, integrate_reference(system, points, *system.horizon, 1e-10)(times)
 
 
 def _errors(solution: ro.Solution, times: Any, points: Any, exact: Any) -> tuple[float, float]:

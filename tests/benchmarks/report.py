@@ -157,10 +157,8 @@ def _trajectory(system: Any, stiff: bool) -> dict[str, Callable[[], object]]:
     import numpy as np
     from scipy.integrate import solve_ivp
 
-    from rankone.trajectories.integration import initial_values
-
-    centre = np.array(system.BOX).mean(axis=1)
-    start = initial_values(system, centre[:, None])[:, 0]
+    centre = np.array(system.box).mean(axis=1)
+    start = system.initial(centre[:, None])[:, 0]
 
     def rhs(t: float, u: Any) -> Any:
         return system.rhs(t, u, centre)
@@ -172,7 +170,7 @@ def _trajectory(system: Any, stiff: bool) -> dict[str, Callable[[], object]]:
     if stiff:
         choices = {"Radau": {"jac": jacobian, "atol": 1e-10}, "LSODA": {"atol": 1e-10}}
     return {
-        method: partial(solve_ivp, rhs, system.TIME, start, method=method, rtol=1e-8, **options)
+        method: partial(solve_ivp, rhs, system.horizon, start, method=method, rtol=1e-8, **options)
         for method, options in choices.items()
     }
 
@@ -183,11 +181,9 @@ def _stack(system: Any, stiff: bool) -> Callable[[], object]:
     from scipy.integrate import solve_ivp
     from scipy.sparse import eye_array, kron
 
-    from rankone.trajectories.integration import initial_values
-
-    lower, upper = np.array(system.BOX).T
+    lower, upper = np.array(system.box).T
     points = np.random.default_rng(0).uniform(lower, upper, (STACKED, lower.size)).T
-    start = initial_values(system, points)
+    start = system.initial(points)
     n = len(start)
     options: dict[str, Any] = {"method": "DOP853"}
     if stiff:
@@ -197,7 +193,7 @@ def _stack(system: Any, stiff: bool) -> Callable[[], object]:
     def rhs(t: float, u: Any) -> Any:
         return system.rhs(t, u.reshape(n, -1), points).ravel()
 
-    return partial(solve_ivp, rhs, system.TIME, start.ravel(), rtol=1e-8, **options)
+    return partial(solve_ivp, rhs, system.horizon, start.ravel(), rtol=1e-8, **options)
 
 
 def _evaluation(solution: Any, repetitions: int) -> tuple[float, float]:

@@ -141,7 +141,7 @@ def test_known_functions_of_one_coordinate_are_listed():
     rows = {tuple(row) for row in system.time_factors(at)}
     assert {(0.0, 1.0, 1.0), (1.0, 1.0, 0.0)} <= rows
     np.testing.assert_array_equal(system.parameter_factors(0, at), [np.ones(3), 1 / at])
-    assert system.CUTS[0] == (-2.5, 0.05, 0.3, 0.45, 0.6, 1.0, 2.5)
+    assert system.features.cuts[0] == (-2.5, 0.05, 0.3, 0.45, 0.6, 1.0, 2.5)
 
 
 def test_tables_are_interpolated_as_documented():

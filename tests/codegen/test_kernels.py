@@ -26,20 +26,20 @@ def check_kernels_sum_to_f(form: SeparatedForm, seed: int) -> None:
     """The contract's formula at single points: no knowledge of lowering or grouping."""
     system, oracle = load(form), Interpreter(form)
     rng = np.random.default_rng(seed)
-    n, d = system.N_DIFFERENTIAL, len(system.PARAMETERS)
+    n, d = system.n_differential, len(system.parameters)
     t, u, p = rng.uniform(0.1, 1, P), rng.uniform(-1.5, 1.5, (n, P)), rng.uniform(0.5, 2, (d, P))
     phi, x = system.time_factors(t), system.with_products(u)[:, :, None]
-    total = np.zeros((len(system.STATES), P))
-    for g, signature in enumerate(system.SIGNATURES):
+    total = np.zeros((len(system.states), P))
+    for g, signature in enumerate(system.kernels.signatures):
         scale = np.ones(P)
         for j, row in enumerate(signature):
             scale = scale * system.parameter_factors(j, p[j])[row]
-        if constant := system.CONSTANT[g]:
+        if constant := system.kernels.constant[g]:
             total += scale * constant(phi)
-        if linear := system.LINEAR[g]:
+        if linear := system.kernels.linear[g]:
             total += scale * linear(phi, x)[:, :, 0]
-        if quadratic := system.QUADRATIC[g]:
-            z = x[list(system.PAIRED[g])][:, :, :, None]
+        if quadratic := system.kernels.quadratic[g]:
+            z = x[list(system.kernels.paired[g])][:, :, :, None]
             total += scale * quadratic(phi, x, z)[:, :, 0]
     expected = np.zeros_like(total)  # the rows of the products vanish: s_a s_b - w = 0
     expected[:n] = oracle.rhs(t, u, p)
@@ -75,11 +75,11 @@ def test_quadratic_kernels_contract_paired_states(form: SeparatedForm, seed: int
     groups = quadratic_system(form).groups
     rng = np.random.default_rng(seed)
     phi = system.time_factors(rng.uniform(0, 1, P))
-    x = rng.normal(size=(len(system.STATES), P, R))
+    x = rng.normal(size=(len(system.states), P, R))
     e = rng.normal(size=(P, R, S))
     for group in groups:
-        if quadratic := system.QUADRATIC[group.index]:
-            paired = system.PAIRED[group.index]
+        if quadratic := system.kernels.quadratic[group.index]:
+            paired = system.kernels.paired[group.index]
             z = x[list(paired)][..., None] * e
             expected = np.zeros((len(x), P, S))
             for term in group.quadratic:
@@ -102,17 +102,17 @@ def test_adjoints_of_large_arrays() -> None:
 
 def check_adjoints(system: System, seed: int, r: int, s: int) -> None:
     rng = np.random.default_rng(seed)
-    n = len(system.STATES)
+    n = len(system.states)
     phi = system.time_factors(rng.uniform(0, 1, 12))
     x, w = rng.normal(size=(n, 12, r)), rng.normal(size=(n, 12, s))
-    for g, paired in enumerate(system.PAIRED):
-        linear, adjoint = system.LINEAR[g], system.LINEAR_ADJOINT[g]
+    for g, paired in enumerate(system.kernels.paired):
+        linear, adjoint = system.kernels.linear[g], system.kernels.linear_adjoint[g]
         assert (linear is None) == (adjoint is None)
         if linear and adjoint:
             y = rng.normal(size=x.shape)
             left, right = np.vdot(y, linear(phi, x)), np.vdot(adjoint(phi, y), x)
             np.testing.assert_allclose(left, right, 1e-9, 1e-9)
-        quadratic, adjoint = system.QUADRATIC[g], system.QUADRATIC_ADJOINT[g]
+        quadratic, adjoint = system.kernels.quadratic[g], system.kernels.quadratic_adjoint[g]
         assert (quadratic is None) == (adjoint is None) == (not paired)
         if quadratic and adjoint:
             z = rng.normal(size=(len(paired), 12, r, s))
@@ -121,5 +121,5 @@ def check_adjoints(system: System, seed: int, r: int, s: int) -> None:
 
 
 def test_kirchhoff_pairs_four_of_six_states() -> None:
-    assert load(kirchhoff()).PAIRED == ((0, 1, 3, 4),)
+    assert load(kirchhoff()).kernels.paired == ((0, 1, 3, 4),)
     assert "QUADRATIC_MATRIX_0" in generate_source(kirchhoff())

@@ -34,22 +34,22 @@ def test_golden(name: str, request: pytest.FixtureRequest) -> None:
     assert path.read_text() == source, "if the change is meant: pytest --update-golden"
     system = load_module(path.read_text(), name)
     rng = np.random.default_rng(0)
-    u = rng.uniform(size=(system.N_DIFFERENTIAL, 4))
-    p = rng.uniform(1, 2, (len(system.PARAMETERS), 4))
+    u = rng.uniform(size=(system.n_differential, 4))
+    p = rng.uniform(1, 2, (len(system.parameters), 4))
     np.testing.assert_allclose(system.rhs(0.3, u, p), Interpreter(form).rhs(0.3, u, p), 1e-12)
 
 
 def test_tables() -> None:
     system = load_module(generate_source(driven()), "driven")
-    assert system.STATES == ("x", "y", "w0")
-    assert system.N_DIFFERENTIAL == 2
-    assert system.PRODUCTS == ((0, 0),)
-    assert system.PARAMETERS == ("lambda", "x_{0}")
-    assert system.TIME == (0.0, 2.0)
-    assert system.BOX == ((1.0, 2.0), (0.0, 1.0))
-    assert system.SIGNATURES == ((0, 0), (1, 0), (2, 0))
-    assert system.INITIAL == ((1.0, 0, (0, 1)), (1.0, 1, (0, 0)))
-    assert [kernel is None for kernel in system.CONSTANT] == [False, True, True]
+    assert system.states == ("x", "y", "w0")
+    assert system.n_differential == 2
+    assert system.products == ((0, 0),)
+    assert system.parameters == ("lambda", "x_{0}")
+    assert system.horizon == (0.0, 2.0)
+    assert system.box == ((1.0, 2.0), (0.0, 1.0))
+    assert system.kernels.signatures == ((0, 0), (1, 0), (2, 0))
+    assert system.initial_terms == ((1.0, 0, (0, 1)), (1.0, 1, (0, 0)))
+    assert [kernel is None for kernel in system.kernels.constant] == [False, True, True]
 
 
 @pytest.mark.parametrize("name", REFERENCE)
@@ -112,8 +112,8 @@ def test_names_of_the_generator_are_free_for_the_user() -> None:
         dict.fromkeys(parameters, (0.0, 1.0)),
     )
     system, oracle = load_module(generate_source(form), "names"), Interpreter(form)
-    assert tuple(symbol.name for symbol in parameters) == system.PARAMETERS
-    assert len(set(system.STATES)) == len(system.STATES)
+    assert tuple(symbol.name for symbol in parameters) == system.parameters
+    assert len(set(system.states)) == len(system.states)
     rng = np.random.default_rng(0)
     u, p = rng.normal(size=(13, 3)), rng.uniform(size=(12, 3))
     np.testing.assert_allclose(system.rhs(0.3, u, p), oracle.rhs(0.3, u, p), 1e-12)
@@ -125,20 +125,21 @@ def test_names_of_the_generator_are_free_for_the_user() -> None:
 
 def test_a_system_without_parameters_and_equations_without_terms() -> None:
     system = load_module(generate_source(REFERENCE["constant_and_zero"]()), "zero")
-    assert system.PARAMETERS == ()
-    assert system.BOX == ()
-    assert system.SIGNATURES == ((),)
+    assert system.parameters == ()
+    assert system.box == ()
+    assert system.kernels.signatures == ((),)
     np.testing.assert_array_equal(system.rhs(0.0, [2.0, 0.0, 0.0], ()), [0.0, 2.5, -2.0])
     still = load_module(generate_source(separated({"x": []})), "still")
-    assert (still.SIGNATURES, still.PAIRED, still.LINEAR) == ((), (), ())
+    assert (still.kernels.signatures, still.kernels.paired, still.kernels.linear) == ((), (), ())
     np.testing.assert_array_equal(still.rhs(0.0, np.ones((1, 3)), ()), np.zeros((1, 3)))
 
 
 def test_titles_and_names_with_quotes_and_backslashes() -> None:
     form = separated({"x": [(1.0, {}, ["x"])]}, {sp.Symbol('\\"""q'): (0.0, 1.0)})
-    system = load_module(generate_source(form, title='Ends in "'), "quotes")
-    assert system.PARAMETERS == ('\\"""q',)
-    assert (system.__doc__ or "").startswith('Ends in "')
+    source = generate_source(form, title='Ends in "')
+    system = load_module(source, "quotes")
+    assert system.parameters == ('\\"""q',)
+    assert (ast.get_docstring(ast.parse(source)) or "").startswith('Ends in "')
 
 
 def test_tracebacks_show_the_generated_line() -> None:

@@ -25,8 +25,8 @@ def load(form: SeparatedForm) -> System:
 def points(system: System, seed: int, *shape: int) -> tuple[Array, Array, Array]:
     rng = np.random.default_rng(seed)
     t = rng.uniform(0.1, 1.0, shape)
-    u = rng.uniform(-1.5, 1.5, (system.N_DIFFERENTIAL, *shape))
-    p = rng.uniform(0.5, 2.0, (len(system.PARAMETERS), *shape))
+    u = rng.uniform(-1.5, 1.5, (system.n_differential, *shape))
+    p = rng.uniform(0.5, 2.0, (len(system.parameters), *shape))
     return t, u, p
 
 
@@ -60,7 +60,7 @@ def test_quadratic_jacobian_reduces_to_the_jacobian(form: SeparatedForm, seed: i
     """Eliminating the products by their own rows leaves df/du."""
     system = load(form)
     t, u, p = points(system, seed)
-    n = system.N_DIFFERENTIAL
+    n = system.n_differential
     full = system.quadratic_jacobian(t, system.with_products(u), p)
     slaved = np.linalg.solve(-full[n:, n:], full[n:, :n])  # dw/du
     reduced = full[:n, :n] + full[:n, n:] @ slaved
@@ -73,9 +73,9 @@ def test_lift_appends_the_products(form: SeparatedForm, seed: int) -> None:
     system = load(form)
     _, u, _ = points(system, seed, 3)
     x = system.with_products(u)
-    assert x.shape == (len(system.STATES), 3)
+    assert x.shape == (len(system.states), 3)
     np.testing.assert_array_equal(x[: len(u)], u)
-    for k, (a, b) in enumerate(system.PRODUCTS, start=len(u)):
+    for k, (a, b) in enumerate(system.products, start=len(u)):
         np.testing.assert_array_equal(x[k], x[a] * x[b])
 
 
@@ -84,7 +84,7 @@ def test_arguments_broadcast(name: str) -> None:
     form = REFERENCE[name]()
     system, oracle = load(form), Interpreter(form)
     rng = np.random.default_rng(0)
-    n, d = system.N_DIFFERENTIAL, len(system.PARAMETERS)
+    n, d = system.n_differential, len(system.parameters)
     u, p = rng.uniform(0.5, 1, (n, 4, 1)), rng.uniform(0.5, 1, (d, 3))
     t = rng.uniform(size=(2, 1, 1))
     np.testing.assert_allclose(system.rhs(t, u, p), oracle.rhs(t, u, p), RTOL)

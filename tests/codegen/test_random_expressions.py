@@ -12,7 +12,6 @@ import sympy as sp
 
 import rankone as ro
 from rankone.codegen.output_expressions import quantities_of
-from rankone.trajectories.integration import initial_values
 from tests.codegen.random_expressions import sample
 
 pytestmark = pytest.mark.filterwarnings("ignore:parameter .* appears nowhere")
@@ -80,9 +79,9 @@ def computed(kind, samples, points):
             if kind == "rates":
                 yield system.rhs(0.0, x, y), np.diagonal(system.jacobian(0.0, x, y))
             elif kind == "starts":
-                yield initial_values(system, np.concatenate([y, x])[:, None])[:, 0], None
+                yield system.initial(np.concatenate([y, x])[:, None])[:, 0], None
             else:
-                yield np.ravel(system.jumped(0, x, y))[:n], None
+                yield np.ravel(system.jumps.jumped(0, x, y))[:n], None
 
 
 def outputs(samples, columns):

@@ -143,7 +143,7 @@ def test_the_classic_method_is_exported_as_well(name, tmp_path):
         "np.save('values.npy', s(dict(zip(('t', *s.parameters), points))))\n"
         "assert s.metadata.method == 'greedy'\n"
     )
-    box = np.array([problem.system.TIME, *problem.system.BOX])
+    box = np.array([problem.system.horizon, *problem.system.box])
     points = box[:, :1] + np.diff(box) * np.random.default_rng(0).random((len(box), 50))
     np.save(tmp_path / "points.npy", points)
     run = alone(tmp_path, script=script)

@@ -26,7 +26,8 @@ def test_repeated_doses_are_printed_once():
         assert r"t = 4, 6:\; & x \to dose + x" in shown._repr_latex_()
     compiled = ro.compile(made)
     assert "at t = 4, 6: x -> dose + x" in compiled.source
-    assert compiled.system.JUMPS == ((2.0, 0), (4.0, 1), (6.0, 1))
+    assert compiled.system.jumps.times == (2.0, 4.0, 6.0)
+    assert compiled.system.jumps.kinds == (0, 1, 1)
     assert repr(pickle.loads(pickle.dumps(made))) == repr(made)
 
 

@@ -69,11 +69,13 @@ def linear_adjoint_0(phi, w):
     return v
 
 
-CONSTANT = (None,)
-LINEAR = (linear_0,)
-LINEAR_ADJOINT = (linear_adjoint_0,)
-QUADRATIC = (None,)
-QUADRATIC_ADJOINT = (None,)
+KERNELS = {
+    "constant": (None,),
+    "linear": (linear_0,),
+    "linear_adjoint": (linear_adjoint_0,),
+    "quadratic": (None,),
+    "quadratic_adjoint": (None,),
+}
 PAIRED = ((),)
 
 

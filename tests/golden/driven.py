@@ -199,11 +199,13 @@ def quadratic_adjoint_2(phi, x, w):
     return v
 
 
-CONSTANT = (constant_0, None, None)
-LINEAR = (linear_0, None, linear_2)
-LINEAR_ADJOINT = (linear_adjoint_0, None, linear_adjoint_2)
-QUADRATIC = (quadratic_0, quadratic_1, quadratic_2)
-QUADRATIC_ADJOINT = (quadratic_adjoint_0, quadratic_adjoint_1, quadratic_adjoint_2)
+KERNELS = {
+    "constant": (constant_0, None, None),
+    "linear": (linear_0, None, linear_2),
+    "linear_adjoint": (linear_adjoint_0, None, linear_adjoint_2),
+    "quadratic": (quadratic_0, quadratic_1, quadratic_2),
+    "quadratic_adjoint": (quadratic_adjoint_0, quadratic_adjoint_1, quadratic_adjoint_2),
+}
 PAIRED = ((0,), (0,), (1,))
 
 

@@ -161,11 +161,13 @@ def quadratic_adjoint_0(phi, x, w):
     return v
 
 
-CONSTANT = (constant_0,)
-LINEAR = (None,)
-LINEAR_ADJOINT = (None,)
-QUADRATIC = (quadratic_0,)
-QUADRATIC_ADJOINT = (quadratic_adjoint_0,)
+KERNELS = {
+    "constant": (constant_0,),
+    "linear": (None,),
+    "linear_adjoint": (None,),
+    "quadratic": (quadratic_0,),
+    "quadratic_adjoint": (quadratic_adjoint_0,),
+}
 PAIRED = ((0, 1, 3, 4),)
 
 

@@ -113,11 +113,13 @@ def quadratic_adjoint_0(phi, x, w):
     return v
 
 
-CONSTANT = (None,)
-LINEAR = (linear_0,)
-LINEAR_ADJOINT = (linear_adjoint_0,)
-QUADRATIC = (quadratic_0,)
-QUADRATIC_ADJOINT = (quadratic_adjoint_0,)
+KERNELS = {
+    "constant": (None,),
+    "linear": (linear_0,),
+    "linear_adjoint": (linear_adjoint_0,),
+    "quadratic": (quadratic_0,),
+    "quadratic_adjoint": (quadratic_adjoint_0,),
+}
 PAIRED = ((0,),)
 
 

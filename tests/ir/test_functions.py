@@ -46,7 +46,7 @@ def test_tables_of_time_serve_every_method(kind, method):
     again = pickle.loads(pickle.dumps(compiled))
     assert ro.compile(again.problem).source == compiled.source
     if kind != "cubic":
-        assert again.system.CUTS == ((0.0, 0.3, 0.31, 1.2, 2.0), ())
+        assert again.system.features.cuts == ((0.0, 0.3, 0.31, 1.2, 2.0), ())
 
 
 def test_tables_of_parameters_and_unknowns():

@@ -13,7 +13,6 @@ import rankone as ro
 from rankone.ir.domain import Domain
 from rankone.solvers.registry import ENGINES
 from rankone.symbolic.lifting import NotLiftable, lift
-from rankone.trajectories.integration import initial_values
 from rankone.verification.drift import drift
 from tests.reference.quadratization import PROBLEMS
 
@@ -120,7 +119,7 @@ def test_few_unknowns_and_exact_equations(name):
         ["numpy", "scipy"],
     )
     for p in points(problem.problem, 3).T:
-        start = initial_values(system, p[:, None])[:, 0]
+        start = system.initial(p[:, None])[:, 0]
         assert start[:n] == pytest.approx(problem.system.initial(p), rel=1e-12, abs=1e-14)
         found = scipy.integrate.solve_ivp(
             lambda now, u, p=p: system.rhs(now, u, p),

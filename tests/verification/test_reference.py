@@ -6,7 +6,6 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.trajectories.integration import initial_values
 from rankone.verification.reference import check_points, integrate_reference, measure
 from rankone.verification.sensitivity import amplification
 from tests.problems import REFERENCE
@@ -33,7 +32,7 @@ def test_check_points_hold_the_centre_all_corners_and_interior_points():
 
 def test_stacked_trajectories_equal_single_ones():
     system = module("lotka_volterra")
-    points = check_points(np.array(system.BOX), 3)
+    points = check_points(np.array(system.box), 3)
     reference = integrate_reference(system, points, 0.0, 2.0, 1e-11)
     times = np.linspace(0.0, 2.0, 9)
     values = reference(times)
@@ -53,17 +52,17 @@ def test_stacked_trajectories_equal_single_ones():
 
 def test_a_stiff_system_is_recognised_and_a_smooth_one_is_not():
     robertson = module("robertson")
-    points = check_points(np.array(robertson.BOX), 2)
+    points = check_points(np.array(robertson.box), 2)
     assert integrate_reference(robertson, points, 0.0, 40.0, 1e-6).stiff
     smooth = module("lotka_volterra")
-    points = check_points(np.array(smooth.BOX), 2)
+    points = check_points(np.array(smooth.box), 2)
     assert not integrate_reference(smooth, points, 0.0, 6.0, 1e-9).stiff
 
 
 def test_the_earliest_blow_up_is_found_with_its_point():
     problem = ro.Problem([sp.Eq(x.diff(t), k * x**2)], (t, 0, 3), {k: (0.2, 0.5)}, {x: 1})
     system = ro.compile(problem).system
-    reference = integrate_reference(system, check_points(np.array(system.BOX), 4), 0, 3, 1e-8)
+    reference = integrate_reference(system, check_points(np.array(system.box), 4), 0, 3, 1e-8)
     assert reference.end == pytest.approx(2.0, rel=1e-3)
     assert reference.points[reference.blown] == 0.5
 
@@ -73,14 +72,14 @@ def test_initial_values_are_expressions_of_the_parameters():
         [sp.Eq(x.diff(t), -x)], (t, 0, 1), {k: (1, 2), a: (0, 1)}, {x: 2 * k * a + 1}
     )
     system = ro.compile(problem).system
-    values = initial_values(system, np.array([[1.0, 2.0], [0.5, 0.25]]))
+    values = system.initial(np.array([[1.0, 2.0], [0.5, 0.25]]))
     np.testing.assert_allclose(values, [[2.0, 2.0]])
 
 
 def test_the_error_measure_sees_an_error_put_in_by_hand():
     solution = ro.solve(REFERENCE["decay"](), rtol=1e-8)
     system = module("decay")
-    points = check_points(np.array(system.BOX), 5)
+    points = check_points(np.array(system.box), 5)
     reference = integrate_reference(system, points, 0.0, 2.0, 1e-12)
     slabs = list(solution.outcome.slabs)
     good = measure(slabs, reference, np.ones(1), 2, True)
@@ -97,7 +96,7 @@ def test_the_error_measure_sees_an_error_put_in_by_hand():
 def test_amplification_of_a_linear_equation(rate, expected):
     problem = ro.Problem([sp.Eq(x.diff(t), rate * x)], (t, 0, 2), {a: (1, 2)}, {x: a})
     system = ro.compile(problem).system
-    reference = integrate_reference(system, check_points(np.array(system.BOX), 2), 0, 2, 1e-9)
+    reference = integrate_reference(system, check_points(np.array(system.box), 2), 0, 2, 1e-9)
     growth = amplification(system, reference, np.ones(1), 2.0)
     assert growth(0.0) == pytest.approx(expected, rel=2e-3)
     assert growth(2.0) == 1.0

@@ -19,7 +19,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
-from rankone.trajectories.integration import initial_values
 
 __all__ = ["STILL", "DisagreementError", "Points", "check_problem", "disagreeing_rate"]
 
@@ -52,11 +51,11 @@ class Points:
     def of(cls, system: System, count: int) -> Points:
         """Points over the horizon, the box and plausible states; the same for the same system."""
         rng = np.random.default_rng(_SEED)
-        start, end = system.TIME
-        box = np.asarray(system.BOX, dtype=float).reshape(-1, 2)
+        start, end = system.horizon
+        box = np.asarray(system.box, dtype=float).reshape(-1, 2)
         time = start + (end - start) * rng.random(count)
         p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), count))
-        initial = np.asarray(initial_values(system, p), dtype=float)
+        initial = np.asarray(system.initial(p), dtype=float)
         first = np.nan_to_num(np.asarray(system.rhs(start, initial, p), dtype=float))
         drift = first * (time - start) * np.resize(_DRIFTS, count)
         size = np.abs(initial).max(axis=1, keepdims=True)
@@ -85,7 +84,7 @@ def disagreeing_rate(lifted: System, system: System) -> int | None:
     with np.errstate(all="ignore"):
         points = Points.of(system, _POINTS)
         t, p, u = points.time, points.parameters, points.states
-        count = getattr(lifted, "LIFTED", 0)
+        count = lifted.n_lifted
         states = np.concatenate([u, np.ones((count, t.size))])
         for _ in range(count):  # some stand for functions of others
             states[len(u) :] = lifted.meanings(t, states, p)
@@ -146,7 +145,7 @@ def check_problem(
             c if _is_smooth(pair) else None for c, pair in zip(compared, written, strict=True)
         ]
         _check_jacobian(system, first_order, smooth, points, highest)
-        _check_initial(first_order, points, initial_values(system, points.parameters), lost)
+        _check_initial(first_order, points, system.initial(points.parameters), lost)
         if first_order.jumps:
             _check_jumps(first_order, system, points, lost)
 
@@ -281,7 +280,9 @@ def _check_jumps(
     computed = sp.Dummy()
     leaves = [*symbols, *first_order.functions, computed]
     for kind, (values_after, times) in enumerate(Jump.kinds(first_order.jumps).items()):
-        generated = np.asarray(system.jumped(kind, points.states, points.parameters), dtype=float)
+        generated = np.asarray(
+            system.jumps.jumped(kind, points.states, points.parameters), dtype=float
+        )
         for i, value in enumerate(values_after):
             if value == first_order.functions[i]:
                 continue

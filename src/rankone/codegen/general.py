@@ -100,8 +100,7 @@ def general_source(system: ExplicitSystem, title: str | None = None) -> str:
     tables = constants(False, names, len(names), (), system.coordinates)
     tables += cut_table(system.coordinates, everything)
     tables += [*jump_table(system.jumps), *gap_tables(rates, system.jumps, system.states)]
-    if writer.narrow is not None:
-        tables += ["PEAKS, KINKS = {}, {}".format(*writer.narrow)]
+    tables += writer.counts
     return module_source(partial(_header, system, writer.operations, title), tables, blocks)
 
 
@@ -157,7 +156,7 @@ class _Writer:
             for i, value in enumerate(system.initial)
         ]
         self.printed: list[sp.Expr] = []
-        self.narrow: tuple[int, int] | None = None
+        self.counts: list[str] = []
 
     def _name(self, i: int) -> str:
         return self.system.states[i].name
@@ -221,7 +220,7 @@ class _Writer:
     def initial(self) -> list[str]:
         entries: dict[Index, sp.Expr] = {(i,): value for i, value in enumerate(self.start)}
         return [
-            "def initial(p):",
+            "def unseparated_initial(p):",
             *docstring([f"Initial values at p (d, ...): shape ({self.n}, ...)."]),
             *self._body("initial", f"np.empty(({self.n}, *shape))", entries, self._name, _OF_P),
         ]
@@ -229,6 +228,7 @@ class _Writer:
     def moving_cuts(self) -> list[str]:
         """Where functions of time and parameters switch; nothing if there are none."""
         found = moving_switches(self.system.coordinates, self.system.rhs)
+        self.counts += [f"N_MOVING_CUTS = {len(found)}"] if found else []
         about = "Times at which functions of time and of p (d, ...) switch: ({}, ...)."
         return self._vector("moving_cuts", "p", found, about, _OF_P)
 
@@ -237,17 +237,18 @@ class _Writer:
         system = self.system
         everything = [*system.rhs, *system.initial, *jumped_values(system.jumps)]
         found = parameter_surfaces(system.coordinates, everything)
+        self.counts += [f"N_PARAMETER_SURFACES = {len(found)}"] if found else []
         about = "Zero where functions of p (d, ...) switch or peak: ({}, ...)."
-        return self._vector("surfaces", "p", found, about, _OF_P)
+        return self._vector("parameter_surfaces", "p", found, about, _OF_P)
 
     def events(self) -> list[str]:
         """Where functions of the states switch or are narrow; nothing if there are none."""
         time = self.system.coordinates[0].symbol
         found = event_functions(time, self.system.rhs)
-        peaks, kinks, _ = found
-        self.narrow = (len(peaks), len(kinks)) if any(found) else None
+        if any(found):
+            self.counts.append(f"STATE_SURFACES = {tuple(map(len, found))}  # peaks, kinks, steps")
         about = f"Zero where functions of u ({self.n}, ...) switch or peak: ({{}}, ...)."
-        return self._vector("events", "t, u, p", list(itertools.chain(*found)), about)
+        return self._vector("state_surfaces", "t, u, p", list(itertools.chain(*found)), about)
 
     def _vector(
         self,

@@ -30,7 +30,7 @@ def coupled_initial(system: QuadraticSystem) -> list[str]:
     used = set().union(*(value.free_symbols for value in sums.values()))
     places = [j for j, symbol in enumerate(symbols.values()) if symbol in used]
     lines = [
-        "def coupled_initial(p):",
+        "def unseparated_initial(p):",
         *docstring([f"What of the initial values couples parameters, at p (d, ...): ({n}, ...)."]),
         "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]",
         *unpacking(mask(own, places), "p"),

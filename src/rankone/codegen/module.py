@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import linecache
-import types
+import os
+import uuid
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import Any, cast
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache, partial
+from typing import TypeVar, cast
 
 import sympy as sp
+from threadpoolctl import threadpool_limits
 
 from rankone.codegen.definitions import constants, cut_table, definitions, module_source
 from rankone.codegen.events import parameter_surfaces
@@ -23,14 +26,16 @@ from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.meanings import meanings_function
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.printer import factor_text
-from rankone.codegen.text import described_table, nested, table
+from rankone.codegen.text import INDENT, described_table, nested, table, tuple_lines
 from rankone.codegen.variables import Variables
 from rankone.ir.forms import QuadraticSystem, SeparatedForm, Term
-from rankone.ir.system import System
+from rankone.ir.system import GeneratedNames, System, UserFunction, system_of
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import number, quote
 
-__all__ = ["generate_source", "load_module"]
+__all__ = ["ModuleSpecification", "generate_source", "load_module"]
+
+Answer = TypeVar("Answer")
 
 
 def generate_source(
@@ -69,6 +74,7 @@ def generate_source(
     functions = pointwise.functions()
     factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
     known = [expression for distinct in factors for expression in distinct]
+    surface_table, surfaces = _surfaces(system)
     blocks = [
         *definitions([*known, *jumped_values(system.jumps)]),
         *coordinate_functions(system.coordinates, factors),
@@ -78,30 +84,31 @@ def generate_source(
         jump_function(system.differential, system.coordinates, system.jumps),
         *gap_functions([], system.jumps, system.differential, system.coordinates),
         meanings_function(system.differential, system.coordinates, meanings),
-        _surfaces(system),
+        surfaces,
     ]
     head = partial(header, system, pointwise.operations, title)
     cuts = cut_table(system.coordinates, known)
-    more = [f"LIFTED = {len(meanings)}"] if meanings else []
+    more = [f"N_LIFTED = {len(meanings)}"] if meanings else []
     more += [*jump_table(system.jumps), *gap_tables([], system.jumps, system.differential)]
-    return module_source(head, [*tables(system), *more, *cuts], blocks)
+    return module_source(head, [*tables(system), *more, *cuts, *surface_table], blocks)
 
 
-def _surfaces(system: QuadraticSystem) -> list[str]:
-    """Where functions of several parameters in jumps are narrow; nothing if there are none."""
+def _surfaces(system: QuadraticSystem) -> tuple[list[str], list[str]]:
+    """Where functions of several parameters in jumps are narrow: tables and functions."""
     found = parameter_surfaces(system.coordinates, jumped_values(system.jumps))
     if not found:
-        return []
+        return [], []
     variables = Variables(system.differential, system.coordinates)
     about = f"Zero where functions of p (d, ...) switch or peak: ({len(found)}, ...)."
     shape = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
-    return variables.function("surfaces(p)", about, shape, found)
+    written = variables.function("parameter_surfaces(p)", about, shape, found)
+    return [f"N_PARAMETER_SURFACES = {len(found)}"], written
 
 
 def load_module(
-    source: str, name: str, namespace: Mapping[str, Callable[..., Any]] | None = None
+    source: str, name: str, namespace: Mapping[str, UserFunction] | None = None
 ) -> System:
-    """Import generated source, without a file and without an entry in ``sys.modules``.
+    """The system that generated source defines, without a file or an entry in ``sys.modules``.
 
     Tracebacks show the generated lines.
 
@@ -123,9 +130,7 @@ def load_module(
     check_kind("load_module", name, str, remedy="give the name of the module as text")
     digest = hashlib.sha256(source.encode(errors="replace")).hexdigest()[:8]
     filename = f"<rankone {name} {digest}>"
-    module = types.ModuleType(name)
-    module.__file__ = filename
-    module.__dict__.update(namespace or {})
+    names = {"__name__": name, "__file__": filename, **(namespace or {})}
     try:
         code = compile(source, filename, "exec")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -133,9 +138,62 @@ def load_module(
             f"the source of {quote(name)} is no module that Python can compile: {error}",
             remedy="give the text of generate_source(form)",
         ) from None
-    exec(code, module.__dict__)
+    exec(code, names)
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    return cast(System, module)
+    return system_of(cast(GeneratedNames, names))
+
+
+_MAX_LOADED = 8
+"""Modules that a process keeps loaded: enough for the problems one session works on at a time."""
+
+
+@dataclass(frozen=True)
+class ModuleSpecification:
+    """What a generated module is loaded from; modules cannot be pickled, their source can.
+
+    Fulfils :class:`rankone.ir.system.ModuleSpecification`.
+
+    Attributes
+    ----------
+    source, name : str
+        As for :func:`load_module`.
+    namespace : mapping of str to callable
+        Functions of the user, by the names that the source calls them by.
+    key : str
+        Specifications are equal if their keys are.
+    home : int
+        The process that made it.
+    """
+
+    source: str = field(compare=False)
+    name: str = field(compare=False)
+    namespace: Mapping[str, UserFunction] = field(compare=False)
+    key: str = field(default_factory=lambda: uuid.uuid4().hex)
+    home: int = field(default_factory=os.getpid, compare=False)
+
+    def load(self) -> System:
+        """The system, with this specification as its own."""
+        return replace(load_module(self.source, self.name, self.namespace), specification=self)
+
+    def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
+        """``function(system, *arguments)``; a process loads the module once.
+
+        In a process other than its own the BLAS is set to one thread, as it is in a solve.
+        """
+        if os.getpid() != self.home:
+            _one_blas_thread()
+        return function(_loaded(self), *arguments)
+
+
+@lru_cache(_MAX_LOADED)
+def _loaded(specification: ModuleSpecification) -> System:
+    return specification.load()
+
+
+@cache
+def _one_blas_thread() -> None:
+    """For good: other tasks of this process may run at the same time."""
+    threadpool_limits(1, user_api="blas")
 
 
 def tables(system: QuadraticSystem) -> list[str]:
@@ -178,6 +236,9 @@ def kernel_functions(system: QuadraticSystem) -> list[list[str]]:
         blocks += [writer.tables(), *functions.values()]
         for kernel, entries in listed.items():
             entries.append(f"{kernel}_{writer.group.index}" if kernel in functions else "None")
-    listing = [line for kernel in KERNELS for line in table(kernel.upper(), listed[kernel])]
+    listing = ["KERNELS = {"]
+    for kernel in KERNELS:
+        listing += tuple_lines(f'"{kernel}": ', listed[kernel], ",", INDENT)
+    listing.append("}")
     paired = table("PAIRED", nested(group.paired for group in system.groups))
     return [*blocks, [*listing, *paired]]

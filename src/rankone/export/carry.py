@@ -131,7 +131,7 @@ def import_lines(imports: Collection[Import]) -> list[str]:
 def _member_order(name: str) -> tuple[int, str]:
     """Constants, then classes, then functions, as isort has them."""
     kind = 0 if name.isupper() and len(name) > 1 else 1 if name[0].isupper() else 2
-    return kind, name
+    return kind, name.lower()
 
 
 # --- selection ---------------------------------------------------------------------------------

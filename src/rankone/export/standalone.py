@@ -20,7 +20,7 @@ from rankone.export.carry import Section, banner, carry, import_lines
 from rankone.export.modules import Import, bound_names, imported
 from rankone.export.templates import TERMS
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.system import System
+from rankone.ir.system import GeneratedNames
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
 from rankone.support.version import __version__
@@ -32,7 +32,7 @@ _PROGRAM = "rankone.export.program"
 _PARTS: dict[str, tuple[str, ...]] = {
     "Foundations": (
         *(f"support.{name}" for name in ("arrays", "errors", "wording", "options", "progress")),
-        *("ir.domain", "ir.system"),
+        *("ir.domain", "ir.features", "ir.jumps", "ir.system"),
         *(f"discretization.{name}" for name in ("basis", "finite_elements", "radau")),
     ),
     "Engine": (),
@@ -51,7 +51,6 @@ _TITLES = {
     _PROGRAM: "Solve, load and the command line",
 }
 """Titles of sections whose module says more than the part of it that is carried over."""
-_KERNELS = ("CONSTANT", "LINEAR", "LINEAR_ADJOINT", "QUADRATIC", "QUADRATIC_ADJOINT")
 _OWN_NAMES = ("SYSTEM", "METADATA", "Solution", "solve", "load", "np", "os", "sys")
 
 
@@ -69,6 +68,7 @@ def standalone_source(
     sections, imports = carry(
         [
             f"rankone.solvers.{engine.name}:ENGINE",
+            "rankone.ir.system:system_of",
             *(f"{_PROGRAM}:{name}" for name in ("run", "solve_system", "load_solution")),
         ],
         reserved={*module.names, *_OWN_NAMES, *(found.alias for found in module.imports)},
@@ -76,44 +76,31 @@ def standalone_source(
         order=_part,
         titles=_TITLES,
     )
-    imports |= module.imports | {
-        Import("types", "SimpleNamespace", "SimpleNamespace"),
-        Import("sys", None, "sys"),
-    }
+    imports |= module.imports | {Import("sys", None, "sys")}
     blocks = [
         _head(title, separated, metadata, module, imports)
         + f"\n\n{_heading('System')}\n\n{module.text}",
-        _system_object(module),
         *_engine_to_command_line(sections),
+        _system_object(module),
         _end(engine, metadata),
     ]
     return "\n\n\n".join(blocks) + "\n"
 
 
 class _GeneratedModule:
-    """The generated module without its docstring, its imports and the tables of kernels."""
+    """The generated module without its docstring and its imports."""
 
     def __init__(self, source: str) -> None:
         tree = ast.parse(source)
-        lines = source.splitlines()
+        self.imports = {found for node in tree.body for found in imported(node)}
+        self.docstring = (ast.get_docstring(tree) or "").splitlines()
         body = [
             node
             for node in tree.body
             if not isinstance(node, ast.Expr | ast.Import | ast.ImportFrom)
         ]
-        self.imports = {found for node in tree.body for found in imported(node)}
-        self.docstring = (ast.get_docstring(tree) or "").splitlines()
-        self.kernels: dict[str, list[str]] = {}
-        self.names: set[str] = set()
-        for node in reversed(body):
-            names = [*bound_names(node)]
-            if isinstance(node, ast.Assign) and names[0] in _KERNELS:
-                items = node.value.elts if isinstance(node.value, ast.Tuple) else []
-                self.kernels[names[0]] = [ast.unparse(item) for item in items]
-                del lines[node.lineno - 1 : node.end_lineno]
-            else:
-                self.names.update(names)
-        self.text = "\n".join(lines[body[0].lineno - 1 :]).strip()
+        self.names = {name for node in body for name in bound_names(node)}
+        self.text = "\n".join(source.splitlines()[body[0].lineno - 1 :]).strip()
 
 
 def _part(module: str) -> int:
@@ -204,16 +191,10 @@ def _usage(metadata: SolutionMetadata) -> list[str]:
 
 
 def _system_object(module: _GeneratedModule) -> str:
-    """The names that engines ask for as one object."""
-    present = {*module.names, *module.kernels}
-    methods = (name for name, item in vars(System).items() if isinstance(item, staticmethod))
-    entries = [
-        line
-        for name in (*System.__annotations__, *methods)
-        if name in present
-        for line in tuple_lines(f"{name}=", module.kernels.get(name, name), ",", INDENT)
-    ]
-    return "\n".join(["SYSTEM = SimpleNamespace(", *entries, ")"])
+    """The system that engines take, made of the names that the generated module defines."""
+    defined = (name for name in GeneratedNames.__annotations__ if name in module.names)
+    entries = (f"{INDENT * 2}{quoted(name)}: {name}," for name in defined)
+    return "\n".join(["SYSTEM = system_of(", f"{INDENT}{{", *entries, f"{INDENT}}}", ")"])
 
 
 def _end(engine: Engine, metadata: SolutionMetadata) -> str:

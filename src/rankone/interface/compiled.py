@@ -43,7 +43,7 @@ from rankone.codegen import (
 )
 from rankone.codegen.gaps import check_gaps
 from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.recipe import Recipe
+from rankone.codegen.module import ModuleSpecification
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution
@@ -126,7 +126,8 @@ class CompiledProblem:
     @cached_property
     def system(self) -> System:
         """The generated module; run again from its source after unpickling."""
-        return Recipe(self.source, self.problem.name or "system", self.user_functions).load()
+        name = self.problem.name or "system"
+        return ModuleSpecification(self.source, name, self.user_functions).load()
 
     @cached_property
     def lifted(self) -> LiftedProblem | None:

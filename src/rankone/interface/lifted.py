@@ -10,7 +10,7 @@ import sympy as sp
 from rankone.agreement.problems import disagreeing_rate
 from rankone.codegen import generate_source
 from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.recipe import Recipe
+from rankone.codegen.module import ModuleSpecification
 from rankone.ir.forms import QuadraticSystem, SeparatedForm
 from rankone.ir.functions import namespace_of
 from rankone.ir.system import System
@@ -50,7 +50,7 @@ class LiftedProblem:
         """The generated module."""
         jumps = (value for jump in self.lifting.system.jumps for value in jump.values)
         name = f"{self.name or 'system'} lifted"
-        return Recipe(self.source, name, namespace_of(jumps)).load()
+        return ModuleSpecification(self.source, name, namespace_of(jumps)).load()
 
     def __getstate__(self) -> dict[str, object]:
         return {name: value for name, value in self.__dict__.items() if name != "system"}

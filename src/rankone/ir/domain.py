@@ -33,8 +33,8 @@ class Domain:
     @classmethod
     def of(cls, system: System) -> Domain:
         """The domain a generated module was written for."""
-        box = tuple((float(lower), float(upper)) for lower, upper in system.BOX)
-        return cls((float(system.TIME[0]), float(system.TIME[1])), box)
+        box = tuple((float(lower), float(upper)) for lower, upper in system.box)
+        return cls((float(system.horizon[0]), float(system.horizon[1])), box)
 
     @property
     def bounds(self) -> Array:
@@ -112,7 +112,7 @@ class KnownFactors:
     def of(cls, system: System, domain: Domain) -> Iterator[KnownFactors]:
         """Those of time, then of each parameter."""
         yield cls("time", domain.horizon, system.time_factors)
-        for j, (name, interval) in enumerate(zip(system.PARAMETERS, domain.box, strict=True)):
+        for j, (name, interval) in enumerate(zip(system.parameters, domain.box, strict=True)):
             yield cls(quote(name), interval, partial(system.parameter_factors, j))
 
     def __call__(self, points: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from rankone.discretization.coordinates import name_of
 from rankone.ir.domain import Domain
-from rankone.ir.system import Recipe, System
+from rankone.ir.system import System
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import Options, checked_number
@@ -101,9 +101,8 @@ class Limits:
         cls, system: System, effort: str | float = "normal", max_seconds: float | None = None
     ) -> Limits:
         """The limits for arguments of ``solve``, or an OptionError."""
-        recipe: Recipe | None = getattr(system, "RECIPE", None)
-        slow = recipe is not None and recipe.namespace
-        operations = operations_for(effort) * (_USER_FUNCTION_FACTOR if slow else 1.0)
+        factor = _USER_FUNCTION_FACTOR if system.user_functions else 1.0
+        operations = operations_for(effort) * factor
         if max_seconds is None:
             return cls(operations)
         return cls(operations, checked_number("max_seconds", max_seconds, 0.0, kind=float))
@@ -177,7 +176,7 @@ class SolveRequest:
             )
             for group in groups
         )
-        domain = Domain.of(system).moved(system.PARAMETERS, parameters, t_final)
+        domain = Domain.of(system).moved(system.parameters, parameters, t_final)
         return cls(rtol, domain, compared, Limits.of(system, effort, max_seconds), chosen)
 
     def options_of(self, group: type[EngineOptions]) -> EngineOptions:
@@ -195,7 +194,7 @@ def _counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
     """The states whose error counts, of names, functions of time or derivatives; None for all."""
     if unknowns is None:
         return None
-    states = system.STATES[: system.N_DIFFERENTIAL - getattr(system, "LIFTED", 0)]
+    states = system.unknowns
     remedy = f"give some of {listing(states)}"
     single = isinstance(unknowns, str) or hasattr(unknowns, "free_symbols")
     listed = [unknowns] if single else unknowns

@@ -1,13 +1,13 @@
-"""What a generated module offers: the contract between code generation and the solvers.
+"""A system as solvers see it: what a generated module defines, complete and typed.
 
 A generated module is plain NumPy. It holds a *quadratic* system in separated form: products of
 more than two states are lowered by auxiliary algebraic states ("products", ``w = s_a s_b``), which
-follow the differential states in ``STATES``. Terms are grouped by *signature*: the tuple of
+follow the differential states in ``states``. Terms are grouped by *signature*: the tuple of
 parameter-factor rows they share, so that one contraction over the parameters serves a whole group.
 
 Within the group ``g`` the right-hand side is
 
-    prod_j parameter_factors(j, p_j)[SIGNATURES[g][j]]
+    prod_j parameter_factors(j, p_j)[signatures[g][j]]
         * (constant_g(t) + linear_g(t) x + quadratic_g(t)(x, x)),
 
 and the kernels below evaluate the bracket on ``P`` time points for ``r`` columns at once.
@@ -19,7 +19,7 @@ kernel                                 meaning (n states in all, P points)
 ``linear(phi, x)``                     x (n, P, r) -> y (n, P, r)
 ``linear_adjoint(phi, w)``             w (n, P, s) -> v (n, P, s): <w, linear(x)> = <v, x>
 ``quadratic(phi, x, z)``               x (n, P, r), z (m, P, r, s) -> y (n, P, s); for every
-                                       monomial x_a x_b of row c with b = PAIRED[g][k]:
+                                       monomial x_a x_b of row c with b = paired[g][k]:
                                        y[c][P, s] += coefficient phi x[a][P, r] z[k][P, r, s],
                                        summed over r
 ``quadratic_adjoint(phi, x, w)``       x (n, P, r), w (n, P, s) -> v (m, P, r, s):
@@ -27,151 +27,312 @@ kernel                                 meaning (n states in all, P points)
 =====================================  =======================================================
 
 ``phi`` is the array of time factors at the P points, shape (number of time factors, P).
+
+A module leaves out what its system does not have; :func:`system_of` fills in what is empty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NotRequired, Protocol, TypeAlias, TypedDict, TypeVar
 
+import numpy as np
+
+from rankone.ir.features import Features, Gaps, OfParameters, OfStates, VectorLike, no_rows
+from rankone.ir.jumps import Jumped, Jumps, unchanged
 from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
 
-__all__ = ["Kernel", "Recipe", "System"]
+__all__ = [
+    "GeneratedNames",
+    "Kernel",
+    "Kernels",
+    "ModuleSpecification",
+    "System",
+    "UserFunction",
+    "refuse_gap",
+    "system_of",
+]
 
-Kernel = Callable[..., Array]
+Kernel: TypeAlias = Callable[..., Array]
+"""One of the functions of the table above."""
+UserFunction: TypeAlias = Callable[..., object]
+"""A function that the user gave for an expression."""
+Answer = TypeVar("Answer")
 
 
-class Recipe(Protocol):
-    """What a system is loaded from; ``system.RECIPE`` of those that rankone compiled. Pickles."""
+class ModuleSpecification(Protocol):
+    """What a system is loaded from, in any process. Pickles."""
 
     @property
-    def namespace(self) -> Mapping[str, Callable[..., Any]]:
+    def namespace(self) -> Mapping[str, UserFunction]:
         """The functions of the user that the system calls."""
 
-    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+    def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
         """``function(system, *arguments)``, in any process."""
 
 
-class System(Protocol):
-    """The names a generated module defines."""
+@dataclass(frozen=True, eq=False)
+class Kernels:
+    """The separated right-hand side, group by group; no groups where it does not separate.
+
+    Attributes
+    ----------
+    signatures : tuple of tuple of int
+        For each group and parameter the row of ``parameter_factors``; row 0 is one.
+    paired : tuple of tuple of int
+        For each group the second states of its quadratic monomials (the order of z and v).
+    constant, linear, linear_adjoint, quadratic, quadratic_adjoint : tuple of callable or None
+        For each group its kernels; None where it has no such terms.
+    """
+
+    signatures: tuple[tuple[int, ...], ...] = ()
+    paired: tuple[tuple[int, ...], ...] = ()
+    constant: tuple[Kernel | None, ...] = ()
+    linear: tuple[Kernel | None, ...] = ()
+    linear_adjoint: tuple[Kernel | None, ...] = ()
+    quadratic: tuple[Kernel | None, ...] = ()
+    quadratic_adjoint: tuple[Kernel | None, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A system to be solved. Every member is there, empty where the system has nothing of it.
+
+    Attributes
+    ----------
+    separated : bool
+        Whether the right-hand side separates. Where it does not, there are no kernels and no terms.
+    states : tuple of str
+        Differential states, then the auxiliary products.
+    n_differential : int
+        Number of differential states.
+    n_lifted : int
+        How many of the differential states, the last, are functions of the others.
+    products : tuple of (int, int)
+        For each auxiliary state the indices (a, b) of the states multiplied.
+    parameters : tuple of str
+    horizon : (float, float)
+    box : tuple of (float, float)
+        The range of each parameter.
+    terms : tuple of (float, int, tuple of int, tuple of int)
+        Right-hand sides term by term, of any degree: (coefficient, differential state, rows of the
+        time factor and of the factor of each parameter, differential states multiplied).
+    initial_terms : tuple of (float, int, tuple of int)
+        Initial values, as far as they separate: (coefficient, differential state, row for each
+        parameter).
+    initial_separates : bool
+        Whether ``initial_terms`` are all of the initial values.
+    unseparated_initial : callable
+        What of the initial values does not separate, all of them if the system does not, at
+        p (d, ...): shape (n_differential, ...).
+    time_factors : callable
+        Time factors at the points t (P,): shape (number of factors, P); row 0 is one.
+    parameter_factors : callable
+        Factors of one parameter, given by its index, at the points p (N,): shape (number, N); row
+        0 is one.
+    rhs : callable
+        Pointwise f(t, u, p): u (n_differential, ...), p (d, ...) -> (n_differential, ...).
+    jacobian : callable
+        Pointwise df/du, shape (n_differential, n_differential, ...).
+    with_products : callable
+        Append the products to u: (n_differential, ...) -> (len(states), ...).
+    quadratic_jacobian : callable
+        Jacobian of the quadratic system at t, x (len(states), ...) and p, shape (n, n, ...). Rows
+        of the differential states hold f with products as states; the row of a product holds the
+        derivative of ``s_a s_b - w``.
+    meanings : callable
+        What the lifted states stand for at t, u (n_differential, ...) and p: (n_lifted, ...).
+    kernels : Kernels
+    features : Features
+        Where the system is not smooth.
+    jumps : Jumps
+        Where its states are reset.
+    gaps : Gaps
+        Where piecewise functions in its rates have no branch.
+    specification : ModuleSpecification or None
+        What it is loaded from, if rankone compiled it.
+    """
+
+    separated: bool
+    states: tuple[str, ...]
+    n_differential: int
+    products: tuple[tuple[int, int], ...]
+    parameters: tuple[str, ...]
+    horizon: tuple[float, float]
+    box: tuple[tuple[float, float], ...]
+    time_factors: Callable[[Array], Array]
+    parameter_factors: Callable[[int, Array], Array]
+    rhs: OfStates
+    jacobian: OfStates
+    with_products: Callable[[VectorLike], Array]
+    features: Features
+    quadratic_jacobian: OfStates = no_rows
+    initial_separates: bool = True
+    unseparated_initial: OfParameters = no_rows
+    terms: tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...] = ()
+    initial_terms: tuple[tuple[float, int, tuple[int, ...]], ...] = ()
+    n_lifted: int = 0
+    meanings: OfStates = no_rows
+    kernels: Kernels = field(default_factory=Kernels)
+    jumps: Jumps = field(default_factory=Jumps)
+    gaps: Gaps = field(default_factory=Gaps)
+    specification: ModuleSpecification | None = None
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """The states that the user asked for: differential, and not lifted."""
+        return self.states[: self.n_differential - self.n_lifted]
+
+    @property
+    def user_functions(self) -> frozenset[str]:
+        """Names of the functions of the user that the system calls."""
+        return frozenset(self.specification.namespace if self.specification else ())
+
+    def initial(self, p: Array) -> Array:
+        """Initial values at p (d, m): shape (n_differential, m)."""
+        if not self.separated:
+            with np.errstate(all="ignore"):
+                return self.unseparated_initial(p)
+        m = p.shape[1]
+        rows = [self.parameter_factors(j, p[j]) for j in range(len(p))]
+        values = np.zeros((self.n_differential, m))
+        for coefficient, state, factors in self.initial_terms:
+            product = np.full(m, coefficient)
+            for row, index in zip(rows, factors, strict=True):
+                product = product * row[index]
+            values[state] += product
+        return values if self.initial_separates else values + self.unseparated_initial(p)
+
+
+class GeneratedNames(TypedDict):
+    """The names that a generated module defines; see :class:`System` for what they are."""
 
     SEPARATED: bool
-    """Whether the right-hand side separates. Where it does not, the module has ``initial`` in place
-    of ``INITIAL``, and no terms, signatures and kernels."""
     STATES: tuple[str, ...]
-    """Differential states, then the auxiliary products."""
     N_DIFFERENTIAL: int
-    """Number of differential states."""
     PRODUCTS: tuple[tuple[int, int], ...]
-    """For each auxiliary state the indices (a, b) of the states multiplied."""
     PARAMETERS: tuple[str, ...]
     TIME: tuple[float, float]
     BOX: tuple[tuple[float, float], ...]
-    TERMS: tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...]
-    """Right-hand sides term by term, of any degree: (coefficient, differential state, rows of the
-    time factor and of the factor of each parameter, differential states multiplied)."""
-    SIGNATURES: tuple[tuple[int, ...], ...]
-    """For each group and parameter the row of ``parameter_factors``; row 0 is one."""
-    INITIAL: tuple[tuple[float, int, tuple[int, ...]], ...]
-    """Initial values: (coefficient, differential state, row for each parameter)."""
-    CONSTANT: tuple[Kernel | None, ...]
-    LINEAR: tuple[Kernel | None, ...]
-    LINEAR_ADJOINT: tuple[Kernel | None, ...]
-    QUADRATIC: tuple[Kernel | None, ...]
-    QUADRATIC_ADJOINT: tuple[Kernel | None, ...]
-    PAIRED: tuple[tuple[int, ...], ...]
-    """For each group the second states of its quadratic monomials (the order of z and v)."""
-    CUTS: tuple[tuple[float, ...], ...]
-    """For each coordinate where functions of it alone jump or kink; only where there are some."""
-    PERIODIC_CUTS: tuple[tuple[tuple[float, float], ...], ...]
-    """The same for points that repeat: one of them and the period."""
-    LIFTED: int
-    """How many of the differential states, the last, are functions of the others; only where there
-    are some."""
-    PEAKS: int
-    """How many of the ``events``, the first, vanish in the middle of smooth peaks; only where there
-    are some."""
-    KINKS: int
-    """How many of them, the next, vanish at kinks."""
-    JUMPS: tuple[tuple[float, int], ...]
-    """Times at which states are reset, ascending, each with the number of its kind; only where
-    there are some."""
-    ROUGH_JUMPS: tuple[int, ...]
-    """The kinds of jumps whose values are no polynomials of the states."""
+    time_factors: Callable[[Array], Array]
+    parameter_factors: Callable[[int, Array], Array]
+    rhs: OfStates
+    jacobian: OfStates
+    with_products: Callable[[VectorLike], Array]
+    TERMS: NotRequired[tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...]]
+    INITIAL: NotRequired[tuple[tuple[float, int, tuple[int, ...]], ...]]
+    SIGNATURES: NotRequired[tuple[tuple[int, ...], ...]]
+    PAIRED: NotRequired[tuple[tuple[int, ...], ...]]
+    KERNELS: NotRequired[dict[str, tuple[Kernel | None, ...]]]
+    quadratic_jacobian: NotRequired[OfStates]
+    unseparated_initial: NotRequired[OfParameters]
+    N_LIFTED: NotRequired[int]
+    meanings: NotRequired[OfStates]
+    CUTS: NotRequired[tuple[tuple[float, ...], ...]]
+    PERIODIC_CUTS: NotRequired[tuple[tuple[tuple[float, float], ...], ...]]
+    N_MOVING_CUTS: NotRequired[int]
+    moving_cuts: NotRequired[OfParameters]
+    N_PARAMETER_SURFACES: NotRequired[int]
+    parameter_surfaces: NotRequired[OfParameters]
+    STATE_SURFACES: NotRequired[tuple[int, int, int]]
+    state_surfaces: NotRequired[OfStates]
+    JUMPS: NotRequired[tuple[tuple[float, int], ...]]
+    ROUGH_JUMPS: NotRequired[tuple[int, ...]]
+    jumped: NotRequired[Jumped]
+    GAPS: NotRequired[tuple[str, ...]]
+    gaps: NotRequired[OfStates]
+    JUMP_GAPS: NotRequired[tuple[str, ...]]
+    jump_gaps: NotRequired[OfStates]
 
-    GAPS: tuple[str, ...]
-    """What to say of each gap of piecewise functions over the states; only where there are some."""
-    JUMP_GAPS: tuple[str, ...]
-    """The same for what is reset."""
 
-    @staticmethod
-    def gaps(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """One where a piecewise function of the rates has no branch, else zero: (gaps, ...); only
-        where there are some."""
+def system_of(names: GeneratedNames, specification: ModuleSpecification | None = None) -> System:
+    """The system that the names of a generated module make: the one way a System is built.
 
-    @staticmethod
-    def jump_gaps(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """The same for what is reset, at the states u before it."""
+    Any mapping will do that has the module's names, such as ``vars(module)``; names that a module
+    does not define become empty members.
+    """
+    none: tuple[tuple[()], ...] = ((),) * (1 + len(names["BOX"]))
+    peaks, kinks, steps = names.get("STATE_SURFACES", (0, 0, 0))
+    jumps = names.get("JUMPS", ())
+    return System(
+        separated=names["SEPARATED"],
+        states=names["STATES"],
+        n_differential=names["N_DIFFERENTIAL"],
+        products=names["PRODUCTS"],
+        parameters=names["PARAMETERS"],
+        horizon=names["TIME"],
+        box=names["BOX"],
+        time_factors=names["time_factors"],
+        parameter_factors=names["parameter_factors"],
+        rhs=names["rhs"],
+        jacobian=names["jacobian"],
+        with_products=names["with_products"],
+        quadratic_jacobian=names.get("quadratic_jacobian", names["jacobian"]),
+        initial_separates="unseparated_initial" not in names,
+        unseparated_initial=names.get("unseparated_initial", no_rows),
+        terms=names.get("TERMS", ()),
+        initial_terms=names.get("INITIAL", ()),
+        n_lifted=names.get("N_LIFTED", 0),
+        meanings=names.get("meanings", no_rows),
+        kernels=Kernels(
+            signatures=names.get("SIGNATURES", ()),
+            paired=names.get("PAIRED", ()),
+            **names.get("KERNELS", {}),
+        ),
+        features=Features(
+            cuts=names.get("CUTS", none),
+            periodic_cuts=names.get("PERIODIC_CUTS", none),
+            n_moving_cuts=names.get("N_MOVING_CUTS", 0),
+            moving_cuts=names.get("moving_cuts", no_rows),
+            n_parameter_surfaces=names.get("N_PARAMETER_SURFACES", 0),
+            parameter_surfaces=names.get("parameter_surfaces", no_rows),
+            n_peaks=peaks,
+            n_kinks=kinks,
+            n_steps=steps,
+            state_surfaces=names.get("state_surfaces", no_rows),
+        ),
+        jumps=Jumps(
+            times=tuple(time for time, _ in jumps),
+            kinds=tuple(kind for _, kind in jumps),
+            rough_kinds=names.get("ROUGH_JUMPS", ()),
+            jumped=names.get("jumped", unchanged),
+            gaps=Gaps(names.get("JUMP_GAPS", ()), names.get("jump_gaps", no_rows)),
+        ),
+        gaps=Gaps(names.get("GAPS", ()), names.get("gaps", no_rows)),
+        specification=specification,
+    )
 
-    @staticmethod
-    def initial(p: Sequence[Any] | Array) -> Array:
-        """Initial values at p (d, ...), shape (N_DIFFERENTIAL, ...); where nothing separates."""
 
-    @staticmethod
-    def coupled_initial(p: Sequence[Any] | Array) -> Array:
-        """What of the initial values couples parameters, at p (d, ...): (N_DIFFERENTIAL, ...); only
-        where something does."""
+_GAP_DISTANCES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
+"""Relative changes of states and time over which a gap ahead of a trajectory is looked for."""
+_GAP_REMEDY = "add a branch (value, True) for everything else, or let its conditions cover this too"
 
-    @staticmethod
-    def jumped(kind: int, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """States right after a jump from those before, u (N_DIFFERENTIAL, ...), at p (d, ...):
-        (N_DIFFERENTIAL, ...); only where there are some."""
 
-    @staticmethod
-    def meanings(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """What the lifted states stand for at the states u (N_DIFFERENTIAL, ...): (LIFTED, ...);
-        only where there are some."""
+def refuse_gap(system: System, time: float, state: Array, point: Array) -> None:
+    """Raise a ProblemError if a trajectory, state (n,) at a point (d,), enters a gap.
 
-    @staticmethod
-    def moving_cuts(p: Sequence[Any] | Array) -> Array:
-        """Times at which functions of time and parameters switch at p (d, ...), shape (cuts, ...);
-        only where nothing separates and there are some."""
+    ``state`` is where it got to, before what is reset at that time.
+    """
+    p = np.ascontiguousarray(point[:, None])
+    jump_gaps = system.jumps.gaps if time in system.jumps.times else Gaps()
+    with np.errstate(all="ignore"):
+        if (text := jump_gaps.entered(time, state[:, None], p)) is not None:
+            raise _gap_error(system, text, time, state, point)
+        if not system.gaps.texts:
+            return
+        rates = np.nan_to_num(system.rhs(time, state[:, None], p)[:, 0])
+        for distance in _GAP_DISTANCES:
+            later = state + distance * np.abs(state) * np.sign(rates)
+            ahead = time + distance * abs(system.horizon[1] - system.horizon[0])
+            if (text := system.gaps.entered(ahead, later[:, None], p)) is not None:
+                raise _gap_error(system, text, ahead, later, point)
 
-    @staticmethod
-    def surfaces(p: Sequence[Any] | Array) -> Array:
-        """Functions that vanish, or are least, where others of several parameters are narrow, kink
-        or switch, at p (d, ...), shape (surfaces, ...); only where nothing separates and there are
-        some."""
 
-    @staticmethod
-    def events(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """Functions that vanish where the right-hand side peaks, kinks or switches over the states,
-        shape (events, ...); only where nothing separates and there are some."""
-
-    @staticmethod
-    def time_factors(t: Array) -> Array:
-        """Time factors at the points t (P,): shape (number of factors, P); row 0 is one."""
-
-    @staticmethod
-    def parameter_factors(dimension: int, p: Array) -> Array:
-        """Factors of one parameter at the points p (N,): shape (number, N); row 0 is one."""
-
-    @staticmethod
-    def rhs(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """Pointwise f(t, u, p): u (N_DIFFERENTIAL, ...), p (d, ...) -> (N_DIFFERENTIAL, ...)."""
-
-    @staticmethod
-    def jacobian(t: Any, u: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """Pointwise df/du, shape (N_DIFFERENTIAL, N_DIFFERENTIAL, ...)."""
-
-    @staticmethod
-    def with_products(u: Sequence[Any] | Array) -> Array:
-        """Append the products: (N_DIFFERENTIAL, ...) -> (len(STATES), ...)."""
-
-    @staticmethod
-    def quadratic_jacobian(t: Any, x: Sequence[Any] | Array, p: Sequence[Any] | Array) -> Array:
-        """Jacobian of the quadratic system at x (len(STATES), ...), shape (n, n, ...).
-
-        Rows of the differential states hold f with products as states; the row of a product
-        holds the derivative of ``s_a s_b - w``.
-        """
+def _gap_error(system: System, text: str, time: float, state: Array, point: Array) -> ProblemError:
+    """The error for a trajectory in a gap."""
+    names = *system.states[: system.n_differential], *system.parameters
+    pairs = zip(names, (*state, *point), strict=True)
+    place = ", ".join(f"{name} = {coordinate:.6g}" for name, coordinate in pairs)
+    return ProblemError(f"{text}: entered at t = {time:.6g}, where {place}", remedy=_GAP_REMEDY)

@@ -193,7 +193,7 @@ def solve_in_attempts(
             cause = status.value
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
     measure = status, cause, request.rtol, best.measured, best.result
-    message = str(Verdict(*measure, system.STATES, stages.named, stages.budget, remedy))
+    message = str(Verdict(*measure, system.states, stages.named, stages.budget, remedy))
     message += reference_set.zeros
     slabs, blow_up = tuple(best.result.slabs), reference_set.blow_up
     safe: tuple[SafeInterval, ...] = ()
@@ -215,7 +215,7 @@ def _out_at_reference(
         time, steps, switching = reached
         cause += f", at t = {time:.6g} after {steps} steps"
     if switching is not None:
-        name = quote(system.STATES[switching])
+        name = quote(system.states[switching])
         cause += f", where the rate of {name} switches to and fro"
     took = spent_sentence(stages.work, stages.budget)
     message = "; ".join(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rankone.ir.domain import Domain, check_factors
-from rankone.ir.jumps import warn_of_last
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord, Status
 from rankone.ir.request import SolveRequest
@@ -89,7 +88,7 @@ def solve_with(
     """
     domain, limits = request.domain, request.limits
     check_factors(system, domain)
-    warn_of_last(system, *domain.horizon)
+    system.jumps.warn_of_last(*domain.horizon)
     with limited(limits.operations, limits.seconds), np.errstate(all="ignore"):  # is checked
         outcome, method = _best_outcome(engines, system, request, report)
         outcome = _without_lifted(outcome, system, request, truth)
@@ -142,12 +141,11 @@ def _without_lifted(
     outcome: Outcome, system: System, request: SolveRequest, truth: System | None
 ) -> Outcome:
     """The outcome without lifted states, measured against the system as it was written."""
-    lifted = getattr(system, "LIFTED", 0)
-    if not lifted or not outcome.slabs:
+    if not system.n_lifted or not outcome.slabs:
         return outcome
     with unlimited():
         drifted = drift(system, request.domain, outcome.slabs)
-    slabs = tuple(slab.first_states(system.N_DIFFERENTIAL - lifted) for slab in outcome.slabs)
+    slabs = tuple(slab.first_states(len(system.unknowns)) for slab in outcome.slabs)
     measured = outcome.measured and replace(outcome.measured, drift=drifted)
     outcome = replace(outcome, slabs=slabs, measured=measured)
     if truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:

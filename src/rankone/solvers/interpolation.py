@@ -16,7 +16,6 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.tensors.cross import Nodes, interpolate, left_points
 from rankone.tensors.samples import Integers
-from rankone.trajectories.integration import initial_values
 
 logger = logging.getLogger("rankone")
 
@@ -106,6 +105,6 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> list[Array]:
     """
 
     def values(indices: Integers) -> Array:
-        return initial_values(system, np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
+        return system.initial(np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
 
     return interpolated(values, [PlainNodes.of(x.size) for x in nodes], _LOST_AT_START)

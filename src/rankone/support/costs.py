@@ -7,7 +7,7 @@ budget that is off by a factor of two serves as well, as long as it is the same 
 from __future__ import annotations
 
 import dis
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from types import FunctionType
@@ -25,7 +25,6 @@ __all__ = [
     "inverse",
     "product",
     "qr",
-    "rates_cost",
     "svd",
 ]
 
@@ -87,14 +86,6 @@ def function_cost(function: Callable[..., Any], users: frozenset[str] = frozense
             same = other.__globals__ is function.__globals__
             total += function_cost(other, users) if same else Cost(0.0, 0.0)
     return total
-
-
-def rates_cost(system: Any, name: str = "rhs") -> Cost:
-    """What a function of a generated system costs."""
-    function = getattr(system, name, None)
-    recipe = getattr(system, "RECIPE", None)
-    users: Mapping[str, Any] = recipe.namespace if recipe is not None else {}
-    return Cost(0.0, 0.0) if function is None else function_cost(function, frozenset(users))
 
 
 def in_pieces(stack: Array, each: float) -> list[Array]:

@@ -21,8 +21,7 @@ from rankone.frontend.problem import Problem
 from rankone.ir.domain import Domain
 from rankone.ir.forms import Coordinate, SeparatedForm
 from rankone.ir.functions import Table, known_applied
-from rankone.ir.gaps import refuse_gap
-from rankone.ir.system import System
+from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError, RankoneWarning
 from rankone.support.wording import number, quote

@@ -26,9 +26,9 @@ def switching_state(
     states : ndarray (n, m)
         At the parameter points (m, d).
     """
-    events = getattr(system, "events", None)
-    if events is None:
+    if not system.features.n_state_surfaces:
         return None
+    events = system.features.state_surfaces
     parameters = np.ascontiguousarray(points.T)
     with np.errstate(all="ignore"):
         rates = system.rhs(time, states, parameters)

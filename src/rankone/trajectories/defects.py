@@ -15,7 +15,7 @@ import numpy as np
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import Cost, rates_cost
+from rankone.support.costs import Cost, function_cost
 
 __all__ = ["DefectControl"]
 
@@ -44,12 +44,14 @@ class DefectControl:
     """
 
     def __init__(self, system: System, points: Array, anywhere: bool) -> None:
-        self.rates, self.events = system.rhs, getattr(system, "events", None)
-        self.peaks, self.kinks = (system.PEAKS, system.KINKS) if self.events else (0, 0)
+        self.rates, self.features = system.rhs, system.features
         self.parameters = np.ascontiguousarray(points.T)
         self.each = max(_LEAST, _PLACES // len(points)) if anywhere else 0
         self.generator = np.random.default_rng(20142)
-        self.cost_of_rates, self.cost_of_events = rates_cost(system), rates_cost(system, "events")
+        self.cost_of_rates, self.cost_of_events = (
+            function_cost(function, system.user_functions)
+            for function in (system.rhs, system.features.state_surfaces)
+        )
 
     def missed(self, solver: Any, y_before: Array) -> bool:
         """Whether a step, of a StackedDOP853 or StackedRadau, missed something.
@@ -61,7 +63,7 @@ class DefectControl:
         y_before : ndarray (n m,)
             The states at its start.
         """
-        if self.events is not None and self._at_crossings(solver, y_before) > _AT_CROSSINGS:
+        if self.features.n_state_surfaces and self._at_crossings(solver, y_before) > _AT_CROSSINGS:
             return True
         return self.each > 0 and self._anywhere(solver) > _ANYWHERE
 
@@ -91,8 +93,7 @@ class DefectControl:
         error sees unless it is that of a peak, no smaller one counts.
         """
         m, before, h = self.parameters.shape[1], solver.t_old, solver.t - solver.t_old
-        events = self.events
-        assert events is not None
+        events = self.features.state_surfaces
         charge(2.0 * self.cost_of_events(m))
         start = events(before, y_before.reshape(-1, m), self.parameters)
         end = events(solver.t, solver.y.reshape(-1, m), self.parameters)
@@ -119,8 +120,8 @@ class DefectControl:
             return _largest(defect / tolerated)
 
         shares = _zeros(event, start[which, columns], end[which, columns])
-        narrow = which < self.peaks + self.kinks
-        worst = largest(shares, narrow, narrow & (which >= self.peaks))
+        narrow = which < self.features.n_peaks + self.features.n_kinks
+        worst = largest(shares, narrow, narrow & (which >= self.features.n_peaks))
         again = np.diff(columns, prepend=-1) == 0
         if again.any():
             shares = shares[np.lexsort((shares, columns))]

@@ -15,15 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from rankone.discretization.radau import inset
-from rankone.ir.jumps import jump_kind
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import Cost, eigenvalues, in_pieces, rates_cost
+from rankone.support.costs import Cost, eigenvalues, function_cost, in_pieces
 from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.steppers import StackedDOP853, StackedRadau
 
-__all__ = ["NUMBERS_LEFT", "Recorder", "Stack", "initial_values", "quickest"]
+__all__ = ["NUMBERS_LEFT", "Recorder", "Stack", "quickest"]
 
 _FIRST_PROBES, _PROBE_STEPS = (10, 15, 20, 30), 100
 """DOP853 steps after which it is asked whether stability limits the step, first and then."""
@@ -77,13 +76,15 @@ class Stack:
     @property
     def shape(self) -> tuple[int, int]:
         """Number of states, number of points."""
-        return self.system.N_DIFFERENTIAL, len(self.points)
+        return self.system.n_differential, len(self.points)
 
     @cached_property
     def costs(self) -> tuple[float, float]:
         """Operations of an evaluation of the rates in a step, and of their Jacobians."""
         n, m = self.shape
-        rates, jacobian = rates_cost(self.system), rates_cost(self.system, "jacobian")
+        system = self.system
+        rates = function_cost(system.rhs, system.user_functions)
+        jacobian = function_cost(system.jacobian, system.user_functions)
         return rates(m) + _STAGE(n * m), jacobian(m) + _ENTRY * n * n * m
 
     @property
@@ -93,9 +94,9 @@ class Stack:
         Then nothing is so narrow that it hides between the stages of a step.
         """
         system, start = self.system, self.edges[0]
-        if not system.SEPARATED or len(system.time_factors(np.array([start]))) > 1:
+        if not system.separated or len(system.time_factors(np.array([start]))) > 1:
             return False
-        return max((len(states) for *_, states in system.TERMS), default=0) <= _LOW_DEGREE
+        return max((len(states) for *_, states in system.terms), default=0) <= _LOW_DEGREE
 
     def run(
         self,
@@ -135,7 +136,7 @@ class Stack:
         """
         n, m = self.shape
         absolute = np.broadcast_to(atol, (n, m)).ravel()
-        watch = None if self.system.SEPARATED else DefectControl(self.system, self.points, watched)
+        watch = None if self.system.separated else DefectControl(self.system, self.points, watched)
         steps: dict[str, Any] = {"max_step": max_step, "states": n, "watch": watch}
         left = math.inf
         with np.errstate(all="ignore"):
@@ -160,7 +161,7 @@ class Stack:
         self, method: Any, recorder: Recorder, give_up: Callable[[Any, int], float]
     ) -> tuple[Array, float]:
         """Step over all segments: the last state, and the steps left if the method is given up."""
-        state = initial_values(self.system, np.ascontiguousarray(self.points.T))
+        state = self.system.initial(np.ascontiguousarray(self.points.T))
         recorder.begin(self.edges[0])
         count = stuck = 0
         least = _LEAST * (self.edges[-1] - self.edges[0])
@@ -188,14 +189,14 @@ class Stack:
 
     def _jumped(self, time: float, state: Array) -> Array:
         """The states after what is reset at a time, if anything is."""
-        kind = jump_kind(self.system, time)
+        kind = self.system.jumps.kind_at(time)
         if kind is None:
             return state
-        return self.system.jumped(kind, state, np.ascontiguousarray(self.points.T))
+        return self.system.jumps.jumped(kind, state, np.ascontiguousarray(self.points.T))
 
     def _goes_on(self, time: float, state: Array) -> bool:
         """Whether states, perhaps after a jump, and their rates are finite."""
-        if jump_kind(self.system, time) is None:
+        if self.system.jumps.kind_at(time) is None:
             return True
         rates = self.system.rhs(time, state, np.ascontiguousarray(self.points.T))
         return bool(np.isfinite(state).all() and np.isfinite(rates).all())
@@ -269,20 +270,3 @@ def quickest(system: System, time: float, state: Array, points: Array, floor: An
                 return int(np.argmax(lost))
         speeds = np.abs(rates) / np.maximum(np.abs(state), floor)
     return int(np.argmax(np.nan_to_num(speeds, nan=np.inf).max(axis=0)))
-
-
-def initial_values(system: System, parameters: Array) -> Array:
-    """Initial states at parameter points (d, m): shape (n, m)."""
-    if not system.SEPARATED:
-        with np.errstate(all="ignore"):
-            return system.initial(parameters)
-    m = parameters.shape[1]
-    rows = [system.parameter_factors(j, parameters[j]) for j in range(len(parameters))]
-    values = np.zeros((system.N_DIFFERENTIAL, m))
-    for coefficient, state, factors in system.INITIAL:
-        product = np.full(m, coefficient)
-        for row, index in zip(rows, factors, strict=True):
-            product = product * row[index]
-        values[state] += product
-    coupled = getattr(system, "coupled_initial", None)
-    return values if coupled is None else values + coupled(parameters)

@@ -19,7 +19,7 @@ from functools import lru_cache
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-from rankone.ir.system import Recipe, System
+from rankone.ir.system import ModuleSpecification, System
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
@@ -66,14 +66,14 @@ class Workers:
         self._processes: list[SpawnProcess] = []
         if executor is None:
             return
-        recipe: Recipe | None = getattr(system, "RECIPE", None)
-        if recipe is None:
+        specification = system.specification
+        if specification is None:
             raise OptionError(
                 "executor= needs a system compiled by rankone: workers cannot load this one",
                 remedy="leave it out, or solve with rankone.solve",
             )
         processes = isinstance(executor, int | ProcessPoolExecutor)
-        self._recipe = _pickled(recipe) if processes else recipe
+        self._specification = _pickled(specification) if processes else specification
 
     def map(
         self,
@@ -172,7 +172,7 @@ class Workers:
         try:
             for k in chosen:
                 task = _Task(function, tasks[k], failures, *limits)
-                futures[k] = self._submit(_call, self._recipe, task)
+                futures[k] = self._submit(_call, self._specification, task)
         except _DEATHS as error:
             lost = error
         try:
@@ -240,18 +240,18 @@ class _Result:
     failure: Exception | None = None
 
 
-def _call(recipe: Any, task: _Task) -> _Result:
+def _call(specification: Any, task: _Task) -> _Result:
     """What a worker runs; an executor may run it in the thread of the solve, so it counts anew."""
-    if isinstance(recipe, bytes):
-        recipe = _unpickled(recipe)
-    return Context().run(_counted, recipe, task)
+    if isinstance(specification, bytes):
+        specification = _unpickled(specification)
+    return Context().run(_counted, specification, task)
 
 
-def _counted(recipe: Any, task: _Task) -> _Result:
+def _counted(specification: Any, task: _Task) -> _Result:
     seconds = math.inf if task.end == math.inf else task.end - time.time()
     with limited(task.operations, seconds) as account:
         try:
-            value = recipe.call(task.function, *task.arguments)
+            value = specification.call(task.function, *task.arguments)
         except Exception as failure:
             if isinstance(failure, (OutOfBudgetError, *task.failures)):
                 return _Result(account.done, failure=failure)
@@ -280,10 +280,10 @@ def _taken(future: Future[_Result], end: float) -> Any:
     return result.value
 
 
-def _pickled(recipe: Recipe) -> bytes:
-    """The recipe for another process, or an error that names what cannot be sent."""
+def _pickled(specification: ModuleSpecification) -> bytes:
+    """The specification for another process, or an error that names what cannot be sent."""
     try:
-        return pickle.dumps(recipe)
+        return pickle.dumps(specification)
     except Exception as error:
         raise OptionError(
             f"a function of the user cannot be sent to another process: {error}",
@@ -292,9 +292,9 @@ def _pickled(recipe: Recipe) -> bytes:
 
 
 @lru_cache(8)
-def _unpickled(recipe: bytes) -> Any:
+def _unpickled(specification: bytes) -> Any:
     try:
-        return pickle.loads(recipe)
+        return pickle.loads(specification)
     except Exception as error:
         raise OptionError(
             f"a worker cannot load a function of the user: {type(error).__name__}: {error}",

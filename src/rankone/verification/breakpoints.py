@@ -86,11 +86,10 @@ def system_breakpoints(system: System, domain: Domain) -> tuple[Breakpoints, ...
     OptionError
         If a factor is not finite, has a pole, or switches too often.
     """
-    none = ((),) * (1 + len(domain.box))
-    known, periodic = (getattr(system, name, none) for name in ("CUTS", "PERIODIC_CUTS"))
+    features = system.features
     found: list[Breakpoints] = []
     for factors, alone, repeated in zip(
-        KnownFactors.of(system, domain), known, periodic, strict=True
+        KnownFactors.of(system, domain), features.cuts, features.periodic_cuts, strict=True
     ):
         interval = factors.interval
         cuts = [*alone, *_repeated(factors, repeated)]

@@ -25,7 +25,7 @@ def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
     cosine of the ``x`` that is found with them.
     """
     points = check_points(domain.bounds, _POINTS).T
-    count = system.LIFTED
+    count = system.n_lifted
     size, worst = np.zeros(count), np.zeros(count)
     for slab in slabs:
         times = times_within(slab.start, slab.end, _SHARES)

@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 
 from rankone.ir.domain import Domain
-from rankone.ir.jumps import jump_times
 from rankone.ir.outcome import Measured
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
@@ -133,12 +132,12 @@ class ReferenceSet:
         """
         start, end = self.reference.start, self.end
         times = np.linspace(start, end, 201)
-        for a, b in itertools.pairwise([start, *jump_times(self.system, start, end), end]):
+        for a, b in itertools.pairwise([start, *self.system.jumps.inside(start, end), end]):
             times = np.concatenate([times, times_within(a, b, _BETWEEN_JUMPS)])
         values = self.system.with_products(self.reference(times))
         values = np.delete(values, np.s_[1 : 1 + self.corners], axis=1)
         sizes = np.abs(values).max(axis=(1, 2))
-        n = self.system.N_DIFFERENTIAL
+        n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
         sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy)
         return np.where(sizes > 0.0, sizes, 1.0)
@@ -146,13 +145,13 @@ class ReferenceSet:
     @property
     def states(self) -> Array:
         """The sizes of the differential states."""
-        return self.sizes[: self.system.N_DIFFERENTIAL]
+        return self.sizes[: self.system.n_differential]
 
     def measured(self, slabs: Sequence[SlabTrain]) -> Measured | None:
         """Errors of the slabs in units of the sizes; None without check or slabs."""
         if not slabs or not self.checked:
             return None
-        seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
+        seen = len(self.system.unknowns)
         counts = self.corners, self.whole_box, seen, self.counted
         with unlimited():
             return measure(slabs, self.reference, self.states, *counts)
@@ -160,10 +159,10 @@ class ReferenceSet:
     @property
     def zeros(self) -> str:
         """Which unknowns are numerically zero, as a message says it; empty if none is."""
-        seen = self.system.N_DIFFERENTIAL - getattr(self.system, "LIFTED", 0)
+        seen = len(self.system.unknowns)
         zero = np.broadcast_to(self.reference.zero, len(self.states))[:seen]
         return "".join(
-            f"; `{self.system.STATES[i]}` is numerically zero: it stays below "
+            f"; `{self.system.states[i]}` is numerically zero: it stays below "
             f"{self.reference.rounded[i]:.1e}, which rounding errors reach; its error counts "
             f"relative to {self.states[i]:.1e}"
             for i in np.nonzero(zero)[0]
@@ -180,7 +179,7 @@ class ReferenceSet:
 def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[float, ...]:
     """The cuts, and the times of jumps in place of those that are the same but for rounding."""
     start, end = domain.horizon
-    jumps = jump_times(system, start, end)
+    jumps = system.jumps.inside(start, end)
     near = _COINCIDENT * max(abs(start), abs(end))
     apart = (cut for cut in cuts if all(abs(cut - time) > near for time in jumps))
     return tuple(sorted([*apart, *jumps]))
@@ -189,9 +188,9 @@ def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[
 def _check_sizes(reference_set: ReferenceSet) -> None:
     """Raise a ConvergenceError for states of which products are no floating-point numbers."""
     system = reference_set.system
-    if system.SEPARATED and max((len(states) for *_, states in system.TERMS), default=0) < 2:
+    if system.separated and max((len(states) for *_, states in system.terms), default=0) < 2:
         return
-    for name, size in zip(system.STATES, reference_set.states, strict=False):
+    for name, size in zip(system.states, reference_set.states, strict=False):
         if not _SMALLEST < size < 1.0 / _SMALLEST:
             raise ConvergenceError(
                 f"`{name}` is of the size {size:.1e}: its products are no floating-point numbers",
@@ -202,8 +201,7 @@ def _check_sizes(reference_set: ReferenceSet) -> None:
 def _off_switches(points: Array, system: System, domain: Domain) -> Array:
     """Points (m, d) with corners moved a little inside where a function jumps at the very end."""
     moved = points.copy()
-    none = ((),) * (1 + len(domain.box))
-    tables = [getattr(system, name, none)[1:] for name in ("CUTS", "PERIODIC_CUTS")]
+    tables = system.features.cuts[1:], system.features.periodic_cuts[1:]
     for j, (cuts, repeated) in enumerate(zip(*tables, strict=True)):
         lower, upper = domain.box[j]
         near = _INSET * (upper - lower)

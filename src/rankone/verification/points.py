@@ -12,7 +12,6 @@ from rankone.ir.domain import Domain
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
-from rankone.trajectories.integration import initial_values
 from rankone.verification.search import Climb, bisected, climbed
 
 __all__ = ["active_points", "candidate_points", "cell_points", "steepest_point", "surface_points"]
@@ -53,13 +52,13 @@ def active_points(system: System, domain: Domain) -> Array:
     """
     d = len(domain.box)
     none = np.zeros((0, d))
-    if not system.SEPARATED or d == 0:
+    if not system.separated or d == 0:
         return none
     grids = [np.linspace(*interval, _GRID) for interval in domain.box]
     sizes = [np.abs(system.parameter_factors(j, grid)) for j, grid in enumerate(grids)]
     parts = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
-    products = {rows[1:] for _, _, rows, _ in system.TERMS}
-    products |= {rows for _, _, rows in system.INITIAL}
+    products = {rows[1:] for _, _, rows, _ in system.terms}
+    products |= {rows for _, _, rows in system.initial_terms}
     shares = {rows: math.prod(p[r] for p, r in zip(parts, rows, strict=True)) for rows in products}
     rare = [rows for rows in products if 0.0 < shares[rows] < _RARE]
     rare = sorted(rare, key=lambda rows: (shares[rows], rows))
@@ -112,17 +111,17 @@ def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] 
 
     Also how many of them, the first, are those of parameters.
     """
-    known, events = getattr(system, "surfaces", None), getattr(system, "events", None)
-    if not domain.box or (known is None and events is None):
+    features = system.features
+    several, over_states = features.n_parameter_surfaces, features.n_state_surfaces
+    if not domain.box or not several + over_states:
         return None, 0
     lower, upper = domain.bounds.T
-    several = 0 if known is None else len(known(lower[:, None]))
 
     def evaluate(points: Array) -> Array:
         p = np.ascontiguousarray((lower + (upper - lower) * points).T)
-        rows = [] if known is None else [known(p)]
-        if events is not None:
-            rows.append(events(domain.horizon[0], initial_values(system, p), p))
+        rows = [features.parameter_surfaces(p)]
+        if over_states:
+            rows.append(features.state_surfaces(domain.horizon[0], system.initial(p), p))
         wide = [np.broadcast_to(row, (len(row), len(points))) for row in rows]
         return np.concatenate(wide)
 

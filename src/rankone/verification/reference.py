@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 
-from rankone.ir.gaps import refuse_gap
 from rankone.ir.outcome import Measured
-from rankone.ir.system import System
+from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge
 from rankone.support.costs import Cost
@@ -20,7 +19,7 @@ from rankone.support.errors import ConvergenceError
 from rankone.support.spread import corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.chatter import switching_state
-from rankone.trajectories.integration import NUMBERS_LEFT, Stack, initial_values, quickest
+from rankone.trajectories.integration import NUMBERS_LEFT, Stack, quickest
 from rankone.trajectories.rounding import rounding_errors
 
 __all__ = [
@@ -198,7 +197,7 @@ def integrate_reference(
     """
     between = _with_moving(system, points, start, end, cuts)
     stack = Stack(system, points, [start, *between, end])
-    initial = initial_values(system, np.ascontiguousarray(points.T))
+    initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     floor = np.full((len(initial), 1), np.inf)
     size = np.abs(initial).max(axis=1, keepdims=True)
@@ -210,7 +209,7 @@ def integrate_reference(
         steps = _Steps()
         try:
             state, avoided = stack.run(
-                steps, rtol, atol, max_step=longest, watched=not system.SEPARATED
+                steps, rtol, atol, max_step=longest, watched=not system.separated
             )
         except OutOfBudgetError as out:
             raise type(out)(*steps.so_far(system, points, end - start)) from out
@@ -236,7 +235,7 @@ def integrate_reference(
             break
     if not steps.pieces:
         values = points[quickest(system, start, state, points, rtol * _NEGLIGIBLE * size)]
-        where = [f"{n} = {v:.6g}" for n, v in zip(system.PARAMETERS, values, strict=True)]
+        where = [f"{n} = {v:.6g}" for n, v in zip(system.parameters, values, strict=True)]
         raise ConvergenceError(
             f"no trajectory can be integrated from t = {start:g}"
             + (f" at {', '.join(where)}" if where else "")
@@ -259,7 +258,7 @@ def integrate_reference(
     # At the time of a jump the states are those after it.
     dense = scipy.integrate.OdeSolution(steps.times, steps.pieces, alt_segment=True)
     batches = ((len(points), dense),)
-    ends = start, reached, avoided, blown, batches, system.N_DIFFERENTIAL, large
+    ends = start, reached, avoided, blown, batches, system.n_differential, large
     rounded = rounding.floor[:, 0], rounding.zero[:, 0]
     return Reference(points, *ends, floor[:, 0], *rounded, switching=switching)
 
@@ -272,10 +271,10 @@ def _check_start(system: System, start: float, initial: Array, points: Array) ->
         state, index = np.nonzero(~np.isfinite(np.broadcast_to(values, initial.shape)))
         if state.size:
             refuse_gap(system, start, initial[:, index[0]], points[index[0]])
-            pairs = zip(system.PARAMETERS, points[index[0]], strict=True)
+            pairs = zip(system.parameters, points[index[0]], strict=True)
             where = ", ".join(f"{name} = {x:.6g}" for name, x in pairs)
             raise ConvergenceError(
-                f"the {what} of `{system.STATES[state[0]]}` is not finite"
+                f"the {what} of `{system.states[state[0]]}` is not finite"
                 + (f" at {where}" if where else ""),
                 remedy="check the initial values and the coefficients",
             )
@@ -285,11 +284,10 @@ def _with_moving(
     system: System, points: Array, start: float, end: float, cuts: Sequence[float]
 ) -> list[float]:
     """The cuts, and the times at which functions of time switch at some of the points."""
-    moving = getattr(system, "moving_cuts", None)
-    if moving is None:
+    if not system.features.n_moving_cuts:
         return list(cuts)
     with np.errstate(all="ignore"):
-        times = np.asarray(moving(np.ascontiguousarray(points.T))).ravel()
+        times = system.features.moving_cuts(np.ascontiguousarray(points.T)).ravel()
     least = _COINCIDENT * max(abs(start), abs(end))
     times = np.unique(times[(times - start > least) & (end - times > least)])
     times = times[np.diff(times, prepend=start) > least]

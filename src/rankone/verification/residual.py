@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from rankone.discretization import Basis1D
-from rankone.ir.jumps import jump_kind
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import rates_cost
+from rankone.support.costs import function_cost
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.search import Climb, climbed
@@ -106,7 +105,7 @@ def _at_jumps(
 ) -> Array:
     """Points (m, d) where the states after a jump are not what it makes of those before it."""
     system, (lower, upper) = reference_set.system, reference_set.domain.bounds.T
-    rough = getattr(system, "ROUGH_JUMPS", ())
+    rough = system.jumps.rough_kinds
     units = reference_set.states[:, None]
     work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
     affordable = int(_WORK / max(work, 1))
@@ -114,7 +113,7 @@ def _at_jumps(
     points = lower + (upper - lower) * generator.random((count, lower.size))
     found, known = [points[:0]], dict.fromkeys(range(len(slabs)), 0)
     for before, after in itertools.pairwise(slabs):
-        kind = jump_kind(system, before.end)
+        kind = system.jumps.kind_at(before.end)
         if kind is None or known[kind] == _SLABS:
             continue
         known[kind] += 1
@@ -122,7 +121,7 @@ def _at_jumps(
         def missed(
             some: Array, kind: int = kind, sides: tuple[SlabTrain, ...] = (before, after)
         ) -> Array:
-            charge(rates_cost(system, "jumped")(len(some)))
+            charge(function_cost(system.jumps.jumped, system.user_functions)(len(some)))
             carry = sides[0].over_parameters(some.T)
             time = np.array([sides[0].end])
             start = sides[0].on_grid(time, carry)[:, :, 0]
@@ -130,7 +129,7 @@ def _at_jumps(
                 carry = sides[1].over_parameters(some.T)
             end = sides[1].on_grid(time, carry)[:, :, 0]
             with np.errstate(all="ignore"):
-                errors = np.abs(end - system.jumped(kind, start, some.T)) / units
+                errors = np.abs(end - system.jumps.jumped(kind, start, some.T)) / units
             return np.asarray(np.nan_to_num(errors.max(axis=0), nan=np.inf))
 
         some = points if kind in rough else points[:_LOOKED]
@@ -178,9 +177,9 @@ def _residuals(reference_set: ReferenceSet, slab: SlabTrain, points: Array, carr
     times = slab.start + (slab.end - slab.start) * _TIMES
     values, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
     units = reference_set.states[:, None]
-    charge(
-        len(times) * (rates_cost(reference_set.system)(len(points)) + 2.0 * values[:, :, 0].size)
-    )
+    system = reference_set.system
+    cost_of_rates = function_cost(system.rhs, system.user_functions)
+    charge(len(times) * (cost_of_rates(len(points)) + 2.0 * values[:, :, 0].size))
     with np.errstate(all="ignore"):
         found = [
             np.abs(rates[:, :, j] - reference_set.system.rhs(time, values[:, :, j], points.T))

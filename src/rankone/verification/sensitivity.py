@@ -41,7 +41,7 @@ def amplification(
         ``amplification(t) >= 1``: the largest Frobenius norm, divided by sqrt(n), of the
         propagator from t to any later time.
     """
-    n = system.N_DIFFERENTIAL
+    n = system.n_differential
     width = (end - reference.start) / _STEPS
     middle = np.asarray(reference.start + width * (np.arange(_STEPS) + 0.5), dtype=float)
     points = reference.points[:_TRAJECTORIES]

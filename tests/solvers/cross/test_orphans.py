@@ -34,7 +34,7 @@ if __name__ != "__main__":
     time.sleep(float(sys.argv[2]))
 
 
-class Recipe:
+class Specification:
     namespace = {}
 
     def call(self, function, *arguments):
@@ -42,7 +42,7 @@ class Recipe:
 
 
 class System:
-    RECIPE = Recipe()
+    specification = Specification()
 
 
 def endless(system, number):

@@ -48,10 +48,10 @@ def values(outcome: Outcome, times: np.ndarray, points: np.ndarray) -> np.ndarra
 def trajectories(problem: ro.Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """SciPy at 256 random points and 21 times: states (n, m, T), times (T,), points (m, d)."""
     system = ro.compile(problem).system
-    box = np.array(system.BOX)
+    box = np.array(system.box)
     points = box[:, 0] + (box[:, 1] - box[:, 0]) * np.random.default_rng(77).random((256, len(box)))
-    times = np.linspace(*system.TIME, 21)
-    return integrate_reference(system, points, *system.TIME, 1e-11)(times), times, points
+    times = np.linspace(*system.horizon, 21)
+    return integrate_reference(system, points, *system.horizon, 1e-11)(times), times, points
 
 
 def relative(gap: np.ndarray, exact: np.ndarray) -> float:

@@ -32,9 +32,9 @@ def system(cubic=False):
 def setting(module, kind=ChebyshevBasis, seed=0):
     """A sweeper with random cores and the dense data it stands for."""
     rng = np.random.default_rng(seed)
-    bases = tuple(kind(low, high, size) for (low, high), size in zip(module.BOX, (3, 4, 5)))
+    bases = tuple(kind(low, high, size) for (low, high), size in zip(module.box, (3, 4, 5)))
     collocation = RadauCollocation.of(4)
-    n = len(module.STATES)
+    n = len(module.states)
     scale = rng.uniform(0.5, 2.0, n)
     jacobian = rng.standard_normal((n, n, 4))
     operator = SlabOperator(module, collocation, 0.3, 0.2, scale, jacobian)
@@ -45,7 +45,7 @@ def setting(module, kind=ChebyshevBasis, seed=0):
         return right_orthonormal([first, *(rng.standard_normal(s) for s in shapes)])
 
     train = cores(rng.standard_normal((n, 4, ranks[0])))
-    source = cores(rng.standard_normal((module.N_DIFFERENTIAL, ranks[0])))
+    source = cores(rng.standard_normal((module.n_differential, ranks[0])))
     sweeper = Sweeper(
         operator, term_groups(module), ParameterOperators(module, bases), train, source, 100
     )
@@ -71,7 +71,7 @@ def fixed_point(module, sweeper, bases, train):
     states = dense(train) * units / weight
     grids = np.meshgrid(*(basis.nodes for basis in bases), indexing="ij")
     times = operator.times[:, None, None, None]
-    m = module.N_DIFFERENTIAL
+    m = module.n_differential
     lifted = np.zeros_like(states)
     jac = module.quadratic_jacobian(times, states, [g[None] for g in grids])
     lifted[:m] = module.rhs(times, states[:m], [g[None] for g in grids]) if n == m else 0.0

@@ -259,7 +259,7 @@ class CrossMarcher:
         if status is Status.NO_CONVERGENCE:
             return status, f"a trajectory cannot be integrated beyond t = {self.ends:.6g}"
         system = self.reference_set.system
-        moves = hasattr(system, "moving_cuts") and status in (*_UNRESOLVED, Status.SLAB_LIMIT)
+        moves = system.features.n_moving_cuts > 0 and status in (*_UNRESOLVED, Status.SLAB_LIMIT)
         cause = status.value + (_MOVING if moves else "")
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
@@ -273,7 +273,7 @@ class CrossMarcher:
             front = None
         if front is None:
             return status, cause
-        return Status.STEEP, front.sentence(system.STATES, system.PARAMETERS)
+        return Status.STEEP, front.sentence(system.states, system.parameters)
 
 
 def solve_cross(system: System, request: SolveRequest, report: Report) -> Outcome:

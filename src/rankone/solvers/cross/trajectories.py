@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rankone.ir.system import Recipe, System
+from rankone.ir.system import System
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, work_done
@@ -192,8 +192,7 @@ class Trajectories:
 
     def _chunk(self) -> int:
         """Largest number of trajectories in a chunk."""
-        recipe: Recipe | None = getattr(self.reference_set.system, "RECIPE", None)
-        if recipe is not None and recipe.namespace:
+        if self.reference_set.system.user_functions:
             return _STACKED_USER
         most = _STACKED_STIFF if self.stiff else _STACKED
         return min(max(_STACKED_STATES // int(self.units.size), _FEWEST), most)

@@ -69,7 +69,7 @@ class SourceTerm(NamedTuple):
 
 def source_terms(system: System) -> tuple[SourceTerm, ...]:
     """The terms of f in ``u' = f``."""
-    return tuple(SourceTerm(*row) for row in system.TERMS)
+    return tuple(SourceTerm(*row) for row in system.terms)
 
 
 def evaluation_order(terms: Sequence[SourceTerm], states: int) -> tuple[tuple[int, ...], ...]:
@@ -255,9 +255,9 @@ def named_matrices(system: System, space: ShapeSpace) -> dict[str, Array]:
     matrices = {"P": v.T @ (w * space.time.derivatives), "M_t": v.T @ (w * v)}
     for i, row in enumerate(space.rows[0][1:], start=1):
         matrices[f"N_t{i}"] = v.T @ (w * row[:, None] * v)
-    plain = len(system.PARAMETERS) == 1 and len(space.rows[1]) == 2
+    plain = len(system.parameters) == 1 and len(space.rows[1]) == 2
     for name, table, weights, rows in zip(
-        system.PARAMETERS, space.tables[1:], space.weights[1:], space.rows[1:], strict=True
+        system.parameters, space.tables[1:], space.weights[1:], space.rows[1:], strict=True
     ):
         matrices[f"M_{name}"] = table.T @ (weights[:, None] * table)
         for i, row in enumerate(rows[1:], start=1):

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rankone.ir.domain import Domain
-from rankone.ir.jumps import jump_kind
 from rankone.ir.outcome import Status
 from rankone.ir.system import System
 from rankone.solvers.greedy.constants import (
@@ -100,7 +99,7 @@ class Coupling:
 
     def __init__(self, system: System, sizes: Array, options: GreedyOptions) -> None:
         self.system, self.sizes, self.options = system, sizes, options
-        terms, states = source_terms(system), range(system.N_DIFFERENTIAL)
+        terms, states = source_terms(system), range(system.n_differential)
         self.own = [[t for t in terms if t.equation == c and t.own] for c in states]
         self.others = [[t for t in terms if t.equation == c and not t.own] for c in states]
         self.blocks = evaluation_order(terms, len(states))
@@ -203,7 +202,7 @@ class LaggedSlab:
         self._points[state] = (self._start[state] + self.space.at_points(modes)).merged()
         return EquationRecord(
             iteration,
-            self.coupling.system.STATES[state],
+            self.coupling.system.states[state],
             enriched.records,
             tuple((enriched.amplitudes / norm).tolist()),
             enriched.residual / unit,
@@ -324,7 +323,7 @@ class LaggedSlabs:
             self._at_end(state, added, END_ROUNDING_SHARE * lost * size)
             for state, added, size in zip(self._values, modes, self.sizes, strict=True)
         ]
-        kind = jump_kind(self.coupling.system, span.end)
+        kind = self.coupling.system.jumps.kind_at(span.end)
         if kind is not None and span.end < self.domain.horizon[1]:
             self._values = self._after_jump(kind, lost)
         return list(trains)
@@ -332,13 +331,13 @@ class LaggedSlabs:
     def _initial(self) -> list[RankOneSum]:
         """Initial values at the parameter nodes; the factor of time is one row of amplitudes."""
         system = self.coupling.system
-        if hasattr(system, "coupled_initial"):
+        if not system.initial_separates:
             cores = interpolated_initial(system, [b.nodes for b in self.parameters])
             return self._of_train(cores, self.tolerance(self.domain.horizon[0]))
         rows = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(self.parameters)]
         sizes = (1, *(basis.size for basis in self.parameters))
-        terms: list[list[RankOneSum]] = [[] for _ in range(system.N_DIFFERENTIAL)]
-        for coefficient, state, factors in system.INITIAL:
+        terms: list[list[RankOneSum]] = [[] for _ in range(system.n_differential)]
+        for coefficient, state, factors in system.initial_terms:
             columns = [row[index][:, None] for row, index in zip(rows, factors, strict=True)]
             terms[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
         return [RankOneSum.joined(products, sizes) for products in terms]
@@ -359,7 +358,7 @@ class LaggedSlabs:
         def values(indices: Integers) -> Array:
             points = np.array([x[i] for x, i in zip(nodes, indices.T, strict=True)])
             before = np.array([state.at(indices) for state in self._values])
-            return self.coupling.system.jumped(
+            return self.coupling.system.jumps.jumped(
                 kind, before, points.reshape(len(nodes), len(indices))
             )
 

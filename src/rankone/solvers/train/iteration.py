@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rankone.discretization import Basis1D, RadauCollocation
-from rankone.ir.jumps import jump_kind
 from rankone.ir.outcome import SlabRecord, Status
 from rankone.solvers.train.constants import (
     COARSENING_SHARE,
@@ -161,7 +160,7 @@ class SlabIteration:
         cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
         self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
         self._source = self._at_end(trial)
-        kind = jump_kind(self.reference_set.system, span.end)
+        kind = self.reference_set.system.jumps.kind_at(span.end)
         if kind is not None and span.end < self.reference_set.end:
             units = self.scale[: len(cores[0])]
             tolerance = JUMP_SHARE * trial.record.tolerance
@@ -236,7 +235,7 @@ class SlabIteration:
 
     def _at_end(self, trial: TrainTrial) -> list[Array]:
         """The train at the end of the slab, on no more parameter nodes than it needs."""
-        last = trial.sweeper.cores[0][: self.reference_set.system.N_DIFFERENTIAL, -1]
+        last = trial.sweeper.cores[0][: self.reference_set.system.n_differential, -1]
         source = [last * np.sqrt(self.collocation.count), *trial.sweeper.cores[1:]]
         bases = self.nodes.coarsened(trial.spectra, COARSENING_SHARE * trial.record.tolerance)
         if bases is self.nodes.bases:

@@ -86,15 +86,15 @@ class ParameterNodes:
 
     def initial(self, scale: Array) -> list[Array]:
         """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
-        if hasattr(self.system, "coupled_initial"):
+        if not self.system.initial_separates:
             first, *cores = interpolated_initial(self.system, [b.nodes for b in self.bases])
             roots = [np.sqrt(basis.weights)[:, None] for basis in self.bases]
             weighted = [core * root for core, root in zip(cores, roots, strict=True)]
-            units = scale[: self.system.N_DIFFERENTIAL, None]
+            units = scale[: self.system.n_differential, None]
             return right_orthonormal([first / units, *weighted])
-        terms = self.system.INITIAL
+        terms = self.system.initial_terms
         rank = max(len(terms), 1)
-        first = np.zeros((self.system.N_DIFFERENTIAL, rank))
+        first = np.zeros((self.system.n_differential, rank))
         cores = [np.zeros((rank, basis.size, rank)) for basis in self.bases]
         rows = [
             self.system.parameter_factors(j, basis.nodes) * np.sqrt(basis.weights)
@@ -204,7 +204,7 @@ class _Jumped:
     def __init__(
         self, kind: int, nodes: ParameterNodes, cores: Sequence[Array], units: Array
     ) -> None:
-        self.kind, self.jumped, self.units = kind, nodes.system.jumped, units[:, None]
+        self.kind, self.jumped, self.units = kind, nodes.system.jumps.jumped, units[:, None]
         self.nodes = [basis.nodes for basis in nodes.bases]
         roots = [np.sqrt(basis.weights)[:, None] for basis in nodes.bases]
         self.first = cores[0]

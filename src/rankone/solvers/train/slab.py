@@ -71,15 +71,16 @@ class GroupKernels:
 
 def term_groups(system: System) -> tuple[GroupKernels, ...]:
     """The groups of a generated system, by degree and signature."""
-    kernels = (system.CONSTANT, system.LINEAR, system.QUADRATIC)
-    adjoints = (system.CONSTANT, system.LINEAR_ADJOINT, system.QUADRATIC_ADJOINT)
+    kernels = system.kernels
+    forward = (kernels.constant, kernels.linear, kernels.quadratic)
+    adjoint = (kernels.constant, kernels.linear_adjoint, kernels.quadratic_adjoint)
     return tuple(
-        GroupKernels(
-            degree, signature, kernels[degree][g], adjoints[degree][g], list(system.PAIRED[g])
-        )
+        GroupKernels(degree, signature, forward[degree][g], adjoint[degree][g], list(paired))
         for degree in (CONSTANT, LINEAR, QUADRATIC)
-        for g, signature in enumerate(system.SIGNATURES)
-        if kernels[degree][g] is not None
+        for g, (signature, paired) in enumerate(
+            zip(kernels.signatures, kernels.paired, strict=True)
+        )
+        if forward[degree][g] is not None
     )
 
 
@@ -144,7 +145,7 @@ class SlabOperator:
         self._units = scale * np.sqrt(count)
         self.jacobian = jacobian * (scale[None, :, None] / scale[:, None, None])
         mass = np.zeros(n)
-        mass[: system.N_DIFFERENTIAL] = 1.0 / length
+        mass[: system.n_differential] = 1.0 / length
         matrix = np.zeros((n, count, n, count))
         index, nodes = np.arange(n), np.arange(count)
         matrix[index, :, index, :] = mass[:, None, None] * collocation.derivative
@@ -152,7 +153,7 @@ class SlabOperator:
         factored = scipy.linalg.lu_factor(matrix.reshape(n * count, n * count), check_finite=False)
         start_columns = np.zeros((n, count, n))
         start_columns[index, :, index] = mass[:, None] * collocation.start
-        start_columns = start_columns[:, :, : system.N_DIFFERENTIAL]
+        start_columns = start_columns[:, :, : system.n_differential]
         self.solution_operator = scipy.linalg.lu_solve(
             factored, np.eye(n * count), check_finite=False
         )
