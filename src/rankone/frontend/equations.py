@@ -22,18 +22,20 @@ __all__ = [
     "check_names",
     "check_symbols",
     "check_unknowns",
-    "explain_symbol",
+    "check_value",
     "highest_orders",
     "state_expressions",
 ]
 
 
 _MOST_TERMS = 5000
-"""Terms of a sum: each takes some milliseconds to compile."""
+"""Terms of the longest sum: each takes some milliseconds to compile."""
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
-def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ...], list[sp.Expr]]:
+def check_equations(
+    equations: object, time: sp.Symbol
+) -> tuple[tuple[sp.Basic, ...], list[sp.Expr]]:
     """Return the equations as given and their residuals (left minus right).
 
     In the residuals every derivative is one of an unknown: ``Derivative(x**2, t)`` is carried out.
@@ -45,52 +47,53 @@ def check_equations(equations: Any, time: sp.Symbol) -> tuple[tuple[sp.Basic, ..
     try:
         if isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
             raise TypeError
-        given = tuple(equations)
+        written: tuple[sp.Basic, ...] = tuple(equations)  # type: ignore[arg-type]
     except TypeError:
         raise ProblemError(
             f"equations are {quote(equations)}, not a list of SymPy equations",
             term=equations,
             remedy="give a list of sympy.Eq; Problem.from_strings takes text",
         ) from None
-    if not given:
+    if not written:
         raise ProblemError(
             "the list of equations is empty", remedy="give one equation for each unknown"
         )
-    check_lengths((each for each in given if isinstance(each, sp.Basic)), len(given))
-    return given, [_residual(equation, i, time) for i, equation in enumerate(given, 1)]
+    check_lengths((each for each in written if isinstance(each, sp.Basic)), len(written))
+    return written, [_residual(equation, i, time) for i, equation in enumerate(written, 1)]
 
 
-def _is_matrix(value: sp.Basic) -> bool:
-    return isinstance(value, sp.MatrixExpr) or bool(getattr(value, "is_Matrix", False))
+def _is_matrix(side: object) -> bool:
+    return isinstance(side, sp.MatrixExpr | sp.MatrixBase)
 
 
-def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
+def _residual(equation: Any, index: int, time: sp.Symbol) -> sp.Expr:
+    """Left minus right side of the equation of this number, counted from 1."""
+
     def error(message: str, term: object, remedy: str) -> ProblemError:
-        return ProblemError(message, equation=number, term=term, remedy=remedy)
+        return ProblemError(message, equation=index, term=term, remedy=remedy)
 
     if isinstance(equation, bool | sp.logic.boolalg.BooleanAtom):
         raise error(
             f"{quote(equation)} is a truth value, not an equation",
             equation,
-            "write sympy.Eq(left, right); `left == right` compares the two as they stand, and of "
-            "sides that are the same, or numbers, SymPy makes a truth value too",
+            "write sympy.Eq(left, right); `left == right` compares the two as they stand, and "
+            "SymPy turns an equation of two equal sides, or of two numbers, into a truth value",
         )
     if isinstance(equation, sp.Eq) and not any(map(_is_matrix, equation.args)):
         residual = equation.lhs - equation.rhs
     elif isinstance(equation, sp.Expr) and not _is_matrix(equation):
         residual = equation
     else:
-        kind = type(equation).__name__
         raise error(
-            f"{quote(equation)} is a {kind}, not a scalar equation",
+            f"{quote(equation)} is a {type(equation).__name__}, not a scalar equation",
             equation,
             "write sympy.Eq(left, right), or an expression that vanishes, for each scalar equation",
         )
-    for kind in (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs):
-        for part in residual.atoms(kind):
+    for unsupported in (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs):
+        for term in residual.atoms(unsupported):
             raise error(
-                f"{quote(part)} is not supported in an equation",
-                part,
+                f"{quote(term)} is not supported in an equation",
+                term,
                 "integrals can be written as unknowns with equations of their own",
             )
     residual = _carry_out_derivatives(residual, time, error)
@@ -104,8 +107,8 @@ def _residual(equation: Any, number: int, time: sp.Symbol) -> sp.Expr:
     try:
         return exact(residual)
     except ProblemError as out_of_range:
-        what = str(out_of_range).removesuffix(f"; remedy: {out_of_range.remedy}")
-        raise error(what, out_of_range.term, str(out_of_range.remedy)) from None
+        subject = str(out_of_range).removesuffix(f"; remedy: {out_of_range.remedy}")
+        raise error(subject, out_of_range.term, str(out_of_range.remedy)) from None
 
 
 def _carry_out_derivatives(
@@ -134,8 +137,7 @@ def _carry_out_derivatives(
 
 def _wrong_argument(applied: sp.Expr, time: sp.Symbol) -> tuple[str, sp.Expr, str]:
     """Say what is wrong with x(s), x(t - 1), x(0) or x(t, k)."""
-    name = applied.func.__name__
-    wanted = f"{name}({time})"
+    proper = f"{applied.func.__name__}({time})"
     if len(applied.args) == 1:
         argument = applied.args[0]
         if isinstance(argument, sp.Symbol) and argument.name == time.name:
@@ -150,17 +152,17 @@ def _wrong_argument(applied: sp.Expr, time: sp.Symbol) -> tuple[str, sp.Expr, st
                 f"{quote(applied)} takes the unknown at another time than {quote(time)}; "
                 "delays are not supported",
                 applied,
-                f"write {wanted}",
+                f"write {proper}",
             )
     return (
         f"{quote(applied)} is not a function of the time {quote(time)} alone",
         applied,
-        f"write {wanted}; parameters are symbols of their own",
+        f"write {proper}; parameters are symbols of their own",
     )
 
 
 def _in_order(expressions: Iterable[sp.Expr]) -> list[sp.Expr]:
-    """Sort, so that what is reported does not depend on hashes."""
+    """Sort, so that messages do not depend on hashes."""
     return sorted(expressions, key=sp.default_sort_key)
 
 
@@ -174,24 +176,26 @@ def highest_orders(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
 
 def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, int]]:
     """Yield (equation from 0, unknown, order of the derivative), equation by equation."""
-    for number, residual in enumerate(residuals):
+    for i, residual in enumerate(residuals):
         for derivative in _in_order(residual.atoms(sp.Derivative)):
-            yield number, derivative.expr, int(derivative.derivative_count)
+            yield i, derivative.expr, int(derivative.derivative_count)
 
 
 def check_lengths(expressions: Iterable[sp.Expr], equations: int) -> None:
     """Raise if a sum is longer than can be compiled; the first expressions are the equations."""
-    for number, expression in enumerate(expressions, 1):
-        longest = max((len(part.args) for part in expression.atoms(sp.Add)), default=0)
+    for i, expression in enumerate(expressions, 1):
+        longest = max((len(total.args) for total in expression.atoms(sp.Add)), default=0)
         if longest > _MOST_TERMS:
             raise ProblemError(
                 f"a sum has {longest} terms; at most {_MOST_TERMS} are compiled",
-                equation=number if number <= equations else None,
-                remedy="gather like terms, or give what they add up to as a table (rankone.table)",
+                equation=i if i <= equations else None,
+                remedy="gather like terms, or give their sum as a table (rankone.table)",
             )
 
 
-def check_unknowns(residuals: list[sp.Expr], initial: Any, time: sp.Symbol) -> tuple[sp.Expr, ...]:
+def check_unknowns(
+    residuals: Sequence[sp.Expr], initial: object, time: sp.Symbol
+) -> tuple[sp.Expr, ...]:
     """Return the unknowns in order.
 
     Unknowns come in the order in which their highest derivatives enter the equations; those that
@@ -199,15 +203,15 @@ def check_unknowns(residuals: list[sp.Expr], initial: Any, time: sp.Symbol) -> t
     """
     highest = highest_orders(residuals)
     first: dict[sp.Expr, int] = {}
-    for number, unknown, order in _derivatives(residuals):
+    for i, unknown, order in _derivatives(residuals):
         if order == highest[unknown]:
-            first.setdefault(unknown, number)
-    for number, residual in enumerate(residuals, 1):
+            first.setdefault(unknown, i)
+    for i, residual in enumerate(residuals, 1):
         for applied in _in_order(residual.atoms(AppliedUndef)):
             if applied not in first:
                 raise ProblemError(
                     f"{quote(applied)} has no equation: its derivative appears nowhere",
-                    equation=number,
+                    equation=i,
                     term=applied,
                     remedy=f"add an equation with {applied}.diff({time}), "
                     f"or use a symbol and declare it in `parameters`",
@@ -264,28 +268,28 @@ def check_symbols(
 ) -> None:
     """Raise if an equation has a symbol that is neither the time nor a parameter."""
     parameters, unknowns = list(parameters), list(unknowns)
-    for number, residual in enumerate(residuals, 1):
+    for i, residual in enumerate(residuals, 1):
         for symbol in _in_order(residual.free_symbols - {time, *parameters}):
-            message, remedy = explain_symbol(symbol, unknowns, [time, *parameters])
-            raise ProblemError(message, equation=number, term=symbol, remedy=remedy)
+            message, remedy = _explain_symbol(symbol, unknowns, [time, *parameters])
+            raise ProblemError(message, equation=i, term=symbol, remedy=remedy)
 
 
-def as_expression(value: Any, what: str, remedy: str) -> sp.Expr:
-    """A number or a SymPy expression as the latter, or an error that says what it is for."""
+def as_expression(value: object, subject: str, remedy: str) -> sp.Expr:
+    """A number or SymPy expression as the latter; else a ProblemError that says what it is for."""
     try:
         expression = sp.sympify(value, strict=True)
     except (sp.SympifyError, TypeError):
         expression = None
     if not isinstance(expression, sp.Expr):
-        raise ProblemError(f"{what} is {value!r}, not an expression", term=value, remedy=remedy)
+        raise ProblemError(f"{subject} is {value!r}, not an expression", term=value, remedy=remedy)
     return expression
 
 
-def explain_symbol(
-    symbol: sp.Symbol, unknowns: Iterable[sp.Expr], known: Iterable[sp.Symbol]
+def _explain_symbol(
+    symbol: sp.Symbol, unknowns: Iterable[sp.Expr], declared: Iterable[sp.Symbol]
 ) -> tuple[str, str]:
-    """Say what a symbol that is not known was probably meant for: (message, remedy)."""
-    by_name = {coordinate.name: coordinate for coordinate in known}
+    """Guess what an undeclared symbol was meant for: (message, remedy)."""
+    by_name = {coordinate.name: coordinate for coordinate in declared}
     applied = {unknown.func.__name__: unknown for unknown in unknowns}
     if symbol.name in by_name:
         return (
@@ -307,12 +311,30 @@ def explain_symbol(
 
 def _assumptions(symbol: sp.Symbol) -> str:
     """Return the assumptions stated for a symbol, as they are written."""
-    given = dict(symbol._assumptions_orig)
-    return ", ".join(f"{k}={v}" for k, v in sorted(given.items())) or "none"
+    assumptions = sorted(dict(symbol._assumptions_orig).items())
+    return ", ".join(f"{k}={v}" for k, v in assumptions) or "none"
+
+
+def check_value(
+    expression: sp.Expr,
+    subject: str,
+    unknowns: Iterable[sp.Expr],
+    declared: Iterable[sp.Symbol],
+    remedy: str,
+) -> None:
+    """Raise if an initial value, or a value after a jump, has another symbol or is not finite."""
+    declared = list(declared)
+    for symbol in _in_order(expression.free_symbols - set(declared)):
+        message, declare = _explain_symbol(symbol, unknowns, declared)
+        message = f"{subject} has a problem: {message}"
+        raise ProblemError(message, term=expression, remedy=declare)
+    if expression.has(sp.I, sp.DiracDelta, *_NOT_FINITE):
+        message = f"{subject} is not a finite real number"
+        raise ProblemError(message, term=expression, remedy=remedy)
 
 
 def check_initial(
-    initial: Mapping[Any, Any],
+    initial: Mapping[Any, object],
     states: Iterable[sp.Expr],
     unknowns: Iterable[sp.Expr],
     parameters: Iterable[sp.Symbol],
@@ -322,7 +344,7 @@ def check_initial(
 
     Keys of ``initial`` are unknowns ``x(t)`` and, for higher order, their derivatives
     ``x(t).diff(t)``; also understood are both at the initial time: ``x(0)``,
-    ``x(t).diff(t).subs(t, 0)``. ``states`` need an initial value.
+    ``x(t).diff(t).subs(t, 0)``.
 
     Raises
     ------
@@ -330,23 +352,24 @@ def check_initial(
         If a value is missing, belongs to no state or is not an expression of the parameters.
     """
     states, unknowns, parameters = list(states), list(unknowns), list(parameters)
-    known = set(states)
-    given: dict[sp.Expr, sp.Expr] = {}
-    for key, value in initial.items():
+    start: dict[sp.Expr, sp.Expr] = {}
+    expected = set(states)
+    for key, written in initial.items():
         state = _state(key, unknowns, time)
-        if state not in known:
-            raise ProblemError(*_superfluous(key, state, states), term=key)
-        if state in given:
+        if state not in expected:
+            message, remedy = _superfluous(key, state, states)
+            raise ProblemError(message, term=key, remedy=remedy)
+        if state in start:
             raise ProblemError(f"{quote(state)} has two initial values", term=key)
-        given[state] = exact(_value(state, value, unknowns, parameters, time[0]))
-    missing = [state for state in states if state not in given]
+        start[state] = exact(_initial_value(state, written, unknowns, parameters, time[0]))
+    missing = [state for state in states if state not in start]
     if missing:
         raise ProblemError(
             f"no initial value for {listing(missing)}",
             term=missing[0],
             remedy=f"add it to `initial`, for example {{{missing[0]}: 0}}",
         )
-    return {state: given[state] for state in states}
+    return {state: start[state] for state in states}
 
 
 def _state(key: Any, unknowns: list[sp.Expr], time: Time) -> sp.Expr:
@@ -362,11 +385,10 @@ def _state(key: Any, unknowns: list[sp.Expr], time: Time) -> sp.Expr:
     if isinstance(key, AppliedUndef | sp.Derivative):
         return key
     name = key if isinstance(key, str) else getattr(key, "name", getattr(key, "__name__", str(key)))
-    wanted = named.get(name)
-    hint = f" (did you mean {quote(wanted)}?)" if wanted is not None else did_you_mean(name, named)
-    kind = "text" if isinstance(key, str) else "not an unknown"
+    hint = f" (did you mean {quote(named[name])}?)" if name in named else did_you_mean(name, named)
+    fault = "text" if isinstance(key, str) else "not an unknown"
     raise ProblemError(
-        f"the key {key!r} of `initial` is {kind}{hint}",
+        f"the key {key!r} of `initial` is {fault}{hint}",
         term=key,
         remedy=f"use the unknowns themselves as keys: {listing(unknowns)}",
     )
@@ -381,38 +403,39 @@ def _check_instant(key: sp.Expr, instant: sp.Expr, t0: float) -> None:
         )
 
 
-def _superfluous(key: Any, state: sp.Expr, states: list[sp.Expr]) -> tuple[str, ...]:
+def _superfluous(key: object, state: sp.Expr, states: list[sp.Expr]) -> tuple[str, str]:
+    """Message and remedy for an initial value that belongs to no state."""
     applied = state.expr if isinstance(state, sp.Derivative) else state
     if applied in states:
         return (
             f"the initial value of {quote(key)} is not needed: "
-            "the equations determine this derivative; remedy: remove it",
+            "the equations determine this derivative",
+            "remove it",
         )
     return (
         f"`initial` has a value for {quote(key)}, which no equation determines"
-        f"{did_you_mean(str(applied), map(str, states))}; remedy: remove it, or add its equation",
+        f"{did_you_mean(str(applied), map(str, states))}",
+        "remove it, or add its equation",
     )
 
 
-def _value(
+def _initial_value(
     state: sp.Expr,
-    value: Any,
+    written: object,
     unknowns: list[sp.Expr],
     parameters: list[sp.Symbol],
     time: sp.Symbol,
 ) -> sp.Expr:
-    """Return the initial value of a state as an expression of the parameters alone."""
-    what = f"the initial value of {quote(state)}"
+    """The initial value of a state as an expression of the parameters alone."""
+    subject = f"the initial value of {quote(state)}"
     remedy = "give a number or an expression of the parameters"
-    expression = as_expression(value, what, remedy)
-    what = f"{what}, {quote(expression)},"
-    for applied in sorted(expression.atoms(AppliedUndef), key=sp.default_sort_key):
-        raise ProblemError(f"{what} names the unknown {quote(applied)}", term=value, remedy=remedy)
+    expression = as_expression(written, subject, remedy)
+    subject = f"{subject}, {quote(expression)},"
+    for applied in _in_order(expression.atoms(AppliedUndef)):
+        message = f"{subject} names the unknown {quote(applied)}"
+        raise ProblemError(message, term=written, remedy=remedy)
     if time in expression.free_symbols:
-        raise ProblemError(f"{what} names the time {quote(time)}", term=value, remedy=remedy)
-    for symbol in sorted(expression.free_symbols - set(parameters), key=sp.default_sort_key):
-        message, declare = explain_symbol(symbol, unknowns, parameters)
-        raise ProblemError(f"{what} has a problem: {message}", term=value, remedy=declare)
-    if expression.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan):
-        raise ProblemError(f"{what} is not a finite real number", term=value, remedy=remedy)
+        message = f"{subject} names the time {quote(time)}"
+        raise ProblemError(message, term=written, remedy=remedy)
+    check_value(expression, subject, unknowns, parameters, remedy)
     return expression

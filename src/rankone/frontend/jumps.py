@@ -14,42 +14,43 @@ from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import latex_of, text_of
 from rankone.expressions.numbers import exact
 from rankone.frontend.box import Time, real_number
-from rankone.frontend.equations import as_expression, explain_symbol
+from rankone.frontend.equations import as_expression, check_value
 from rankone.ir.forms import Jump
 from rankone.ir.functions import Table
 from rankone.support.errors import ProblemError, warn
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
 __all__ = [
-    "LATE",
-    "LEAST_APART",
     "Impulses",
     "Resets",
     "at_start",
-    "check_apart",
     "check_jumps",
     "jump_latex",
     "jump_texts",
     "system_jumps",
-    "value_at",
     "without_impulses",
 ]
 
-
 Resets = dict[float, dict[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""
+Impulses = dict[float, dict[int, sp.Expr]]
+"""For each time what is added to states, by the index of the state."""
 
 _SEVERAL = (tuple, range, frozenset, sp.Tuple)
 """Keys that stand for several times."""
+_SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
 _REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
-_TOGETHER = "give all that is reset at a time in one mapping"
-LATE = "remedy: remove it, unless `t_final` is to be later"
-LEAST_APART = 1e-9
-"""Least time between two jumps, in horizons."""
+_LATE = "remedy: remove it, unless `t_final` is to be later"
+_AS_JUMPS = "give the values after it as jumps={time: {unknown: value}}"
+_ADD_IMPULSE = "an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))"
+_LEAST_GAP = 1e-9
+"""Least time between two jumps, in horizons: closer ones differ by rounding alone."""
+_BESIDE = 1e-9
+"""Relative distance to either side of an impulse at which its factor is compared."""
 
 
 def check_jumps(
-    given: Any,
+    jumps: object,
     states: Iterable[sp.Expr],
     unknowns: Iterable[sp.Expr],
     parameters: Iterable[sp.Symbol],
@@ -68,82 +69,85 @@ def check_jumps(
     RankoneWarning
         If a jump is not before the end of the horizon.
     """
-    if given is None:
+    if jumps is None:
         return {}
-    if not isinstance(given, Mapping):
-        raise ProblemError(f"jumps are {shown(given)}, not a mapping", term=given, remedy=_REMEDY)
-    known = list(states), list(unknowns), list(parameters)
-    found: Resets = {}
-    for key, values in given.items():
+    if not isinstance(jumps, Mapping):
+        raise ProblemError(f"jumps are {shown(jumps)}, not a mapping", term=jumps, remedy=_REMEDY)
+    states, unknowns, parameters = list(states), list(unknowns), list(parameters)
+    resets: Resets = {}
+    for key, reset in jumps.items():
         instants = tuple(key) if isinstance(key, _SEVERAL) else (key,)
         if not instants:
-            raise ProblemError("a jump has no times", term=values, remedy=_REMEDY)
+            raise ProblemError("a jump has no times", term=reset, remedy=_REMEDY)
         for instant in instants:
             at = _instant(instant, time)
-            if at in found:
-                message = f"there are two jumps at {time[0]} = {at:g}"
-                raise ProblemError(message, term=key, remedy=_TOGETHER)
-            found[at] = _values(values, at, *known, time[0])
-    check_apart(found, time)
-    late = [at for at in sorted(found) if at >= time[2] - LEAST_APART * (time[2] - time[1])]
+            if at in resets:
+                raise ProblemError(
+                    f"there are two jumps at {time[0]} = {at:g}",
+                    term=key,
+                    remedy="give all that is reset at a time in one mapping",
+                )
+            resets[at] = _reset(reset, at, states, unknowns, parameters, time[0])
+    _check_apart(resets, time)
+    late = [at for at in sorted(resets) if at >= time[2] - _LEAST_GAP * (time[2] - time[1])]
     if late:
         first = f"the jump at {time[0]} = {late[0]:.12g}"
-        rest = f" and {len(late) - 1} more" if len(late) > 1 else ""
-        near = f" by {LEAST_APART:g} of the horizon" if late[0] < time[2] else ""
-        warn(f"{first}{rest}: not before the end of time, {time[2]:.12g}{near}; {LATE}")
-    return {at: found[at] for at in sorted(found)}
+        further = f" and {len(late) - 1} more" if len(late) > 1 else ""
+        near = f" by {_LEAST_GAP:g} of the horizon" if late[0] < time[2] else ""
+        warn(f"{first}{further}: not before the end of time, {time[2]:.12g}{near}; {_LATE}")
+    return {at: resets[at] for at in sorted(resets)}
 
 
-def _instant(value: Any, time: Time) -> float:
+def _instant(instant: Any, time: Time) -> float:
     """The time of a jump as a float."""
-    symbols: set[sp.Symbol] = getattr(value, "free_symbols", set())
+    symbols = instant.free_symbols if isinstance(instant, sp.Basic) else set()
     if symbols:
+        names = listing(sorted(map(str, symbols)))
         raise ProblemError(
-            f"the time of a jump, {quote(value)}, depends on {listing(sorted(map(str, symbols)))}",
-            term=value,
+            f"the time of a jump, {quote(instant)}, depends on {names}",
+            term=instant,
             remedy="jumps are at known times; count time from it, or in units of it",
         )
-    at = real_number(value, "the time of a jump", _REMEDY)
+    at = real_number(instant, "the time of a jump", _REMEDY)
     if at < time[1]:
         raise ProblemError(
             f"the jump at {time[0]} = {at:g} is before the start of time, {time[1]:g}",
-            term=value,
+            term=instant,
             remedy="give a time inside the horizon",
         )
     return at
 
 
-def check_apart(times: Iterable[float], time: Time) -> None:
-    """Raise if two jumps are at times that are hardly told apart."""
+def _check_apart(times: Iterable[float], time: Time) -> None:
+    """Raise if two jumps are so close that only rounding tells them apart."""
     for a, b in itertools.pairwise(sorted(times)):
-        if b - a < LEAST_APART * (time[2] - time[1]):
+        if b - a < _LEAST_GAP * (time[2] - time[1]):
             raise ProblemError(
                 f"the jumps at {time[0]} = {a!r} and {b!r} are too close to each other",
                 remedy="make one jump of them",
             )
 
 
-def _values(
-    given: Any,
+def _reset(
+    reset: object,
     at: float,
     states: list[sp.Expr],
     unknowns: list[sp.Expr],
     parameters: list[sp.Symbol],
     time: sp.Symbol,
 ) -> dict[sp.Expr, sp.Expr]:
-    """The values of the states that one jump resets."""
-    if not isinstance(given, Mapping) or not given:
+    """The states that one jump resets, and their values after it."""
+    if not isinstance(reset, Mapping) or not reset:
         raise ProblemError(
-            f"the jump at {time} = {at:g} is {shown(given)}, not a mapping from unknowns",
-            term=given,
+            f"the jump at {time} = {at:g} is {shown(reset)}, not a mapping from unknowns",
+            term=reset,
             remedy=_REMEDY,
         )
-    found: dict[sp.Expr, sp.Expr] = {}
-    for state, value in given.items():
+    after: dict[sp.Expr, sp.Expr] = {}
+    for state, written in reset.items():
         if state not in states:
             name = text_of(state) if isinstance(state, sp.Basic) else str(state)
-            names = {text_of(known): known for known in states}
-            names |= {name_of(known): known for known in states}
+            names = {spelled(s): s for spelled in (text_of, name_of) for s in states}
             hint = did_you_mean(name, names)
             if name in names:
                 hint = f" (did you mean {quote(names[name])}?)"
@@ -152,49 +156,29 @@ def _values(
                 term=state,
                 remedy=f"use the states themselves as keys: {listing(states)}",
             )
-        found[state] = _value(state, value, at, states, unknowns, parameters, time)
-    return found
+        subject = f"the value of {quote(state)} after the jump at {time} = {at:g}"
+        remedy = "give an expression of the unknowns before it and of the parameters"
+        if isinstance(written, str):
+            remedy += ", without quotes; Problem.from_strings takes text"
+        expression = as_expression(written, subject, remedy)
+        subject = f"{subject}, {quote(expression)},"
+        strangers = expression.atoms(AppliedUndef, sp.Derivative) - set(states)
+        for stranger in sorted(strangers, key=sp.default_sort_key):
+            hint = did_you_mean(str(stranger), map(str, states))
+            message = f"{subject} names {quote(stranger)}, which is no state{hint}"
+            raise ProblemError(message, term=written, remedy=remedy)
+        check_value(expression, subject, unknowns, [*parameters, time], remedy)
+        after[state] = _value_at(exact(expression), time, at)
+    return after
 
 
-def _value(
-    state: sp.Expr,
-    value: Any,
-    at: float,
-    states: list[sp.Expr],
-    unknowns: list[sp.Expr],
-    parameters: list[sp.Symbol],
-    time: sp.Symbol,
-) -> sp.Expr:
-    """The value of a state after a jump."""
-    what = f"the value of {quote(state)} after the jump at {time} = {at:g}"
-    remedy = "give an expression of the unknowns before it and of the parameters"
-    if isinstance(value, str):
-        remedy += ", without quotes; Problem.from_strings takes text"
-    expression = as_expression(value, what, remedy)
-    what = f"{what}, {quote(expression)},"
-    places = {known: sp.Dummy() for known in states}
-    rest = expression.xreplace(places)
-    parts = expression.atoms(AppliedUndef, sp.Derivative) - set(states)
-    for part in sorted(parts, key=sp.default_sort_key):
-        hint = did_you_mean(str(part), map(str, states))
-        message = f"{what} names {quote(part)}, which is no state{hint}"
-        raise ProblemError(message, term=value, remedy=remedy)
-    loose = rest.free_symbols - {*parameters, *places.values(), time}
-    for symbol in sorted(loose, key=sp.default_sort_key):
-        message, declare = explain_symbol(symbol, unknowns, parameters)
-        raise ProblemError(f"{what} has a problem: {message}", term=value, remedy=declare)
-    if expression.has(sp.I, sp.oo, -sp.oo, sp.zoo, sp.nan, sp.DiracDelta):
-        raise ProblemError(f"{what} is not a finite real number", term=value, remedy=remedy)
-    return value_at(exact(expression), time, at)
-
-
-def value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
-    """The value at a time, but for the unknowns there, and their derivatives."""
+def _value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
+    """The value at a time; unknowns and their derivatives stay."""
     unknowns = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
-    places = {u: sp.Dummy() for u in unknowns}
-    back = {place: u for u, place in places.items()}
-    value: sp.Expr = expression.xreplace(places).subs(time, exact(sp.Float(at))).xreplace(back)
-    return value
+    stand_ins = {u: sp.Dummy() for u in unknowns}
+    written_back = {dummy: u for u, dummy in stand_ins.items()}
+    at_time: sp.Expr = expression.xreplace(stand_ins).subs(time, exact(sp.Float(at)))
+    return at_time.xreplace(written_back)
 
 
 def system_jumps(
@@ -208,7 +192,7 @@ def system_jumps(
     Parameters
     ----------
     resets, impulses
-        As given, and those of ``DiracDelta``.
+        The jumps that were given, and those of ``DiracDelta``.
     functions : mapping
         The states as the user writes them, and as functions of time.
     """
@@ -217,30 +201,27 @@ def system_jumps(
             f"there are both a jump and a DiracDelta at {time[0]} = {at:g}",
             remedy="put the impulse into the jump",
         )
-    check_apart([*resets, *impulses], time)
+    _check_apart([*resets, *impulses], time)
     states = list(functions.values())
-    found = []
+    jumps = []
     for at in sorted([*resets, *impulses]):
         if at in resets:
-            values = {
-                functions[state]: value.xreplace(dict(functions))
-                for state, value in resets[at].items()
-            }
+            after = {functions[u]: v.xreplace(dict(functions)) for u, v in resets[at].items()}
         else:
-            values = {states[i]: states[i] + value for i, value in impulses[at].items()}
-        found.append(Jump(at, tuple(values.get(u, u) for u in states)))
-    return tuple(jump for jump in found if jump.values != tuple(states))
+            after = {states[i]: states[i] + size for i, size in impulses[at].items()}
+        jumps.append(Jump(at, tuple(after.get(u, u) for u in states)))
+    return tuple(jump for jump in jumps if jump.values != tuple(states))
 
 
 def at_start(jump: Jump, time: Time) -> bool:
-    """Whether a jump is at the start of time, or hardly after it."""
-    return jump.time - time[1] < LEAST_APART * (time[2] - time[1])
+    """Whether a jump is at the start of time, or later by rounding alone."""
+    return jump.time - time[1] < _LEAST_GAP * (time[2] - time[1])
 
 
 def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol) -> Iterator[str]:
     """The same as :func:`jump_texts` as LaTeX, with ``&``."""
-    for values, times in Jump.kinds(jumps).items():
-        pairs = zip(states, values, strict=True)
+    for values_after, times in Jump.kinds(jumps).items():
+        pairs = zip(states, values_after, strict=True)
         changes = (rf"{latex_of(u)} \to {latex_of(v)}" for u, v in pairs if u != v)
         at = ", ".join(f"{at:g}" for at in times)
         yield rf"{sp.latex(time)} = {at}:\; & " + r",\; ".join(changes)
@@ -248,18 +229,13 @@ def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol
 
 def jump_texts(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: str) -> Iterator[str]:
     """Lines such as ``at t = 8, 16: C -> C + D``, one for each kind of jump."""
-    for values, times in Jump.kinds(jumps).items():
-        pairs = zip(states, values, strict=True)
+    for values_after, times in Jump.kinds(jumps).items():
+        pairs = zip(states, values_after, strict=True)
         changes = (f"{text_of(u)} -> {text_of(v)}" for u, v in pairs if u != v)
         yield f"at {time} = {', '.join(f'{at:g}' for at in times)}: {', '.join(changes)}"
 
 
-_BESIDE = 1e-9
-"""Where what is multiplied by an impulse is looked at on either side of it."""
-_SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
-
-Impulses = dict[float, dict[int, sp.Expr]]
-"""For each time what is added to states, by their number."""
+# -- impulses ---------------------------------------------------------------------------------
 
 
 def without_impulses(
@@ -273,70 +249,68 @@ def without_impulses(
     Raises
     ------
     ProblemError
-        If one is at no known time, is not added to a rate, or is multiplied by what jumps at the
-        same time.
+        If an impulse is at no known time, is not added to a rate, or is multiplied by what jumps
+        at the same time.
     """
-    found: Impulses = {}
-    rest: list[sp.Expr] = []
-    for number, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
+    added: Impulses = {}
+    smooth_rates: list[sp.Expr] = []
+    for i, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
         impulses = sorted(rate.atoms(sp.DiracDelta), key=sp.default_sort_key)
-        places = {impulse: sp.Dummy() for impulse in impulses}
-        plain, parts = _split(rate.xreplace(places), set(places.values()))
-        for impulse, place in places.items():
+        stand_ins = {impulse: sp.Dummy() for impulse in impulses}
+        smooth, factors = _split(rate.xreplace(stand_ins), set(stand_ins.values()))
+        for impulse, stand_in in stand_ins.items():
             at, size = _impulse(impulse, time[0], origin)
-            factor = parts[place]
-            if factor.has(*places.values()):
+            factor = factors[stand_in]
+            if factor.has(*stand_ins.values()):
                 raise ProblemError(
                     f"{quote(impulse)} does not enter as a product with what is finite",
                     equation=origin,
                     term=impulse,
-                    remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
+                    remedy=_ADD_IMPULSE,
                 )
-            if not time[1] <= at:
+            if at < time[1]:
                 warn(
                     f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing; "
                     "remedy: remove it"
                 )
                 continue
-            if at >= time[2] - LEAST_APART * (time[2] - time[1]):
-                warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}; {LATE}")
+            if at >= time[2] - _LEAST_GAP * (time[2] - time[1]):
+                warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}; {_LATE}")
             _check_steady(factor, impulse, at, time[0], origin)
-            added = found.setdefault(at, {})
-            value = size * value_at(factor, time[0], at)
-            added[number] = added.get(number, sp.S.Zero) + value
-        rest.append(plain)
-    for at, added in found.items():
-        for number, value in added.items():
-            for other in added:
-                if value.has(functions[other]):
-                    raise ProblemError(
-                        f"the impulse at {time[0]} = {at:g} is multiplied by "
-                        f"`{functions[other]}`, which jumps there itself",
-                        equation=origins[number],
-                        term=value,
-                        remedy="give the values after it as jumps={time: {unknown: value}}",
-                    )
-    check_apart(found, time)
-    return tuple(rest), found
+            sizes = added.setdefault(at, {})
+            sizes[i] = sizes.get(i, sp.S.Zero) + size * _value_at(factor, time[0], at)
+        smooth_rates.append(smooth)
+    for at, sizes in added.items():
+        for i, j in itertools.product(sizes, repeat=2):
+            if sizes[i].has(functions[j]):
+                raise ProblemError(
+                    f"the impulse at {time[0]} = {at:g} is multiplied by `{functions[j]}`, which "
+                    "jumps there itself",
+                    equation=origins[i],
+                    term=sizes[i],
+                    remedy=_AS_JUMPS,
+                )
+    _check_apart(added, time)
+    return tuple(smooth_rates), added
 
 
 def _split(rate: sp.Expr, impulses: set[sp.Dummy]) -> tuple[sp.Expr, dict[sp.Dummy, sp.Expr]]:
     """A rate without impulses, and what each of them is multiplied by."""
-    parts: dict[sp.Dummy, sp.Expr] = dict.fromkeys(impulses, sp.S.Zero)
-    rest = []
+    factors: dict[sp.Dummy, sp.Expr] = dict.fromkeys(impulses, sp.S.Zero)
+    smooth = []
     for term in sp.Add.make_args(rate):
-        own = sorted(term.free_symbols & impulses, key=sp.default_sort_key)
-        rest.append(term.xreplace(dict.fromkeys(own, sp.S.Zero)) if own else term)
-        for place in own:
-            parts[place] += term.diff(place)
-    return sp.Add(*rest), parts
+        present = sorted(term.free_symbols & impulses, key=sp.default_sort_key)
+        smooth.append(term.xreplace(dict.fromkeys(present, sp.S.Zero)) if present else term)
+        for impulse in present:
+            factors[impulse] += term.diff(impulse)
+    return sp.Add(*smooth), factors
 
 
 def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tuple[float, sp.Expr]:
     """When an impulse is, and its size."""
     argument = impulse.args[0]
 
-    def wrong(message: str) -> ProblemError:
+    def error(message: str) -> ProblemError:
         return ProblemError(
             f"{quote(impulse)} {message}",
             equation=origin,
@@ -346,33 +320,32 @@ def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tup
         )
 
     if len(impulse.args) > 1 and impulse.args[1] != 0:
-        raise wrong("is a derivative of an impulse")
-    others = argument.free_symbols - {time}
-    if others or argument.atoms(AppliedUndef):
-        named = sorted(map(str, [*others, *argument.atoms(AppliedUndef)]))
-        raise wrong(f"is at a time that depends on {listing(named)}")
+        raise error("is a derivative of an impulse")
+    strangers = (argument.free_symbols - {time}) | argument.atoms(AppliedUndef)
+    if strangers:
+        raise error(f"is at a time that depends on {listing(sorted(map(str, strangers)))}")
     slope = argument.diff(time)
     if slope.has(time) or slope == 0:
-        raise wrong("is not at one time")
+        raise error("is not at one time")
     at = float(-argument.subs(time, 0) / slope)
     if not math.isfinite(at):
-        raise wrong("is at no finite time")
+        raise error("is at no finite time")
     return at, 1 / sp.Abs(slope)
 
 
 def _check_steady(
     factor: sp.Expr, impulse: sp.Expr, at: float, time: sp.Symbol, origin: int | None
 ) -> None:
-    """Raise if what an impulse is multiplied by switches at the same time."""
+    """Raise if the factor of an impulse switches at the same time."""
     near = _BESIDE * max(abs(at), 1.0)
-    tables = (part for part in factor.atoms(Table) if part.kind == "previous")
-    for part in (*factor.atoms(*_SWITCHING), *tables):
-        before, after = (value_at(part, time, at + side * near) for side in (-1, 1))
-        if (after - before).is_number and abs(after - before) < math.sqrt(_BESIDE):
-            continue
-        raise ProblemError(
-            f"{quote(impulse)} is multiplied by {quote(part)}, which may switch at the same time",
-            equation=origin,
-            term=part,
-            remedy="give the values after it as jumps={time: {unknown: value}}",
-        )
+    steps = (table for table in factor.atoms(Table) if table.kind == "previous")
+    for switch in (*factor.atoms(*_SWITCHING), *steps):
+        before, after = (_value_at(switch, time, at + side * near) for side in (-1, 1))
+        if not (after - before).is_number or abs(after - before) >= math.sqrt(_BESIDE):
+            raise ProblemError(
+                f"{quote(impulse)} is multiplied by {quote(switch)}, which may switch at the same "
+                "time",
+                equation=origin,
+                term=switch,
+                remedy=_AS_JUMPS,
+            )

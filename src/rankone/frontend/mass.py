@@ -1,6 +1,6 @@
 """The mass matrix: equations are linear in the highest derivatives, and determine them.
 
-A problem is held as ``M(t, p, u) v + rest = 0`` for the highest derivatives v of its unknowns.
+A problem is held as ``M(t, p, u) v + r(t, p, u) = 0``, v the highest derivatives of its unknowns.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ class MassForm:
         The highest derivative of each unknown.
     rows : tuple of dict
         For each equation its row of the mass matrix: entries by the position in ``leading``.
-    rests : tuple of list of Expr
+    remainders : tuple of list of Expr
         For each equation the terms without highest derivatives.
     """
 
     leading: tuple[sp.Expr, ...]
     rows: tuple[Row, ...]
-    rests: tuple[list[sp.Expr], ...]
+    remainders: tuple[list[sp.Expr], ...]
 
     @cached_property
     def places(self) -> dict[int, int] | None:
         """For each unknown the equation that has its derivative alone; None if any has several."""
-        places = {next(iter(row)): number for number, row in enumerate(self.rows)}
-        alone = len(places) == len(self.rows) and all(len(row) == 1 for row in self.rows)
-        return places if alone else None
+        places = {next(iter(row)): equation for equation, row in enumerate(self.rows)}
+        diagonal = len(places) == len(self.rows) and all(len(row) == 1 for row in self.rows)
+        return places if diagonal else None
 
     @cached_property
     def matrix(self) -> DomainMatrix:
@@ -62,7 +62,7 @@ class MassForm:
 def check_mass(
     residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], coordinates: Sequence[Coordinate]
 ) -> MassForm:
-    """Split the residuals, one for each unknown, into mass matrix and rest.
+    """Split the residuals, one for each unknown, into mass matrix and remainder.
 
     Raises
     ------
@@ -74,13 +74,13 @@ def check_mass(
     time = coordinates[0].symbol
     leading = tuple(unknown.diff(time, highest[unknown]) for unknown in unknowns)
     stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
-    rows, rests = [], []
-    for number, residual in enumerate(residuals, 1):
-        row, rest = _linear_in(stand_in, residual, number)
-        _check_row(row, leading, coordinates, number)
+    rows, remainders = [], []
+    for i, residual in enumerate(residuals, 1):
+        row, remainder = _linear_in(stand_in, residual, i)
+        _check_row(row, leading, coordinates, i)
         rows.append(row)
-        rests.append(rest)
-    form = MassForm(leading, tuple(rows), tuple(rests))
+        remainders.append(remainder)
+    form = MassForm(leading, tuple(rows), tuple(remainders))
     if form.places is None and form.matrix.rank() < len(rows):
         matrix = form.matrix.to_Matrix()
         raise ProblemError(
@@ -93,58 +93,58 @@ def check_mass(
 
 
 def _linear_in(
-    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, number: int
+    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, equation: int
 ) -> tuple[Row, list[sp.Expr]]:
-    """Split a residual into a row of the mass matrix and the terms of the rest.
+    """Split a residual into a row of the mass matrix and the remaining terms.
 
     ``stand_in`` has a symbol for each of the highest derivatives, in their order.
     """
     leading = list(stand_in)
-    found = residual.atoms(sp.Derivative, AppliedUndef)
-    own = {i: symbol for i, (v, symbol) in enumerate(stand_in.items()) if v in found}
-    absent = dict.fromkeys(own.values(), sp.S.Zero)
+    applied = residual.atoms(sp.Derivative, AppliedUndef)
+    symbol_of = {i: symbol for i, (v, symbol) in enumerate(stand_in.items()) if v in applied}
+    absent = dict.fromkeys(symbol_of.values(), sp.S.Zero)
     row: Row = {}
-    rest: list[sp.Expr] = []
+    remainder: list[sp.Expr] = []
     for term in sp.Add.make_args(residual):
         replaced = term.xreplace(stand_in)
         symbols = replaced.free_symbols
-        present = [i for i, symbol in own.items() if symbol in symbols]
+        present = [i for i, symbol in symbol_of.items() if symbol in symbols]
         if not present:
-            rest.append(term)
+            remainder.append(term)
             continue
         for i in present:
-            slope = sp.diff(replaced, own[i])
+            slope = sp.diff(replaced, symbol_of[i])
             if not slope.free_symbols.isdisjoint(absent):
                 slope = sp.expand(slope)
             if not slope.free_symbols.isdisjoint(absent):
                 raise ProblemError(
                     f"term {quote(term)} is not linear in {listing(leading[j] for j in present)}",
-                    equation=number,
+                    equation=equation,
                     term=term,
                     remedy="solve the equation for the derivative by hand",
                 )
             row[i] = row.get(i, sp.S.Zero) + slope
         constant = replaced.xreplace(absent)
-        rest.extend(a for a in sp.Add.make_args(constant) if a != 0)
-    return {i: entry for i, entry in sorted(row.items()) if entry != 0}, rest
+        remainder.extend(a for a in sp.Add.make_args(constant) if a != 0)
+    return {i: entry for i, entry in sorted(row.items()) if entry != 0}, remainder
 
 
 def _check_row(
-    row: Row, leading: Sequence[sp.Expr], coordinates: Sequence[Coordinate], number: int
+    row: Row, leading: Sequence[sp.Expr], coordinates: Sequence[Coordinate], equation: int
 ) -> None:
     """Raise if a row of the mass matrix is empty, or its one entry vanishes somewhere."""
     if not row:
         raise ProblemError(
             "the mass matrix is singular: this equation has no highest derivative "
             f"(of {listing(leading)})",
-            equation=number,
+            equation=equation,
             remedy="differential-algebraic systems are not supported; eliminate the unknown",
         )
     for i, entry in row.items():
         if entry.has(sp.DiracDelta):
             raise ProblemError(
                 f"an impulse, {quote(entry)}, is in front of {quote(leading[i])}",
-                equation=number,
+                equation=equation,
                 term=entry,
                 remedy="an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))",
             )
@@ -159,7 +159,7 @@ def _check_row(
                     f"the mass matrix is singular: the coefficient {quote(mass)} of "
                     f"{quote(leading[i])} vanishes at {c.name} = {point:.6g}, "
                     f"inside [{c.lower:g}, {c.upper:g}]",
-                    equation=number,
+                    equation=equation,
                     term=mass,
                     remedy="change the interval so that the coefficient keeps its sign",
                 )

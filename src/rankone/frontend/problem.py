@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeGuard
 
 import sympy as sp
 
@@ -69,7 +69,7 @@ class Problem:
         or names: ``{x: "m", t: "s", k: "1/s"}``. They are shown with results; nothing is
         converted. A derivative of which none is given has ``m/s``.
     tail : float
-        The probability that is left out on either side of a distribution with unbounded support.
+        The probability that is cut off at each unbounded side of a distribution.
     correlation : mapping of (Symbol, Symbol) to float, optional
         Correlations of the Gaussian copula that joins parameters, ``{(k, c): 0.6}``; statistics of
         solutions are then those of correlated parameters.
@@ -80,7 +80,7 @@ class Problem:
         As given, with numbers as floats, parameters as intervals, initial values in the order of
         the states, jumps by time, units and correlations by name.
     distributions : mapping of str to str
-        For the names of parameters that were given a distribution, that as text.
+        The distributions of parameters as texts, by name.
     unknowns : tuple of Expr
         In the order in which their highest derivatives enter the equations; those that enter in
         the same equation are in the order of ``initial``.
@@ -146,22 +146,22 @@ class Problem:
         check_names([(name_of(state), state) for state in states], box, time[0])
         check_symbols(residuals, unknowns, box, time[0])
         initial = check_initial(self.initial, states, unknowns, box, time)
-        initial = {state: closed(value) for state, value in initial.items()}
+        initial = {state: closed(start) for state, start in initial.items()}
         jumps = {
-            at: {state: closed(value) for state, value in reset.items()}
+            at: {state: closed(after) for state, after in reset.items()}
             for at, reset in check_jumps(self.jumps, states, unknowns, box, time).items()
         }
-        values = [value for reset in jumps.values() for value in reset.values()]
-        check_lengths([*initial.values(), *values], 0)
-        known = [*residuals, *initial.values(), *values]
-        check_distinct(known)
-        used = sp.Tuple(*known).free_symbols
-        for symbol in (symbol for symbol in box if symbol not in used):
-            warn(
-                f"parameter {quote(symbol)} appears nowhere in the problem; "
-                "remedy: remove it from `parameters`"
-            )
-        units = check_units(self.units, time[0], box, states)
+        after_jumps = [after for reset in jumps.values() for after in reset.values()]
+        check_lengths([*initial.values(), *after_jumps], 0)
+        expressions = [*residuals, *initial.values(), *after_jumps]
+        check_distinct(expressions)
+        used = sp.Tuple(*expressions).free_symbols
+        for symbol in box:
+            if symbol not in used:
+                warn(
+                    f"parameter {quote(symbol)} appears nowhere in the problem; "
+                    "remedy: remove it from `parameters`"
+                )
         checked = {
             "equations": equations,
             "time": time,
@@ -170,13 +170,13 @@ class Problem:
             "correlation": MappingProxyType(check_correlation(self.correlation, box)),
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
-            "units": MappingProxyType(units),
+            "units": MappingProxyType(check_units(self.units, time[0], box, states)),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
             "mass": check_mass(residuals, unknowns, _coordinates(time, box)),
         }
-        for attribute, value in checked.items():
-            object.__setattr__(self, attribute, value)
+        for name, attribute in checked.items():
+            object.__setattr__(self, name, attribute)
 
     @classmethod
     def from_strings(
@@ -221,10 +221,10 @@ class Problem:
         t = sp.Symbol("t")
         if not isinstance(time, tuple | list) or len(time) != 2:
             raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
-        for what, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters)):
-            if not isinstance(mapping, Mapping) or not all(isinstance(key, str) for key in mapping):
+        for argument, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters)):
+            if not _has_names(mapping):
                 raise ProblemError(
-                    f"{what} is {quote(mapping)}, not a mapping from names",
+                    f"{argument} is {quote(mapping)}, not a mapping from names",
                     term=mapping,
                     remedy="use names (text) as keys",
                 )
@@ -236,24 +236,22 @@ class Problem:
                     term=state,
                     remedy="remove it, or give its derivative in `rhs`",
                 )
-        rhs, initial, parameters = (
-            _normalised(what, mapping)
-            for what, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters))
-        )
+        rhs, initial = _normalised("rhs", rhs), _normalised("initial", initial)
+        parameters = _normalised("parameters", parameters)
         unknowns = {state: sp.Function(state)(t) for state in rhs}
         symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
         check_names(list(unknowns.items()), symbols.values(), t)
         names = {"t": t, **symbols, **unknowns}
-        if isinstance(units, Mapping) and all(isinstance(name, str) for name in units):
+        if _has_names(units):
             units = _normalised("units", units)
         return cls(
             equations=[
                 sp.Eq(
                     unknowns[state].diff(t),
-                    _formula(text, names, f"right-hand side of {quote(state)}", number),
+                    _formula(text, names, f"right-hand side of {quote(state)}", i),
                     evaluate=False,
                 )
-                for number, (state, text) in enumerate(rhs.items(), 1)
+                for i, (state, text) in enumerate(rhs.items(), 1)
             ],
             time=(t, time[0], time[1]),
             parameters={symbols[parameter]: bounds for parameter, bounds in parameters.items()},
@@ -278,10 +276,12 @@ class Problem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = self.distributions
-        box = {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()}
-        given = (self.equations, self.time, box, dict(self.initial), self.name)
         return type(self), (
-            *given,
+            self.equations,
+            self.time,
+            {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()},
+            dict(self.initial),
+            self.name,
             dict(self.jumps or {}),
             dict(self.units or {}),
             self.tail,
@@ -301,9 +301,9 @@ class Problem:
             for c in self.coordinates
         ]
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
-        measured = [name for name in map(name_of, self.initial) if name in units]
-        if measured:
-            lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in measured))
+        with_units = [name for name in map(name_of, self.initial) if name in units]
+        if with_units:
+            lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in with_units))
         texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
@@ -322,7 +322,7 @@ class Problem:
         return system_jumps(self.jumps or {}, {}, states, self.time)
 
     def _shown(self) -> list[sp.Eq]:
-        """Return the equations as equations, in full."""
+        """The equations; an expression that vanishes equals zero."""
         return [
             equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
             for equation in self.equations
@@ -336,16 +336,22 @@ def _coordinates(
     return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
 
 
-def _jumps(given: Any, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
-    """Jumps with formulas instead of texts; what is no mapping is left to the checks."""
-    if not isinstance(given, Mapping):
-        return given
-    found: dict[Any, Any] = {}
-    for time, values in given.items():
-        if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
-            found[time] = values
+def _has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
+    """Whether this is a mapping whose keys are texts."""
+    return isinstance(mapping, Mapping) and all(isinstance(key, str) for key in mapping)
+
+
+def _jumps(jumps: object, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
+    """Jumps with formulas in place of texts; whatever is no mapping is left to the checks."""
+    if not isinstance(jumps, Mapping):
+        return jumps
+    parsed: dict[Any, Any] = {}
+    for time, reset in jumps.items():
+        if not _has_names(reset):
+            parsed[time] = reset
             continue
-        for name in _normalised("jumps", values):
+        reset = _normalised("jumps", reset)
+        for name in reset:
             if name not in unknowns:
                 raise ProblemError(
                     f"the jump at {shown(time)} resets {quote(name)}, which has no equation"
@@ -353,39 +359,38 @@ def _jumps(given: Any, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.E
                     term=name,
                     remedy=f"it may reset {listing(unknowns)}",
                 )
-        found[time] = {
+        parsed[time] = {
             unknowns[name]: _formula(
                 text, names, f"value of {quote(name)} after the jump at {shown(time)}", None
             )
-            for name, text in _normalised("jumps", values).items()
+            for name, text in reset.items()
         }
-    return found
+    return parsed
 
 
 def _formula(
-    text: Any, names: Mapping[str, sp.Expr], where: str, equation: int | None
-) -> sp.Expr | float:
+    text: object, names: Mapping[str, sp.Expr], where: str, equation: int | None
+) -> sp.Expr:
     """Parse a text; let numbers pass."""
     if isinstance(text, str):
         return parse_expression(text, names, where=where, equation=equation)
     if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
-        number: sp.Expr = sp.sympify(text)
-        return number
+        return sp.sympify(text)
     raise ProblemError(
         f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
     )
 
 
-def _normalised(what: str, mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """The same with names as Python reads them: NFKC, so that a micro sign is a Greek mu."""
-    found: dict[str, Any] = {}
-    for name, value in mapping.items():
-        same = unicodedata.normalize("NFKC", name)
-        if same in found:
+def _normalised(argument: str, mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
+    normal: dict[str, Any] = {}
+    for name in mapping:
+        read = unicodedata.normalize("NFKC", name)
+        if read in normal:
             raise ProblemError(
-                f"{what} has two names that Python reads as {quote(same)}",
+                f"{argument} has two names that Python reads as {quote(read)}",
                 term=name,
                 remedy="rename one of them",
             )
-        found[same] = value
-    return found
+        normal[read] = mapping[name]
+    return normal

@@ -12,7 +12,7 @@ import runpy
 import sys
 import tomllib
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -49,7 +49,6 @@ x0 = [8, 12]
 y0 = [4, 6]
 """
 
-_LARGEST = sys.float_info.max
 _REQUIRED = ("time", "rhs", "initial")
 _OPTIONAL = ("parameters", "name", "jumps", "units")
 _SHOWN = "`rankone solve --help` shows the layout"
@@ -76,10 +75,10 @@ def load_problem(path: str | PathLike[str]) -> Problem:
             remedy="give a Python file with a variable `problem`, or a TOML file",
         )
     try:
-        there = file.is_file()
+        exists = file.is_file()
     except (OSError, ValueError) as error:  # too long, no permission, a null character
         raise ProblemError(f"`{file}` cannot be read: {error}", term=file) from None
-    if not there:
+    if not exists:
         raise ProblemError(f"there is no file `{file}`", term=file)
     return _from_python(file) if file.suffix == ".py" else _from_toml(file)
 
@@ -87,33 +86,33 @@ def load_problem(path: str | PathLike[str]) -> Problem:
 def _from_python(file: Path) -> Problem:
     from rankone.frontend.problem import Problem
 
-    before, folder = [*sys.path], os.getcwd()
+    search_path, folder = [*sys.path], os.getcwd()
     sys.path.insert(0, str(file.resolve().parent))
     try:
         names = runpy.run_path(str(file), run_name="<rankone>")
     except (RankoneError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        where = f"`{file}`{_line(error, file)}"
-        raise ProblemError(f"{where} failed: {type(error).__name__}: {error}", term=file) from error
+        message = f"`{file}`{_line(error, file)} failed: {type(error).__name__}: {error}"
+        raise ProblemError(message, term=file) from error
     finally:
-        sys.path[:] = before
+        sys.path[:] = search_path
         os.chdir(folder)
     problem = names.get("problem")
     if isinstance(problem, Problem):
         return problem
-    others = [name for name, value in names.items() if isinstance(value, Problem)]
-    found = f"; it has {listing(others)}" if others else ""
-    wrong = (
-        f"the variable `problem` of `{file}` is a {type(problem).__name__}, not a Problem"
-        if "problem" in names
-        else f"`{file}` has no variable `problem`"
-    )
-    raise ProblemError(f"{wrong}{found}", term=file, remedy="write problem = rankone.Problem(...)")
+    message = f"`{file}` has no variable `problem`"
+    if "problem" in names:
+        kind = type(problem).__name__
+        message = f"the variable `problem` of `{file}` is a {kind}, not a Problem"
+    problems = [name for name, variable in names.items() if isinstance(variable, Problem)]
+    if problems:
+        message += f"; it has {listing(problems)}"
+    raise ProblemError(message, term=file, remedy="write problem = rankone.Problem(...)")
 
 
 def _line(error: BaseException, file: Path) -> str:
-    """The line of the file at which the error came up."""
+    """The line of the file that raised the error."""
     if isinstance(error, SyntaxError) and error.lineno is not None:
         return f", line {error.lineno},"
     frames = traceback.extract_tb(error.__traceback__)
@@ -135,25 +134,29 @@ def _from_toml(file: Path) -> Problem:
         ) from error
     except (UnicodeDecodeError, OSError, ValueError, RecursionError) as error:
         raise ProblemError(f"`{file}` is not readable TOML: {error}", term=file) from None
-    known = (*_REQUIRED, *_OPTIONAL)
+    keys = (*_REQUIRED, *_OPTIONAL)
     for key in content:
-        if key not in known:
+        if key not in keys:
             raise ProblemError(
-                f"`{file}` has the unknown key `{key}`{did_you_mean(key, known)}; "
-                f"known are {listing(known)}",
+                f"`{file}` has the unknown key `{key}`{did_you_mean(key, keys)}; "
+                f"known are {listing(keys)}",
                 term=key,
             )
     missing = [key for key in _REQUIRED if key not in content]
     if missing:
+        misplaced = [
+            f"; `{key}` in [{name}] belongs above the first table"
+            for key in missing
+            for name, table in content.items()
+            if isinstance(table, Mapping) and key in table
+        ]
         raise ProblemError(
-            f"`{file}` lacks {listing(missing)}{_misplaced(content, missing)}",
-            term=missing,
-            remedy=_SHOWN,
+            f"`{file}` lacks {listing(missing)}{''.join(misplaced)}", term=missing, remedy=_SHOWN
         )
     return Problem.from_strings(
         rhs={n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
         initial={n: _formula("initial", n, f) for n, f in _table(content, "initial").items()},
-        parameters={n: _parameter(n, given) for n, given in _table(content, "parameters").items()},
+        parameters={n: _bounds(n, b) for n, b in _table(content, "parameters").items()},
         time=_horizon(content["time"]),
         name=content.get("name"),
         jumps=_jumps(content.get("jumps", [])),
@@ -161,7 +164,7 @@ def _from_toml(file: Path) -> Problem:
     )
 
 
-def _jumps(tables: Any) -> dict[Any, dict[str, str | float]]:
+def _jumps(tables: object) -> dict[tuple[float, ...], dict[str, str | float]]:
     """The tables [[jumps]]: for their times the values after them."""
     if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
         raise ProblemError(
@@ -169,49 +172,38 @@ def _jumps(tables: Any) -> dict[Any, dict[str, str | float]]:
             term=tables,
             remedy=f"write [[jumps]], and below it the times and the values; {_SHOWN}",
         )
-    found: dict[Any, dict[str, str | float]] = {}
+    jumps: dict[tuple[float, ...], dict[str, str | float]] = {}
     for table in tables:
-        given = [key for key in ("time", "times") if key in table]
-        values = {n: _formula("jumps", n, f) for n, f in table.items() if n not in given}
-        times = table[given[0]] if given else None
+        keys = [key for key in ("time", "times") if key in table]
+        after = {n: _formula("jumps", n, f) for n, f in table.items() if n not in keys}
+        times = table[keys[0]] if keys else None
         at = tuple(times) if isinstance(times, list) else (times,)
-        if len(given) != 1 or not at or not all(map(_is_number, at)):
+        if len(keys) != 1 or not at or not all(map(_is_number, at)):
+            fault = f"`{keys[0]}` = {shown(times)}" if keys else f"no times, but {listing(table)}"
             raise ProblemError(
-                f"[[jumps]] has {f'`{given[0]}` = {shown(times)}' if given else 'no times'}"
-                + ("" if given else f", but {listing(table)}"),
+                f"[[jumps]] has {fault}",
                 term=table,
                 remedy="write time = 8, or times = [8, 16], once",
             )
-        known = [time for key in found for time in key]
-        if len({*known, *at}) < len(known) + len(at):
+        earlier = [time for times_of_table in jumps for time in times_of_table]
+        if len({*earlier, *at}) < len(earlier) + len(at):
             raise ProblemError(
                 f"[[jumps]] has a time twice, among {listing(map(str, at))}",
                 term=table,
                 remedy="give all that is reset at a time in one table",
             )
-        if not values:
+        if not after:
             raise ProblemError(
                 f"[[jumps]] at {listing(map(str, at))} resets nothing",
                 term=table,
                 remedy='write the values after it, for example x = "x + 1"',
             )
-        found[at] = values
-    return found
-
-
-def _misplaced(content: Mapping[str, Any], missing: Sequence[str]) -> str:
-    """In which tables keys stand that belong above the first one."""
-    found = [
-        f"; `{key}` in [{name}] belongs above the first table"
-        for key in missing
-        for name, table in content.items()
-        if isinstance(table, Mapping) and key in table
-    ]
-    return "".join(found)
+        jumps[at] = after
+    return jumps
 
 
 def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """A table of the file, empty if it is left out."""
+    """A table of the file; an empty one if it is left out."""
     table = content.get(key, {})
     if not isinstance(table, Mapping):
         raise ProblemError(
@@ -222,18 +214,18 @@ def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return table
 
 
-def _formula(table: str, name: str, value: Any) -> str | float:
+def _formula(table: str, name: str, formula: object) -> str | float:
     """A formula as text, or a number."""
-    if isinstance(value, str) or (_is_number(value) and abs(value) <= _LARGEST):
-        return value
+    if isinstance(formula, str) or (_is_number(formula) and abs(formula) <= sys.float_info.max):
+        return formula
     raise ProblemError(
-        f"`{name}` in [{table}] is {shown(value)}, neither text nor a finite number",
-        term=value,
+        f"`{name}` in [{table}] is {shown(formula)}, neither text nor a finite number",
+        term=formula,
         remedy=f'write the formula in quotes, for example {name} = "2*a + 1"',
     )
 
 
-def _horizon(time: Any) -> tuple[float, float]:
+def _horizon(time: object) -> tuple[float, float]:
     """Start and end, from a list or from a table."""
     if not isinstance(time, Mapping):
         return _pair("`time`", "time", time)
@@ -246,21 +238,21 @@ def _horizon(time: Any) -> tuple[float, float]:
     return _pair("what [time] holds", "time", [time["start"], time["end"]])
 
 
-def _parameter(name: str, value: Any) -> str | tuple[float, float]:
+def _bounds(name: str, bounds: object) -> str | tuple[float, float]:
     """A list of two numbers, or a text that names a distribution."""
-    return value if isinstance(value, str) else _pair(f"`{name}` in [parameters]", name, value)
+    return bounds if isinstance(bounds, str) else _pair(f"`{name}` in [parameters]", name, bounds)
 
 
-def _pair(what: str, name: str, value: Any) -> tuple[float, float]:
-    """A list of two numbers; which ones are possible is checked with the problem."""
-    if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
-        return value[0], value[1]
+def _pair(subject: str, name: str, bounds: object) -> tuple[float, float]:
+    """A list of two numbers; :class:`Problem` checks them."""
+    if isinstance(bounds, list) and len(bounds) == 2 and all(map(_is_number, bounds)):
+        return bounds[0], bounds[1]
     raise ProblemError(
-        f"{what} is {shown(value)}, not a list of two numbers",
-        term=value,
+        f"{subject} is {shown(bounds)}, not a list of two numbers",
+        term=bounds,
         remedy=f"write it like {name} = [0.5, 1.5]",
     )
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _is_number(scalar: object) -> TypeGuard[float]:
+    return isinstance(scalar, int | float) and not isinstance(scalar, bool)

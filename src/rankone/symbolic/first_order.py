@@ -171,12 +171,13 @@ def first_order(problem: Problem) -> FirstOrderSystem:
 
 
 def _solved(form: MassForm) -> tuple[list[sp.Expr], list[int | None]]:
-    """Solve M v + rest = 0 for v; return also which equation gave which component."""
+    """Solve M v + r = 0 for v; return also which equation gave which component."""
     unknowns = range(len(form.leading))
     if form.places is not None:
         order = [form.places[i] for i in unknowns]
         quotients = [
-            [_divide(-term, form.rows[e][i]) for term in form.rests[e]] for i, e in enumerate(order)
+            [_divide(-term, form.rows[e][i]) for term in form.remainders[e]]
+            for i, e in enumerate(order)
         ]
         return [sp.Add(*terms) for terms in quotients], [e + 1 for e in order]
     inverse = form.matrix.inv().to_Matrix()
@@ -184,9 +185,9 @@ def _solved(form: MassForm) -> tuple[list[sp.Expr], list[int | None]]:
         sp.Add(
             *[
                 sp.Mul(-entry, term)
-                for entry, rest in zip(inverse.row(i), form.rests, strict=True)
+                for entry, terms in zip(inverse.row(i), form.remainders, strict=True)
                 if entry != 0
-                for term in rest
+                for term in terms
             ]
         )
         for i in unknowns
