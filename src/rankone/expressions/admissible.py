@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import reduce
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -36,66 +35,108 @@ __all__ = [
     "known_functions",
     "largest",
     "located_defect",
+    "numeric",
     "sign",
     "zero",
 ]
 
-
 _SAMPLES = 501
+"""Points of an interval, evenly spaced and at Chebyshev points: enough to bracket sign changes."""
 _ZOOMS = 6
+"""Refinements around a sample, each by a factor of about 250: the last spacing is rounding."""
 _VANISHES = 1e-13
-_NEAR, _FLAT = 1e-12, 0.5
-"""Distance from a zero, in widths of the interval, and the largest part of the value there that is
-left at it."""
+"""Value at a zero, relative to the samples beside it: what rounding leaves."""
+_BESIDE_ZERO = 1e-12
+"""Distance from a zero, in widths of the interval, at which the function is evaluated again."""
+_FLAT_RATIO = 0.5
+"""Least value over that beside it which tells a flat minimum above zero from a zero."""
+_MOST_CELLS = 1 << 14
+"""Cells of several comparisons that are examined; conditions with more stay as they are."""
+_SAME_LEVEL = 1e-14
+"""Relative distance below which two levels are one but for rounding."""
+_WITH_EQUALITY = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}
+Truth = NDArray[np.bool_]
+
+# -- functions of one coordinate --------------------------------------------------------------
+
+
+def known_functions(
+    coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]
+) -> tuple[tuple[sp.Expr, ...], ...]:
+    """For each coordinate the largest subexpressions that depend on it alone.
+
+    Polynomials are left out: they are smooth and finite everywhere. Conditions count as functions
+    that are one where they hold. The order is SymPy's.
+    """
+    functions: dict[sp.Symbol, set[sp.Expr]] = {c.symbol: set() for c in coordinates}
+    visited: set[sp.Basic] = set()
+    waiting = list(expressions)
+    while waiting:
+        node = waiting.pop()
+        if node in visited:
+            continue
+        visited.add(node)
+        symbols = node.free_symbols
+        if len(symbols) == 1 and not node.atoms(AppliedUndef):
+            (symbol,) = symbols
+            if symbol in functions and isinstance(node, Boolean) and node != symbol:
+                functions[symbol].add(sp.Piecewise((1, node), (0, True)))
+                continue
+            if symbol in functions and isinstance(node, sp.Expr):
+                if not node.is_polynomial(symbol):
+                    functions[symbol].add(node)
+                continue
+        waiting += node.args
+    return tuple(tuple(sorted(fs, key=sp.default_sort_key)) for fs in functions.values())
 
 
 def defect(expression: sp.Expr, coordinate: Coordinate) -> str | None:
-    """Say what is wrong with a function of one coordinate alone on the interval of it.
+    """Say what is wrong with a function of one coordinate on its interval.
 
     For example ``"is not finite at k = 0"``; None if nothing is wrong.
     """
     if expression.is_polynomial(coordinate.symbol):
         return None
     try:
-        for part in _must_not_vanish(expression):
-            pole = zero(part, coordinate)
+        for divisor in _must_not_vanish(expression):
+            pole = zero(divisor, coordinate)
             if pole is not None:
                 return f"is not finite at {coordinate.name} = {pole:.6g}"
-        points = _points(coordinate)
-        values = _numeric(expression, coordinate)(points)
+        points = _samples(coordinate)
+        heights = numeric(expression, coordinate)(points)
     except (NameError, TypeError, ValueError, AttributeError, ArithmeticError, NotImplementedError):
         return "cannot be evaluated numerically"
-    bad = points[~np.isfinite(values)]
+    bad = points[~np.isfinite(heights)]
     if not bad.size:
         return None
     # NumPy gives nan both outside the domain and at 0/0: SymPy tells them apart.
-    value = expression.subs(coordinate.symbol, sp.Float(bad[0]))
-    kind = "real" if value.is_finite and value.is_extended_real is False else "finite"
-    return f"is not {kind} at {coordinate.name} = {bad[0]:.6g}"
+    at_bad = expression.subs(coordinate.symbol, sp.Float(bad[0]))
+    missing = "real" if at_bad.is_finite and at_bad.is_extended_real is False else "finite"
+    return f"is not {missing} at {coordinate.name} = {bad[0]:.6g}"
 
 
 def located_defect(expression: sp.Expr, coordinate: Coordinate, dimension: int) -> str | None:
     """The same with the factor and its interval: ``"factor `1/k` is not finite at k = 0, ..."``."""
-    wrong = defect(expression, coordinate)
-    if wrong is None:
+    message = defect(expression, coordinate)
+    if message is None:
         return None
     where = "the box of parameter " + quote(coordinate.name) if dimension else "the horizon"
     interval = f"[{coordinate.lower:g}, {coordinate.upper:g}]"
-    return f"factor {quote(expression)} {wrong}, inside {where} {interval}"
+    return f"factor {quote(expression)} {message}, inside {where} {interval}"
 
 
 def sign(expression: sp.Expr, coordinate: Coordinate) -> int:
     """Return 1 or -1 if a function is nowhere negative or nowhere positive, else 0."""
-    values = _numeric(expression, coordinate)(_points(coordinate))
-    if np.all(values >= 0):
+    heights = numeric(expression, coordinate)(_samples(coordinate))
+    if np.all(heights >= 0):
         return 1
-    return -1 if np.all(values <= 0) else 0
+    return -1 if np.all(heights <= 0) else 0
 
 
 def largest(expression: sp.Expr, coordinate: Coordinate) -> float:
     """The largest finite value of a function on its interval; 0 if there is none."""
-    values = _numeric(expression, coordinate)(_points(coordinate))
-    finite = values[np.isfinite(values)]
+    heights = numeric(expression, coordinate)(_samples(coordinate))
+    finite = heights[np.isfinite(heights)]
     return float(finite.max()) if finite.size else 0.0
 
 
@@ -103,46 +144,47 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
     """Return a point at which a function vanishes on the interval, None if there is none."""
     if coordinate.symbol not in expression.free_symbols:
         return None
-    function, points = _numeric(expression, coordinate), _points(coordinate)
-    values = function(points)
-    if not np.any(np.isfinite(values)):
+    function, points = numeric(expression, coordinate), _samples(coordinate)
+    heights = function(points)
+    if not np.any(np.isfinite(heights)):
         return None
-    exact = points[values == 0]
-    if exact.size:
-        return float(exact[0])
-    (changes,) = np.nonzero(np.diff(np.sign(values)))
-    least = int(np.nanargmin(np.abs(values)))
+    zeros = points[heights == 0]
+    if zeros.size:
+        return float(zeros[0])
+    (changes,) = np.nonzero(np.diff(np.sign(heights)))
+    least = int(np.nanargmin(np.abs(heights)))
     for i in [least, *changes]:
         point, smallest = _zoom_in(function, points, int(i))
-        nearby = np.abs(values[max(int(i) - 1, 0) : int(i) + 2])
-        if smallest <= _VANISHES * float(np.nanmax(nearby)):  # beside, it is far larger
-            flat = np.abs(function(point + _NEAR * (points[-1] - points[0]) * np.array([-1, 1])))
-            if smallest < _FLAT * float(np.nanmax(flat)):  # a minimum above zero is flat
+        nearby = np.abs(heights[max(int(i) - 1, 0) : int(i) + 2])
+        if smallest <= _VANISHES * float(np.nanmax(nearby)):
+            step = _BESIDE_ZERO * (points[-1] - points[0])
+            beside = np.abs(function(point + step * np.array([-1, 1])))
+            if smallest < _FLAT_RATIO * float(np.nanmax(beside)):
                 return point
     return None
 
 
-def _points(coordinate: Coordinate) -> Array:
+def numeric(expression: sp.Expr, coordinate: Coordinate) -> Callable[[Array], Array]:
+    """Compile a function of one coordinate; it gives nan where it is not real."""
+    function = sp.lambdify(coordinate.symbol, stable(expression), [NUMPY, "numpy", "scipy"])
+
+    def evaluate(points: Array) -> Array:
+        with np.errstate(all="ignore"):
+            heights = np.asarray(function(points))
+        if np.iscomplexobj(heights):
+            heights = np.where(heights.imag == 0, heights.real, np.nan)
+        return np.broadcast_to(heights.astype(np.float64), points.shape)
+
+    return evaluate
+
+
+def _samples(coordinate: Coordinate) -> Array:
     """Uniform and Chebyshev points with the ends, and zero if it is inside."""
     a, b = coordinate.lower, coordinate.upper
     angles = np.linspace(0.0, np.pi, _SAMPLES)
     chebyshev = 0.5 * (a + b) - 0.5 * (b - a) * np.cos(angles)
     points = np.concatenate([np.linspace(a, b, _SAMPLES), chebyshev, [0.0] if a <= 0 <= b else []])
     return np.unique(np.clip(points, a, b))
-
-
-def _numeric(expression: sp.Expr, coordinate: Coordinate) -> Callable[[Array], Array]:
-    """Compile an expression; it gives nan where it is not real."""
-    function = sp.lambdify(coordinate.symbol, stable(expression), [NUMPY, "numpy", "scipy"])
-
-    def evaluate(points: Array) -> Array:
-        with np.errstate(all="ignore"):
-            values = np.asarray(function(points))
-        if np.iscomplexobj(values):
-            values = np.where(values.imag == 0, values.real, np.nan)
-        return np.broadcast_to(values.astype(np.float64), points.shape)
-
-    return evaluate
 
 
 def _must_not_vanish(expression: sp.Expr) -> Iterator[sp.Expr]:
@@ -164,51 +206,16 @@ def _must_not_vanish(expression: sp.Expr) -> Iterator[sp.Expr]:
 def _zoom_in(function: Callable[[Array], Array], points: Array, i: int) -> tuple[float, float]:
     """Return the point of least magnitude near sample ``i``, and that magnitude."""
     fine = points[max(i - 1, 0) : i + 3]
-    values = np.abs(function(fine))
+    heights = np.abs(function(fine))
     for _ in range(_ZOOMS):
-        j = int(np.nanargmin(values))
+        j = int(np.nanargmin(heights))
         fine = np.linspace(fine[max(j - 1, 0)], fine[min(j + 1, fine.size - 1)], _SAMPLES)
-        values = np.abs(function(fine))
-    j = int(np.nanargmin(values))
-    return float(fine[j]), float(values[j])
+        heights = np.abs(function(fine))
+    j = int(np.nanargmin(heights))
+    return float(fine[j]), float(heights[j])
 
 
-def known_functions(
-    coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]
-) -> tuple[tuple[sp.Expr, ...], ...]:
-    """For each coordinate the largest subexpressions that depend on it alone.
-
-    Polynomials are left out: they are smooth and finite everywhere. Conditions count as functions
-    that are one where they hold. The order is SymPy's.
-    """
-    found: dict[sp.Symbol, set[sp.Expr]] = {c.symbol: set() for c in coordinates}
-    seen: set[sp.Basic] = set()
-    waiting = list(expressions)
-    while waiting:
-        part = waiting.pop()
-        if part in seen:
-            continue
-        seen.add(part)
-        symbols = part.free_symbols
-        if len(symbols) == 1 and not part.atoms(AppliedUndef):
-            (symbol,) = symbols
-            if symbol in found and isinstance(part, Boolean) and part != symbol:
-                found[symbol].add(sp.Piecewise((1, part), (0, True)))
-                continue
-            if symbol in found and isinstance(part, sp.Expr):
-                if not part.is_polynomial(symbol):
-                    found[symbol].add(part)
-                continue
-        waiting += part.args
-    return tuple(tuple(sorted(parts, key=sp.default_sort_key)) for parts in found.values())
-
-
-Truth = NDArray[np.bool_]
-_MOST_CELLS = 1 << 14
-"""Cells of several comparisons that are looked at."""
-_SAME = 1e-14
-"""Numbers that are closer, relative to the largest, are one but for rounding."""
-_STRICT = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}
+# -- piecewise functions ----------------------------------------------------------------------
 
 
 def closed(expression: sp.Basic) -> sp.Basic:
@@ -223,7 +230,7 @@ def closed(expression: sp.Basic) -> sp.Basic:
     """
     if not _open(expression):
         return expression
-    return expression.replace(lambda part: part in _open(part), _closed)
+    return expression.replace(lambda node: node in _open(node), _closed)
 
 
 def gaps(expression: sp.Basic) -> Iterator[tuple[sp.Piecewise, Boolean]]:
@@ -231,30 +238,31 @@ def gaps(expression: sp.Basic) -> Iterator[tuple[sp.Piecewise, Boolean]]:
 
     Of one inside a branch of another, only what that branch reaches counts.
     """
-    waiting: list[tuple[sp.Basic, Any]] = [(expression, sp.true)]
+    waiting: list[tuple[sp.Basic, Boolean]] = [(expression, sp.true)]
     while waiting:
-        part, reached = waiting.pop()
-        if not _open(part):
+        node, reached = waiting.pop()
+        if not _open(node):
             continue
-        if not isinstance(part, sp.Piecewise):
-            waiting += [(inner, reached) for inner in part.args]
+        if not isinstance(node, sp.Piecewise):
+            waiting += [(argument, reached) for argument in node.args]
             continue
-        for value, condition in part.args:
-            waiting.append((value, sp.And(reached, condition)))
+        for branch, condition in node.args:
+            waiting.append((branch, sp.And(reached, condition)))
             reached = sp.And(reached, sp.Not(condition))
         region = _shortened(reached)
         if region != sp.false:
-            yield part, region
+            yield node, region
 
 
 def _open(expression: sp.Basic) -> set[sp.Piecewise]:
     """The piecewise functions in an expression without a last branch for everything else."""
-    return {part for part in expression.atoms(sp.Piecewise) if part.args[-1][1] != sp.true}
+    return {node for node in expression.atoms(sp.Piecewise) if node.args[-1][1] != sp.true}
 
 
-def _closed(part: sp.Piecewise) -> sp.Expr:
-    values = tuple(value for value, _ in part.args)
-    conditions = [sp.to_nnf(condition, simplify=False) for _, condition in part.args]
+def _closed(function: sp.Piecewise) -> sp.Expr:
+    """The same function with weaker conditions, as few as give a value where branches meet."""
+    branches = tuple(branch for branch, _ in function.args)
+    conditions = [sp.to_nnf(condition, simplify=False) for _, condition in function.args]
     to_right = [_relaxed(condition, rightward=True) for condition in conditions]
     relaxed = [_relaxed(condition) for condition in conditions]
     everything = (*conditions, *to_right, *relaxed)
@@ -262,13 +270,13 @@ def _closed(part: sp.Piecewise) -> sp.Expr:
         cells = _Cells(everything)
         first = cells.first(everything)
     except _TooIntricate:
-        return sp.Piecewise(*zip(values * 3, everything, strict=True))
+        return sp.Piecewise(*zip(branches * 3, everything, strict=True))
     chosen = np.where(first < 0, first, first % len(conditions))
     alike = (c for c in (conditions, to_right, relaxed) if np.array_equal(cells.first(c), chosen))
     simplest = list(next(alike, everything))
     if (chosen >= 0).all():
         simplest[-1] = sp.true
-    return sp.Piecewise(*zip(values * 3, simplest, strict=False))
+    return sp.Piecewise(*zip(branches * 3, simplest, strict=False))
 
 
 def _relaxed(condition: Boolean, rightward: bool = False) -> Boolean:
@@ -277,26 +285,26 @@ def _relaxed(condition: Boolean, rightward: bool = False) -> Boolean:
     def relax(comparison: Relational) -> Boolean:
         if isinstance(comparison, sp.Ne):
             return sp.true
-        kind = _STRICT.get(type(comparison))
-        if kind is None or (rightward and _Comparison.of(comparison).sign < 0):
+        relation = _WITH_EQUALITY.get(type(comparison))
+        if relation is None or (rightward and _Comparison(comparison).sign < 0):
             return comparison
-        return kind(*comparison.args)
+        return relation(*comparison.args)
 
-    return condition.xreplace({part: relax(part) for part in condition.atoms(Relational)})
+    return condition.xreplace({c: relax(c) for c in condition.atoms(Relational)})
 
 
-def _shortened(region: Any) -> Any:
-    """A region without what adds nothing to its description; false if it has no inside."""
+def _shortened(region: Boolean) -> Boolean:
+    """A region without redundant conditions; false if it has no inside."""
     region = sp.to_nnf(region, simplify=False)
     try:
         cells = _Cells([region])
         inside = cells.holds(region)[cells.wide]
         if not inside.any():
             return sp.false
-        for part in sp.And.make_args(region):
-            rest = sp.And(*(other for other in sp.And.make_args(region) if other != part))
-            if np.array_equal(cells.holds(rest)[cells.wide], inside):
-                region = rest
+        for condition in sp.And.make_args(region):
+            shorter = sp.And(*(c for c in sp.And.make_args(region) if c != condition))
+            if np.array_equal(cells.holds(shorter)[cells.wide], inside):
+                region = shorter
     except _TooIntricate:
         pass
     return region
@@ -307,7 +315,7 @@ class _TooIntricate(Exception):
 
 
 class _Comparison:
-    """A comparison as one of an expression with a number: ``subject > level``.
+    """A comparison of an expression with a number: ``subject > level``.
 
     Attributes
     ----------
@@ -317,31 +325,28 @@ class _Comparison:
         1 if it holds above the level, -1 below it, and 0 for equality and its opposite.
     """
 
-    def __init__(self, subject: sp.Expr, level: float, sign: int) -> None:
-        self.subject, self.level, self.sign = subject, level, sign
-
-    @classmethod
-    def of(cls, comparison: Relational) -> _Comparison:
+    def __init__(self, comparison: Relational) -> None:
         difference = comparison.lhs - comparison.rhs
         constant, subject = difference.as_independent(*difference.free_symbols, as_Add=True)
         factor, subject = subject.as_coeff_Mul()
         if subject.could_extract_minus_sign():
             factor, subject = -factor, -subject
         direction = 1 if comparison.rel_op.startswith(">") else -1
-        sign = 0 if isinstance(comparison, sp.Eq | sp.Ne) else direction * int(sp.sign(factor))
+        self.subject: sp.Expr = subject
+        equality = isinstance(comparison, sp.Eq | sp.Ne)
+        self.sign = 0 if equality else direction * int(sp.sign(factor))
         try:
-            level = float(-constant / factor)
+            self.level = float(-constant / factor)
         except (TypeError, OverflowError, ZeroDivisionError):
-            level = math.nan
-        return cls(subject, level, sign)
+            self.level = math.nan
 
 
 class _Cells:
     """All combinations of the intervals and points into which comparisons divide their subjects."""
 
     def __init__(self, conditions: Iterable[Boolean]) -> None:
-        found = {part for condition in conditions for part in condition.atoms(Relational)}
-        self._comparisons = {part: _Comparison.of(part) for part in found}
+        relations = {r for condition in conditions for r in condition.atoms(Relational)}
+        self._comparisons = {relation: _Comparison(relation) for relation in relations}
         subjects = {comparison.subject for comparison in self._comparisons.values()}
         self._levels = {
             subject: _distinct(c.level for c in self._comparisons.values() if c.subject == subject)
@@ -350,12 +355,12 @@ class _Cells:
         sizes = [2 * len(levels) + 1 for levels in self._levels.values()]
         if math.prod(sizes) > _MOST_CELLS:
             raise _TooIntricate
-        places = np.meshgrid(*map(np.arange, sizes), indexing="ij") if sizes else []
-        self._places = dict(zip(self._levels, places, strict=True))
+        positions = np.meshgrid(*map(np.arange, sizes), indexing="ij") if sizes else []
+        self._positions = dict(zip(self._levels, positions, strict=True))
         self._shape = tuple(sizes)
         self.wide: Truth = np.ones(self._shape, dtype=bool)
-        for place in places:  # intervals have even numbers, points odd ones
-            self.wide &= place % 2 == 0
+        for position in positions:  # intervals have even positions, points odd ones
+            self.wide &= position % 2 == 0
 
     def holds(self, condition: Boolean) -> Truth:
         """Where a condition holds, cell by cell."""
@@ -369,27 +374,28 @@ class _Cells:
         if condition not in self._comparisons:
             raise _TooIntricate
         comparison = self._comparisons[condition]
-        levels, place = self._levels[comparison.subject], self._places[comparison.subject]
+        levels, position = self._levels[comparison.subject], self._positions[comparison.subject]
         at = 1 + 2 * int(np.abs(np.array(levels) - comparison.level).argmin())
         if comparison.sign == 0:
-            return np.asarray((place == at) == isinstance(condition, sp.Eq))
-        strict = isinstance(condition, tuple(_STRICT))
-        return np.asarray((comparison.sign * (place - at) > 0) | ((place == at) & (not strict)))
+            return np.asarray((position == at) == isinstance(condition, sp.Eq))
+        strict = isinstance(condition, tuple(_WITH_EQUALITY))
+        beyond = comparison.sign * (position - at) > 0
+        return np.asarray(beyond | ((position == at) & (not strict)))
 
     def first(self, conditions: Sequence[Boolean]) -> NDArray[np.intp]:
         """Which condition is the first to hold, -1 for none, cell by cell."""
-        found = np.full(self._shape, -1)
+        indices = np.full(self._shape, -1)
         for i, condition in reversed(list(enumerate(conditions))):
-            found[self.holds(condition)] = i
-        return found
+            indices[self.holds(condition)] = i
+        return indices
 
 
 def _distinct(levels: Iterable[float]) -> list[float]:
-    """Numbers in ascending order, those that differ by rounding once."""
-    kept: list[float] = []
+    """Levels in ascending order, those that differ by rounding once."""
+    distinct: list[float] = []
     for level in sorted(levels):
         if not math.isfinite(level):
             raise _TooIntricate
-        if not kept or level - kept[-1] > _SAME * max(abs(level), abs(kept[-1])):
-            kept.append(level)
-    return kept
+        if not distinct or level - distinct[-1] > _SAME_LEVEL * max(abs(level), abs(distinct[-1])):
+            distinct.append(level)
+    return distinct

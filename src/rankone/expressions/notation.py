@@ -27,9 +27,14 @@ __all__ = [
 
 
 _DIGITS = 17
-"""Digits that tell all floating-point numbers apart."""
-_LONG = 10**6
-"""Denominators, and integers a billion times as large, from which on numbers are decimal."""
+"""Decimal digits that tell all floating-point numbers apart."""
+_LARGEST_DENOMINATOR = 10**6
+"""From this denominator on a fraction is written as a decimal: nobody reads it as a fraction."""
+_LARGEST_INTEGER = 10**15
+"""Above this an integer is written as a decimal: a floating-point number holds no more digits."""
+_LONGEST_SIDE = 400
+"""Characters of one side of an equation; longer ones are cut in the middle."""
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def _decimal(number: sp.Expr) -> sp.Float | None:
@@ -37,16 +42,17 @@ def _decimal(number: sp.Expr) -> sp.Float | None:
     if not isinstance(number, sp.Rational):
         return None
     if number.q == 1:
-        return sp.Float(number, _DIGITS) if abs(number.p) > _LONG * 10**9 else None
-    rest = int(number.q)
+        return sp.Float(number, _DIGITS) if abs(number.p) > _LARGEST_INTEGER else None
+    cofactor = int(number.q)
     for prime in (2, 5):
-        while rest % prime == 0:
-            rest //= prime
-    return sp.Float(number, _DIGITS) if rest == 1 or number.q >= _LONG else None
+        while cofactor % prime == 0:
+            cofactor //= prime
+    is_decimal = cofactor == 1 or number.q >= _LARGEST_DENOMINATOR
+    return sp.Float(number, _DIGITS) if is_decimal else None
 
 
 class _Decimals(Printer):  # type: ignore[misc]
-    """What both printers do."""
+    """A printer of numbers as decimals."""
 
     def _print_Rational(self, expr: Any) -> str:
         decimal = _decimal(expr)
@@ -59,14 +65,14 @@ class _Decimals(Printer):  # type: ignore[misc]
         return str(expr) if decimal is None else str(self._print(decimal))
 
     def _print_Mul(self, expr: Any) -> str:
-        number, rest = expr.as_coeff_Mul()
-        decimal = _decimal(abs(number))
-        half = abs(number) == sp.S.Half  # c/2, not 0.5*c
-        if decimal is None or half or rest is sp.S.One:
+        scale, cofactor = expr.as_coeff_Mul()
+        decimal = _decimal(abs(scale))
+        is_half = abs(scale) == sp.S.Half  # c/2, not 0.5*c
+        if decimal is None or is_half or cofactor is sp.S.One:
             return str(super()._print_Mul(expr))
-        product = sp.Mul(decimal, *sp.Mul.make_args(rest), evaluate=False)
+        product = sp.Mul(decimal, *sp.Mul.make_args(cofactor), evaluate=False)
         text = str(super()._print_Mul(product))
-        return f"-{text}" if number < 0 else text
+        return f"-{text}" if scale < 0 else text
 
 
 class _Text(_Decimals, StrPrinter):  # type: ignore[misc]
@@ -86,7 +92,7 @@ def plain_text(expression: sp.Basic) -> str:
     """
     try:
         return str(_Text({"full_prec": False}).doprint(expression))
-    except NotImplementedError:  # what SymPy itself prints
+    except NotImplementedError:  # SymPy has a text of its own for it
         return str(expression)
 
 
@@ -96,10 +102,6 @@ def latex_text(expression: sp.Basic, **settings: Any) -> str:
 
 
 written.register(sp.Basic, plain_text)
-
-
-_LONGEST_SIDE = 400
-_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def text_of(expression: sp.Basic) -> str:
@@ -131,13 +133,13 @@ def _abbreviate(expression: sp.Basic) -> tuple[sp.Basic, dict[sp.Symbol, str]]:
     """Replace applied functions and derivatives by symbols; return the LaTeX of the symbols too."""
     replacement: dict[sp.Basic, sp.Symbol] = {}
     names: dict[sp.Symbol, str] = {}
-    parts = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
-    for part in sorted(parts, key=sp.default_sort_key):
-        if isinstance(part, sp.Derivative):
-            name = part.expr.func.__name__
-            order = int(part.derivative_count)
+    applied = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
+    for function in sorted(applied, key=sp.default_sort_key):
+        if isinstance(function, sp.Derivative):
+            name = function.expr.func.__name__
+            order = int(function.derivative_count)
             power = "" if order == 1 else str(order)
-            t = part.variables[0]
+            t = function.variables[0]
             symbol = sp.Symbol(
                 f"d{power.translate(_SUPERSCRIPTS)}{name}/d{t}{power.translate(_SUPERSCRIPTS)}"
             )
@@ -146,8 +148,8 @@ def _abbreviate(expression: sp.Basic) -> tuple[sp.Basic, dict[sp.Symbol, str]]:
                 rf"\frac{{d{raised} {sp.latex(sp.Symbol(name))}}}{{d {sp.latex(t)}{raised}}}"
             )
         else:
-            symbol = sp.Symbol(part.func.__name__)
-        replacement[part] = symbol
+            symbol = sp.Symbol(function.func.__name__)
+        replacement[function] = symbol
     # Without evaluation the two sides of an equation stay as they were written.
     if isinstance(expression, sp.Eq):
         sides = [side.xreplace(replacement) for side in expression.args]

@@ -18,15 +18,15 @@ from rankone.support.wording import quote
 __all__ = ["check_size", "exact"]
 
 _DIGITS = 15
-"""Significant digits that every floating-point number holds."""
-_TAKEN_OUT = 1e30
+"""Significant decimal digits that every floating-point number holds."""
+_EXTREME_RATIO = 1e30
 """Numbers beyond, or below its reciprocal, go back into the exponential they came from."""
-_LARGEST_SCALE = 6
-"""Decimal logarithm of scales s in powers (x/s)**n that are looked for."""
-_ROUNDING = 2
-"""Units in the last place by which sums of a few decimal numbers miss the decimal result."""
-_LARGEST_EXPONENT = 1e5
-"""Logarithm beyond which the value of a function of numbers is not computed."""
+_LARGEST_SCALE_DIGITS = 6
+"""Decimal logarithm of the largest scale s in powers (x/s)**n: units rarely differ by more."""
+_SUM_ERROR_ULPS = 2
+"""Units in the last place by which sums of a few decimal numbers miss their decimal result."""
+_LARGEST_LOGARITHM = 1e5
+"""Logarithm beyond which a function of numbers is not evaluated: floats end near 710."""
 _GROWING = (sp.exp, sp.cosh, sp.sinh)
 _FACTORIALS = (sp.gamma, sp.factorial, sp.loggamma)
 
@@ -50,43 +50,42 @@ def exact(expression: sp.Expr) -> sp.Expr:
         return _decimal(expression)
     check_size(expression)
     floats = sorted(expression.atoms(sp.Float))
-    if any(_beyond(number) for number in floats):
-        expression = expression.replace(lambda part: part.is_Mul and _beyond(part.args[0]), _joined)
+    if any(map(_is_extreme, floats)):
+        expression = expression.replace(lambda e: e.is_Mul and _is_extreme(e.args[0]), _joined)
         floats = sorted(expression.atoms(sp.Float))
     return expression.xreplace({f: _decimal(f) for f in floats}) if floats else expression
 
 
 def _decimal(number: sp.Float) -> sp.Rational:
-    value = float(number)
-    if not math.isfinite(value) or (value == 0.0 and not number.is_zero):
+    nearest = float(number)
+    if not math.isfinite(nearest) or (nearest == 0.0 and not number.is_zero):
         raise _out_of_range(number)
-    rounded = f"{value:.{_DIGITS}g}"
-    near = abs(float(rounded) - value) <= _ROUNDING * math.ulp(value)
-    return sp.Rational(rounded if near else repr(value))
+    rounded = f"{nearest:.{_DIGITS}g}"
+    is_near = abs(float(rounded) - nearest) <= _SUM_ERROR_ULPS * math.ulp(nearest)
+    return sp.Rational(rounded if is_near else repr(nearest))
 
 
-def _beyond(number: sp.Expr) -> bool:
+def _is_extreme(number: sp.Expr) -> bool:
     """Whether a number may have been taken out of an exponential."""
     size = abs(number) if number.is_Float else 0
-    return bool(size and not 1 / _TAKEN_OUT < size < _TAKEN_OUT)
+    return bool(size and not 1 / _EXTREME_RATIO < size < _EXTREME_RATIO)
 
 
 def _joined(product: sp.Mul) -> sp.Expr:
     """A product whose number is again in the exponential, if it has one."""
-    number, *factors = product.args
+    scale, *factors = product.args
     powers = [factor.exp for factor in factors if factor.is_Pow and factor.exp.is_number]
     highest = max(map(abs, powers), default=1)
-    from_power = abs(sp.log(abs(number), 10)) < _LARGEST_SCALE * highest
+    from_power = abs(sp.log(abs(scale), 10)) < _LARGEST_SCALE_DIGITS * highest
     for i, factor in enumerate(factors):
         if isinstance(factor, sp.exp) and not from_power:
-            shift = sp.Rational(str(sp.N(sp.log(abs(number)), 20)))
-            others = factors[:i] + factors[i + 1 :]
-            return sp.Mul(sp.sign(number), sp.exp(exact(factor.exp) + shift), *others)
+            shift = sp.Rational(str(sp.N(sp.log(abs(scale)), 20)))
+            remaining = factors[:i] + factors[i + 1 :]
+            return sp.Mul(sp.sign(scale), sp.exp(exact(factor.exp) + shift), *remaining)
     if powers:  # the printer puts it there: (x/310.15)**125
-        digits = sp.N(number, _DIGITS + 2)
-        return sp.Mul(sp.Rational(str(digits)), *factors)
-    if not 0.0 < abs(float(number)) < math.inf:
-        raise _out_of_range(number)
+        return sp.Mul(sp.Rational(str(sp.N(scale, _DIGITS + 2))), *factors)
+    if not 0.0 < abs(float(scale)) < math.inf:
+        raise _out_of_range(scale)
     return product
 
 
@@ -98,12 +97,12 @@ def _out_of_range(number: sp.Expr) -> ProblemError:
 
 
 def check_size(expression: sp.Basic) -> mpmath.mpf | None:
-    """The value of an expression of numbers alone, None of others.
+    """The value of an expression without symbols; None if it has some.
 
     Raises
     ------
     ProblemError
-        If SymPy would not come to an end with a number as large as ``exp(exp(exp(100)))``.
+        If a number is so large that SymPy would never finish, such as ``exp(exp(exp(100)))``.
     """
     if expression.is_Rational:
         return mpmath.mpf(int(expression.p)) / int(expression.q)
@@ -111,26 +110,26 @@ def check_size(expression: sp.Basic) -> mpmath.mpf | None:
         return mpmath.mpf(str(sp.N(expression, _DIGITS)))
     if not isinstance(expression, sp.Expr):
         return None
-    values = [check_size(argument) for argument in expression.args]
-    if not values or any(value is None for value in values):
+    arguments = [check_size(argument) for argument in expression.args]
+    if not arguments or any(argument is None for argument in arguments):
         return None
-    if _logarithm(expression, values) > _LARGEST_EXPONENT:
+    if _logarithm(expression, arguments) > _LARGEST_LOGARITHM:
         raise ProblemError(
             f"{quote(expression)} is out of the range of floating-point numbers",
             term=expression,
             remedy="change the units",
         )
-    value = sp.N(expression, _DIGITS)
-    return mpmath.mpf(str(value)) if value.is_Float or value.is_Rational else None
+    decimal = sp.N(expression, _DIGITS)
+    return mpmath.mpf(str(decimal)) if decimal.is_Float or decimal.is_Rational else None
 
 
-def _logarithm(expression: sp.Basic, values: list[mpmath.mpf]) -> float:
-    """How large the logarithm of a function of numbers is, at most."""
-    first = abs(values[0])
+def _logarithm(expression: sp.Basic, arguments: list[mpmath.mpf]) -> float:
+    """An upper bound of the logarithm of a function of numbers."""
+    first = abs(arguments[0])
     if isinstance(expression, _GROWING):
         return float(first)
     if expression.is_Pow:
-        return float(abs(values[1] * mpmath.log(first))) if first else 0.0
+        return float(abs(arguments[1] * mpmath.log(first))) if first else 0.0
     if isinstance(expression, _FACTORIALS):
         return float(first * mpmath.log(first + 2))
     return 0.0

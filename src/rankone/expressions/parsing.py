@@ -39,39 +39,50 @@ FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "max": sp.Max,
     "Mod": sp.Mod,
 }
-"""Functions known by name; all take one argument but ``min``, ``max`` and ``Mod``."""
+"""Functions by name; all take one argument, except ``min``, ``max`` and ``Mod``."""
 
 CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
-"""Constants known by name, unless the user gives the name another meaning."""
+"""Constants by name, unless the user gives the name another meaning."""
 
 _VARIADIC = {"min", "Min", "max", "Max", "Mod"}
 _CHAINED = ((ast.Add, ast.Sub), (ast.Mult, ast.Div))
-"""Operators of which a row is one sum or one product."""
-_COMPARED: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+"""Operators that join any number of terms to one sum, or of factors to one product."""
+_COMPARED: dict[type[ast.cmpop], Callable[[sp.Expr, sp.Expr], sp.Basic]] = {
     ast.Lt: sp.Lt,
     ast.LtE: sp.Le,
     ast.Gt: sp.Gt,
     ast.GtE: sp.Ge,
 }
-_LOGIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {ast.BitAnd: sp.And, ast.BitOr: sp.Or}
+_LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
+    ast.BitAnd: sp.And,
+    ast.BitOr: sp.Or,
+}
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
-_LONGEST_POWER_BITS, _LONGEST_SCALE_BITS = 4096, 100_000
-"""Bits of a power of a number, and of one that a variable is multiplied by."""
-_LARGEST = 10**300
-_LARGEST_FLOAT = 10**308
-_LONGEST_EXPONENT = 4
-"""Digits of the exponent of a number."""
-_FINEST_ROOT = 12
-"""Largest denominator of an exponent for which powers of numbers stay as they are."""
-_DEEPEST = 24
-_LONG, _TOGETHER, _MOST_INSIDE = 1000, 50, 500
-"""Characters from which a formula is parsed in pieces of so many terms, and how long a sum inside
-parentheses may be at least."""
-_LARGEST_GAMMA = 172
-"""Beyond, the gamma function is larger than any floating-point number."""
+_LARGEST_POWER_BITS = 4096
+"""Bits of a power of numbers; far more than any floating-point number needs."""
+_LARGEST_SCALE_BITS = 100_000
+"""Bits of the power of a number in front of a variable, as in (x/310.15)**125."""
+_LARGEST_NUMBER = 10**300
+"""Largest power of numbers: near the largest floating-point number, with room for a factor."""
+_LARGEST_DECIMAL = 10**308
+"""Largest decimal number, and with its reciprocal the smallest: the range of floating point."""
+_LARGEST_EXPONENT_DIGITS = 4
+"""Digits of the exponent of a decimal number; more take SymPy forever."""
+_LARGEST_ROOT = 12
+"""Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time."""
+_DEEPEST_NESTING = 24
+"""Functions inside one another; SymPy takes exponentially long for more."""
+_LONG_FORMULA = 1000
+"""Characters from which on a formula is parsed in pieces."""
+_TERMS_PER_PIECE = 50
+"""Terms of one piece: Python's parser recurses as deep as a sum is long."""
+_SAFE_INNER_TERMS = 500
+"""Terms inside parentheses that Python's parser takes in any case; named in the message."""
+_LARGEST_GAMMA_ARGUMENT = 172
+"""Beyond it the gamma function exceeds all floating-point numbers."""
 _MOST_ARGUMENTS = 20
-"""SymPy compares all pairs of the arguments of a maximum."""
+"""Arguments of a maximum; SymPy compares all pairs of them."""
 
 
 def parse_expression(
@@ -84,11 +95,11 @@ def parse_expression(
 ) -> sp.Expr:
     """Translate a formula into a SymPy expression.
 
-    It is one in Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls of
-    :data:`FUNCTIONS`. What the user's ``names`` stand for comes before :data:`CONSTANTS`; one that
-    stands for an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say
-    ``where`` the formula is, ``"right-hand side of `x`"``, and the number of the equation. There
-    may be ``further`` functions, of any number of arguments.
+    A formula is Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls of
+    :data:`FUNCTIONS`. The user's ``names`` come before :data:`CONSTANTS`; a name that stands for
+    an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say ``where`` the
+    formula is, ``"right-hand side of `x`"``, and the number of the equation. ``further``
+    functions take any number of arguments.
 
     Raises
     ------
@@ -98,11 +109,11 @@ def parse_expression(
     translator = _Translator(text, names, where, equation, further)
     try:
         pieces = _pieces(_protect_keywords(" ".join(text.split())))
-        values = [translator.translated(piece) for piece in pieces]
+        terms = [translator.translated(piece) for piece in pieces]
     except (RecursionError, MemoryError):
         raise translator.error(
             f"functions, powers or parentheses are nested too deep, or parentheses hold a sum of "
-            f"more than {_MOST_INSIDE} terms,",
+            f"more than {_SAFE_INNER_TERMS} terms,",
             "give parts of it names of their own: as unknowns, or as Python variables in SymPy",
         ) from None
     except (SyntaxError, ValueError, tokenize.TokenError) as error:
@@ -115,34 +126,30 @@ def parse_expression(
             term=text,
             remedy="write it as in Python, for example `-k*x**2 + sin(t)`",
         ) from None
-    value: sp.Expr = values[0] if len(values) == 1 else sp.Add(*values)
-    return value
+    return terms[0] if len(terms) == 1 else sp.Add(*terms)
 
 
 def _pieces(text: str) -> list[str]:
-    """A formula as sums of some of its terms each: Python's parser goes as deep as sums are long.
-
-    What is inside parentheses stays together.
-    """
-    if len(text) < _LONG:
+    """Cut a long formula into sums of some of its terms; parentheses stay whole."""
+    if len(text) < _LONG_FORMULA:
         return [text]
-    starts, depth, before = [0], 0, ""
+    starts, depth, last = [0], 0, ""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if depth == 0 and token.string in ("+", "-") and (before.isalnum() or before in (")", "_")):
+        if depth == 0 and token.string in ("+", "-") and (last.isalnum() or last in (")", "_")):
             starts.append(token.start[1])
         depth += (token.string in ("(", "[", "{")) - (token.string in (")", "]", "}"))
-        before = token.string[-1:]
-    return [text[a:b] for a, b in itertools.pairwise([*starts[::_TOGETHER], len(text)])]
+        last = token.string[-1:]
+    return [text[a:b] for a, b in itertools.pairwise([*starts[::_TERMS_PER_PIECE], len(text)])]
 
 
 def _depth(expression: sp.Basic) -> int:
     """How deep functions are nested in an expression."""
-    inner = max(map(_depth, expression.args), default=0)
-    return inner + (1 if isinstance(expression, sp.Function) else 0)
+    deepest = max(map(_depth, expression.args), default=0)
+    return deepest + (1 if isinstance(expression, sp.Function) else 0)
 
 
 def _protect_keywords(text: str) -> str:
-    """Turn ``lambda`` and its like into ordinary names."""
+    """Turn ``lambda`` and other keywords into ordinary names."""
 
     def protect(match: re.Match[str]) -> str:
         word = match.group()
@@ -176,8 +183,8 @@ class _Translator(ast.NodeVisitor):
     def translated(self, source: str) -> sp.Expr:
         """A piece of the formula as an expression."""
         self.source = source
-        value: sp.Expr = self.visit(ast.parse(source, mode="eval").body)
-        return value
+        expression: sp.Expr = self.visit(ast.parse(source, mode="eval").body)
+        return expression
 
     def error(self, message: str, remedy: str | None = None) -> ProblemError:
         return ProblemError(
@@ -205,9 +212,9 @@ class _Translator(ast.NodeVisitor):
         """A decimal number, exactly as it is written."""
         text = (ast.get_source_segment(self.source, node) or repr(value)).replace("_", "")
         digits, _, exponent = text.lower().partition("e")
-        if len(exponent.lstrip("+-")) <= _LONGEST_EXPONENT:
+        if len(exponent.lstrip("+-")) <= _LARGEST_EXPONENT_DIGITS:
             decimal = sp.Rational(text)
-            if decimal == 0 or 1 / _LARGEST_FLOAT <= decimal <= _LARGEST_FLOAT:
+            if decimal == 0 or 1 / _LARGEST_DECIMAL <= decimal <= _LARGEST_DECIMAL:
                 return decimal
         elif not digits.strip("0."):
             return sp.S.Zero
@@ -248,26 +255,27 @@ class _Translator(ast.NodeVisitor):
         while isinstance(first, ast.BinOp) and isinstance(first.op, alike):
             chain.append((first.op, first.right))
             first = first.left
-        value, *others = self.visit(first), *((op, self.visit(right)) for op, right in chain[::-1])
+        product = self.visit(first)
+        operands = [(op, self.visit(right)) for op, right in chain[::-1]]
         if isinstance(node.op, (ast.Add, ast.Sub)):
-            signed = (-term if isinstance(op, ast.Sub) else term for op, term in others)
-            return sp.Add(value, *signed)
-        for op, factor in others:
+            signed = (-term if isinstance(op, ast.Sub) else term for op, term in operands)
+            return sp.Add(product, *signed)
+        for op, factor in operands:
             if isinstance(op, ast.Div) and factor.is_zero:
                 raise self.error("division by zero")
-            value = value / factor if isinstance(op, ast.Div) else value * factor
-        return value
+            product = product / factor if isinstance(op, ast.Div) else product * factor
+        return product
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
-        number = base.as_coeff_Mul()[0]  # SymPy takes its power
-        if number.is_Rational and exponent.is_Rational:
-            bits = max(int(number.p).bit_length(), int(number.q).bit_length())
-            most = _LONGEST_POWER_BITS if base == number else _LONGEST_SCALE_BITS
-            large = number != 1 and bits * abs(exponent) > most
-            if large or (base == number and abs(sp.N(base**exponent)) > _LARGEST):
-                power = sp.Pow(number, exponent, evaluate=False)
+        scale = base.as_coeff_Mul()[0]  # SymPy takes its power
+        if scale.is_Rational and exponent.is_Rational:
+            bits = max(int(scale.p).bit_length(), int(scale.q).bit_length())
+            most = _LARGEST_POWER_BITS if base == scale else _LARGEST_SCALE_BITS
+            large = scale != 1 and bits * abs(exponent) > most
+            if large or (base == scale and abs(sp.N(base**exponent)) > _LARGEST_NUMBER):
+                power = sp.Pow(scale, exponent, evaluate=False)
                 raise self.error(f"{quote(power)} is too large a number")
-        if base.is_Rational and exponent.is_Rational and exponent.q > _FINEST_ROOT:
+        if base.is_Rational and exponent.is_Rational and exponent.q > _LARGEST_ROOT:
             with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # 0**(-1/13)
                 return exact(sp.Float(float(base) ** float(exponent)))
         power = base**exponent
@@ -284,12 +292,18 @@ class _Translator(ast.NodeVisitor):
         if name == "Piecewise":
             return self._piecewise(node.args)
         if name in self.further:
-            return self._further(name, [self.visit(argument) for argument in node.args])
+            arguments = [self.visit(argument) for argument in node.args]
+            try:
+                return self.further[name](*arguments)
+            except ProblemError:
+                raise
+            except (TypeError, ValueError):
+                raise self.error(f"{_call(name, arguments)} is not understood") from None
         if name not in FUNCTIONS:
-            known = [*FUNCTIONS, *self.further, "Piecewise"]
+            functions = [*FUNCTIONS, *self.further, "Piecewise"]
             raise self.error(
-                f"unknown function {quote(name)}{did_you_mean(name, [*known, *self.names])}",
-                f"the functions known are {', '.join(sorted(known))}",
+                f"unknown function {quote(name)}{did_you_mean(name, [*functions, *self.names])}",
+                f"the functions known are {', '.join(sorted(functions))}",
             )
         if len(node.args) > _MOST_ARGUMENTS:
             raise self.error(f"{quote(name)} has {len(node.args)} arguments")
@@ -298,32 +312,25 @@ class _Translator(ast.NodeVisitor):
             raise self.error(f"{quote(name)} takes two arguments, not {len(arguments)},")
         if not arguments or (len(arguments) > 1 and name not in _VARIADIC):
             raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
-        if name == "gamma" and arguments[0].is_number and not abs(arguments[0]) < _LARGEST_GAMMA:
+        if (
+            name == "gamma"
+            and arguments[0].is_number
+            and not abs(arguments[0]) < _LARGEST_GAMMA_ARGUMENT
+        ):
             raise self.error(f"{quote(f'gamma({arguments[0]})')} is too large a number")
-        return self._value(name, arguments)
+        return self._called(name, arguments)
 
-    def _further(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
-        """One of the further functions."""
+    def _called(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
+        """One of :data:`FUNCTIONS` of arguments."""
+        if max(map(_depth, arguments)) >= _DEEPEST_NESTING:
+            raise self.error(f"functions are nested more than {_DEEPEST_NESTING} deep")
         try:
-            return self.further[name](*arguments)
-        except ProblemError:
-            raise
-        except (TypeError, ValueError):
-            called = f"{name}({', '.join(map(str, arguments))})"
-            raise self.error(f"{quote(called)} is not understood") from None
-
-    def _value(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
-        """A function of arguments; SymPy takes exponentially long where functions are nested."""
-        if max(map(_depth, arguments)) >= _DEEPEST:
-            raise self.error(f"functions are nested more than {_DEEPEST} deep")
-        try:
-            value = FUNCTIONS[name](*arguments)
+            expression = FUNCTIONS[name](*arguments)
             if all(argument.is_number for argument in arguments):
-                check_size(value)
-            return value
+                check_size(expression)
+            return expression
         except (ArithmeticError, TypeError):
-            called = f"{name}({', '.join(map(str, arguments))})"
-            raise self.error(f"{quote(called)} has no value") from None
+            raise self.error(f"{_call(name, arguments)} has no value") from None
 
     def _piecewise(self, branches: list[ast.expr]) -> sp.Expr:
         """``Piecewise((value, condition), ..., (value, True))``."""
@@ -334,8 +341,8 @@ class _Translator(ast.NodeVisitor):
                     f"{quote(ast.unparse(branch))} is no branch of a Piecewise",
                     "write Piecewise((value, condition), ..., (value, True))",
                 )
-            value, condition = branch.elts
-            pairs.append((self.visit(value), self._condition(condition)))
+            expression, condition = branch.elts
+            pairs.append((self.visit(expression), self._condition(condition)))
         if not pairs:
             raise self.error("`Piecewise` has no branch")
         return sp.Piecewise(*pairs)
@@ -357,8 +364,12 @@ class _Translator(ast.NodeVisitor):
 
     def _applied(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
         """Accept ``x(t)`` for the unknown ``x``."""
-        meant = self.names[name]
-        if not arguments or list(meant.args) != arguments:
-            called = f"{name}({', '.join(map(str, arguments))})"
-            raise self.error(f"{quote(called)} is not understood", f"write {name} alone")
-        return meant
+        unknown = self.names[name]
+        if not arguments or list(unknown.args) != arguments:
+            raise self.error(f"{_call(name, arguments)} is not understood", f"write {name} alone")
+        return unknown
+
+
+def _call(name: str, arguments: list[sp.Expr]) -> str:
+    """A call as messages quote it."""
+    return quote(f"{name}({', '.join(map(str, arguments))})")

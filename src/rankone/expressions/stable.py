@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -20,80 +19,76 @@ from scipy import special
 
 __all__ = ["NUMPY", "fraction", "scaled_power", "stable"]
 
-_IN_RANGE = sp.Integer(10) ** 30
-"""Numbers up to this, and down to its reciprocal, stand as they are."""
-_HIGH = 8
-"""Powers from which on a quotient of powers is the power of a quotient."""
-_MOST_TERMS = 20
-"""Terms of a denominator among which one is looked for that stands above too."""
+_ORDINARY_RATIO = sp.Integer(10) ** 30
+"""Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied."""
+_HIGH_POWER = 8
+"""From this power on a quotient of powers is written as the power of a quotient."""
+_MOST_DENOMINATOR_TERMS = 20
+"""Terms of a denominator up to which it is compared with the numerator."""
 _DIGITS = 20
-"""Digits of computed numbers."""
-_LONGEST = 10**_DIGITS
-_ROUNDING = sp.Rational(1, 10**15)
+"""Decimal digits of computed numbers: a few more than floating point holds."""
+_LARGEST_INTEGER = 10**_DIGITS
+_SAME_RATIO = sp.Rational(1, 10**15)
 """Relative difference of coefficients that are one number but for rounding."""
 
 
-class expit(sp.Function):  # type: ignore[misc]
+class _Real(sp.Function):  # type: ignore[misc]
+    """A function of real numbers that SymPy lacks, or evaluates too eagerly."""
+
+    is_real = True
+
+
+class expit(_Real):
     """The logistic function 1/(1 + exp(-z))."""
 
     nargs = 1
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative; no difference of large numbers, as expit*(1 - expit) is."""
+        """The derivative without a difference: expit*(1 - expit) cancels."""
         return self * expit(-self.args[0])
 
 
-class expm1(sp.Function):  # type: ignore[misc]
-    """exp(z) - 1; that of SymPy evaluates itself for some arguments."""
+class expm1(_Real):
+    """exp(z) - 1; SymPy evaluates its own for some arguments."""
 
     nargs = 1
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative."""
         return sp.exp(self.args[0])
 
 
-class log1p(sp.Function):  # type: ignore[misc]
+class log1p(_Real):
     """log(1 + z)."""
 
     nargs = 1
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative."""
         return 1 / (1 + self.args[0])
 
 
-class cosm1(sp.Function):  # type: ignore[misc]
+class cosm1(_Real):
     """cos(z) - 1."""
 
     nargs = 1
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative."""
         return -sp.sin(self.args[0])
 
 
-class logaddexp(sp.Function):  # type: ignore[misc]
+class logaddexp(_Real):
     """log(exp(a) + exp(b))."""
 
     nargs = 2
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative with respect to either exponent."""
         a, b = self.args
         return expit(a - b if argindex == 1 else b - a)
 
 
-class scaled_power(sp.Function):  # type: ignore[misc]
+class scaled_power(_Real):
     """A power whose base keeps its number: SymPy takes that out of ``(x/310.15)**125``."""
 
     nargs = 2
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
         """The derivative with respect to the base; exponents are numbers."""
@@ -101,19 +96,17 @@ class scaled_power(sp.Function):  # type: ignore[misc]
         return exponent * scaled_power(base, exponent - 1)
 
 
-class fraction(sp.Function):  # type: ignore[misc]
+class fraction(_Real):
     """a/(a + b), whose derivatives have one term each: the quotient rule cancels."""
 
     nargs = 2
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative with respect to either part."""
-        part, rest = self.args
-        return (rest if argindex == 1 else -part) / (part + rest) ** 2
+        a, b = self.args
+        return (b if argindex == 1 else -a) / (a + b) ** 2
 
 
-NUMPY: dict[str, Callable[..., Any]] = {
+NUMPY: dict[str, Callable[..., object]] = {
     "cosm1": special.cosm1,
     "expit": special.expit,
     "expm1": np.expm1,
@@ -148,8 +141,8 @@ class _Rewriting:
             return expression  # conditions stay as they are
         if expression not in self._written:
             args = [self(arg) for arg in expression.args]
-            same = all(new is old for new, old in zip(args, expression.args, strict=True))
-            rebuilt = expression if same else expression.func(*args)
+            unchanged = all(a is b for a, b in zip(args, expression.args, strict=True))
+            rebuilt = expression if unchanged else expression.func(*args)
             self._written[expression] = self._rewritten(rebuilt)
         return self._written[expression]
 
@@ -169,7 +162,7 @@ class _Rewriting:
 
 
 def _complement(function: sp.Expr) -> tuple[sp.Expr | None, sp.Expr | None]:
-    """1 + f and 1 - f without cancellation; None where there is none to fear."""
+    """1 + f and 1 - f without cancellation; None where nothing cancels."""
     if not function.args:
         return None, None
     argument = function.args[0]
@@ -203,10 +196,10 @@ def _without_cancellation(total: sp.Expr) -> sp.Expr:
             if not isinstance(function, _COMPLEMENTED):
                 continue
             factor = sp.Mul(*(f for f in sp.Mul.make_args(term) if f is not function))
-            for sign, together in zip((1, -1), _complement(function), strict=True):
-                if together is not None and sign * factor in terms:
-                    rest = (other for other in total.args if other not in (term, sign * factor))
-                    shorter = sp.Add(*rest, sign * factor * together)
+            for sign, merged in zip((1, -1), _complement(function), strict=True):
+                if merged is not None and sign * factor in terms:
+                    remaining = (a for a in total.args if a not in (term, sign * factor))
+                    shorter = sp.Add(*remaining, sign * factor * merged)
                     return _without_cancellation(shorter) if shorter.is_Add else shorter
     return total
 
@@ -217,17 +210,17 @@ def _in_range_sum(total: sp.Expr) -> sp.Expr:
         return total
     numbers = [abs(term.as_coeff_Mul()[0]) for term in total.args]
     largest = max((n for n in numbers if n.is_Rational), default=sp.S.One)
-    if largest <= _IN_RANGE:
+    if largest <= _ORDINARY_RATIO:
         return total
-    rest = sp.Add(*(_product(term / largest) for term in total.args))
-    return sp.Mul(largest, rest, evaluate=False)
+    scaled = sp.Add(*(_product(term / largest) for term in total.args))
+    return sp.Mul(largest, scaled, evaluate=False)
 
 
 # -- products ---------------------------------------------------------------------------------
 
 
 def _power(power: sp.Expr) -> sp.Expr:
-    """Powers of 1 + exp(z) are powers of the logistic function."""
+    """A power of 1 + exp(z) as a power of the logistic function."""
     base, exponent = power.base, power.exp
     if not (base.is_Add and len(base.args) == 2 and exponent.could_extract_minus_sign()):
         return power
@@ -236,23 +229,23 @@ def _power(power: sp.Expr) -> sp.Expr:
         return power
     if second[1].is_number:
         first, second = second, first
-    shift = second[1] - first[1] + _number(sp.log(second[0] / first[0]))
+    shift = second[1] - first[1] + _rational(sp.log(second[0] / first[0]))
     outside = first[0] ** exponent * sp.exp(exponent * first[1])
     return _product(outside * expit(-shift) ** -exponent)
 
 
 def _exponential(term: sp.Expr) -> tuple[sp.Expr, sp.Expr] | None:
-    """(c, z) of a term c*exp(z) with a positive number c; None of others."""
-    number, rest = term.as_coeff_Mul()
-    if not (number.is_Rational and number > 0):
+    """(c, z) of a term c*exp(z) with a positive number c; None of any other term."""
+    coefficient, exponential = term.as_coeff_Mul()
+    if not (coefficient.is_Rational and coefficient > 0):
         return None
-    if rest is sp.S.One:
-        return number, sp.S.Zero
-    return (number, rest.exp) if isinstance(rest, sp.exp) else None
+    if exponential is sp.S.One:
+        return coefficient, sp.S.Zero
+    return (coefficient, exponential.exp) if isinstance(exponential, sp.exp) else None
 
 
 def _product(product: sp.Expr) -> sp.Expr:
-    """A product whose parts overflow no earlier than the whole."""
+    """A product whose factors overflow no earlier than the product."""
     if not product.is_Mul:
         return product
     return _with_fractions(_in_range_product(_with_quotients(_with_logistic(product))))
@@ -264,35 +257,35 @@ def _with_logistic(product: sp.Expr) -> sp.Expr:
     logistic = [f for f in product.args if isinstance(f.as_base_exp()[0], expit)]
     for exponential, power in itertools.product(exponentials, logistic):
         base, count = power.as_base_exp()
-        if not count.is_Integer or not 1 <= count <= _HIGH:
+        if not count.is_Integer or not 1 <= count <= _HIGH_POWER:
             continue
         for turned in range(1, int(count) + 1):
-            rest = _without(exponential.exp, -turned * base.args[0])
-            if rest is not None:
+            exponent = _without(exponential.exp, -turned * base.args[0])
+            if exponent is not None:
                 powers = expit(-base.args[0]) ** turned * base ** (count - turned)
-                others = (f for f in product.args if f not in (exponential, power))
-                return sp.Mul(sp.exp(rest), powers, *others)
+                remaining = (f for f in product.args if f not in (exponential, power))
+                return sp.Mul(sp.exp(exponent), powers, *remaining)
     return product
 
 
-def _without(whole: sp.Expr, part: sp.Expr) -> sp.Expr | None:
-    """What is left of a sum without a part of it, but for rounding; None if it is no part."""
-    rest = whole - part
-    sizes, left = whole.as_coefficients_dict(), rest.as_coefficients_dict()
-    for term in part.as_coefficients_dict():
-        if term != 1 and abs(left[term]) > _ROUNDING * abs(sizes[term]):
+def _without(total: sp.Expr, summand: sp.Expr) -> sp.Expr | None:
+    """A sum minus some of its terms, but for rounding; None if it does not have these terms."""
+    difference = total - summand
+    sizes, left = total.as_coefficients_dict(), difference.as_coefficients_dict()
+    for term in summand.as_coefficients_dict():
+        if term != 1 and abs(left[term]) > _SAME_RATIO * abs(sizes[term]):
             return None
-        rest -= left[term] * term if term != 1 else 0
-    return rest
+        difference -= left[term] * term if term != 1 else 0
+    return difference
 
 
 def _with_quotients(product: sp.Expr) -> sp.Expr:
-    """Quotients of high powers are powers of quotients: ``x**60/y**60`` is ``(x/y)**60``."""
+    """High powers of quotients: ``x**60/y**60`` becomes ``(x/y)**60``."""
     if not product.is_Mul:
         return product
     high: dict[sp.Expr, list[sp.Expr]] = {}
     for factor in product.args:
-        if factor.is_Pow and factor.exp.is_Integer and abs(factor.exp) >= _HIGH:
+        if factor.is_Pow and factor.exp.is_Integer and abs(factor.exp) >= _HIGH_POWER:
             high.setdefault(abs(factor.exp), []).append(factor)
     for exponent, powers in high.items():
         above = [p.base for p in powers if p.exp > 0]
@@ -304,33 +297,33 @@ def _with_quotients(product: sp.Expr) -> sp.Expr:
 
 
 def _in_range_product(product: sp.Expr) -> sp.Expr:
-    """A product whose number, if it is no ordinary one, is in the base of its highest power."""
+    """A product whose number, if it is extreme, is in the base of its highest power."""
     if not product.is_Mul:
         return product
-    numbers = [f for f in product.args if f.is_number]
-    number = sp.Mul(*numbers)
-    size = _size(number)
-    if size is None or 1 / _IN_RANGE <= size <= _IN_RANGE:
+    scale = sp.Mul(*(f for f in product.args if f.is_number))
+    size = _size(scale)
+    if size is None or 1 / _ORDINARY_RATIO <= size <= _ORDINARY_RATIO:
         return product
-    rest = [f for f in product.args if not f.is_number]
-    matched = _scaled_as_elsewhere(product, number, rest)
+    factors = [f for f in product.args if not f.is_number]
+    matched = _scaled_as_elsewhere(product, scale, factors)
     if matched is not None:
         return matched
-    powers = [(*_base_and_exponent(f), f) for f in rest]
+    powers = [(*_base_and_exponent(f), f) for f in factors]
     powers = [p for p in powers if p[1].is_Rational and abs(p[1]) > 1]
     if not powers:
         return product
     base, exponent, factor = max(powers, key=lambda p: abs(p[1]))
-    scale = _number(size ** (1 / exponent))
-    rest.remove(factor)
-    power = scaled_power(scale * base, abs(exponent)) ** sp.sign(exponent)
-    return sp.Mul(sp.sign(number), power, *rest)
+    factors.remove(factor)
+    power = scaled_power(_rational(size ** (1 / exponent)) * base, abs(exponent)) ** sp.sign(
+        exponent
+    )
+    return sp.Mul(sp.sign(scale), power, *factors)
 
 
 def _scaled_as_elsewhere(
     product: sp.Expr, number: sp.Expr, factors: Sequence[sp.Expr]
 ) -> sp.Expr | None:
-    """A product in which the power of a variable is scaled as one in a denominator is."""
+    """A product with the power of a variable scaled in the same way as in a denominator."""
     for power in sorted(product.atoms(scaled_power), key=sp.default_sort_key):
         for factor in factors:
             base, exponent = _base_and_exponent(factor)
@@ -338,14 +331,14 @@ def _scaled_as_elsewhere(
             if not times.is_Integer or factor == power or not scale.is_Rational:
                 continue
             left = sp.N(number, _DIGITS) / sp.N(scale, _DIGITS) ** exponent
-            if 1 / _IN_RANGE <= abs(left) <= _IN_RANGE:
-                others = (f for f in factors if f is not factor)
-                return sp.Mul(_number(left), power**times, *others)
+            if 1 / _ORDINARY_RATIO <= abs(left) <= _ORDINARY_RATIO:
+                remaining = (f for f in factors if f is not factor)
+                return sp.Mul(_rational(left), power**times, *remaining)
     return None
 
 
 def _with_fractions(product: sp.Expr) -> sp.Expr:
-    """What stands above and is a term below is a fraction: ``v*x/(K + x)``."""
+    """A factor that is also a term of the denominator, as in ``v*x/(K + x)``, in a fraction."""
     if not product.is_Mul:
         return product
     for power in product.args:
@@ -353,14 +346,14 @@ def _with_fractions(product: sp.Expr) -> sp.Expr:
         if not (total.is_Add and exponent.is_Integer and exponent < 0):
             continue
         above = _powers(f for f in product.args if f is not power)
-        for term in total.args if len(total.args) <= _MOST_TERMS else ():
-            number, rest = term.as_coeff_Mul()
-            own = _powers(sp.Mul.make_args(rest)) if rest.free_symbols else {}
-            if not own or not all(_holds(above, *pair, -exponent) for pair in own.items()):
+        for term in total.args if len(total.args) <= _MOST_DENOMINATOR_TERMS else ():
+            coefficient, monomial = term.as_coeff_Mul()
+            below = _powers(sp.Mul.make_args(monomial)) if monomial.free_symbols else {}
+            if not below or not all(_holds(above, *pair, -exponent) for pair in below.items()):
                 continue
-            left = {**above, **{b: above[b] + exponent * e for b, e in own.items()}}
-            others = sp.Mul(number**exponent, *(b**e for b, e in left.items()))
-            return _with_fractions(others * fraction(term, total - term) ** -exponent)
+            left = {**above, **{b: above[b] + exponent * e for b, e in below.items()}}
+            remaining = sp.Mul(coefficient**exponent, *(b**e for b, e in left.items()))
+            return _with_fractions(remaining * fraction(term, total - term) ** -exponent)
     return product
 
 
@@ -390,15 +383,15 @@ def _size(number: sp.Expr) -> sp.Rational | None:
     """The absolute value of a number as a fraction."""
     if number.is_Rational:
         return abs(number)
-    value = sp.N(abs(number), _DIGITS)
-    return sp.Rational(str(value)) if value.is_Float else None
+    decimal = sp.N(abs(number), _DIGITS)
+    return sp.Rational(str(decimal)) if decimal.is_Float else None
 
 
-def _number(value: sp.Expr) -> sp.Expr:
-    """A number with the digits that count."""
-    if value.is_Rational and max(abs(value.p), value.q) <= _LONGEST:
-        return value
-    return sp.Rational(str(sp.N(value, _DIGITS)))
+def _rational(number: sp.Expr) -> sp.Expr:
+    """A number as a fraction of limited length."""
+    if number.is_Rational and max(abs(number.p), number.q) <= _LARGEST_INTEGER:
+        return number
+    return sp.Rational(str(sp.N(number, _DIGITS)))
 
 
 # -- logarithms -------------------------------------------------------------------------------
@@ -412,6 +405,5 @@ def _logarithm(logarithm: sp.Expr) -> sp.Expr:
     if len(argument.args) == 2:
         first, second = (_exponential(term) for term in argument.args)
         if first is not None and second is not None:
-            return logaddexp(*(z + _number(sp.log(c)) for c, z in (first, second)))
-    rest = argument - 1
-    return log1p(rest) if sp.S.One in argument.args else logarithm
+            return logaddexp(*(z + _rational(sp.log(c)) for c, z in (first, second)))
+    return log1p(argument - 1) if sp.S.One in argument.args else logarithm
