@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import itertools
 import json
 import os
@@ -18,10 +20,9 @@ from threadpoolctl import threadpool_limits
 import rankone as ro
 from rankone.commands.cli import main
 from rankone.discretization import ChebyshevBasis
-from rankone.export.carry import _narrow, carry, import_lines
-from rankone.export.modules import Import
+from rankone.export.bundler import bundle, needed_modules, source_text
 from rankone.export.standalone import standalone_source
-from rankone.ir.metadata import SolutionMetadata
+from rankone.ir import metadata as ir_metadata
 from rankone.solvers.greedy import ENGINE
 from rankone.support.errors import ExportError, OptionError
 from tests.export.solutions import compiled, points, solved
@@ -53,7 +54,7 @@ for arguments in json.loads(sys.argv.pop()):
     streams = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
         try:
-            status = solver.run(solver.solve, solver.load, solver.__doc__)
+            status = solver.main()
         except SystemExit as end:
             status = end.code
     runs.append([status, *(stream.getvalue() for stream in streams)])
@@ -66,8 +67,7 @@ _ALL = ("--states", "all")
 
 def source_of(problem: ro.CompiledProblem, method: str = "train") -> str:
     """Text of the standalone solver."""
-    given = problem.separated, problem.source, problem.metadata(method=method)
-    return standalone_source(problem.problem.name, *given)
+    return standalone_source(problem.problem.name, problem.source, problem.metadata(method=method))
 
 
 def alone(folder: Path, *arguments: str, script: str | None = None) -> subprocess.CompletedProcess:
@@ -430,40 +430,102 @@ def test_formatted(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["train", "cross", "greedy"])
-def test_reads_from_top_to_bottom(method):
-    """Parts in order, no marks for linters or cross references, documented parameters."""
-    source = source_of(compiled("kirchhoff"), method)
-    titles = ("System", "Foundations", "Engine", "Evaluation", "Files", "Command line")
-    parts = [f"# {title}\n# ===" for title in titles]
-    places = [source.index(part) for part in parts]
+def test_the_front_is_all_a_reader_needs(method):
+    """In 250 lines what the file is, solve, load, the command line and the system."""
+    source = source_of(compiled("lotka_volterra"), method)
+    front = source[: source.index("# Runtime: ")]
+    assert front.count("\n") <= 250
+    for text in ("x' = 1.5*x - x*y", "x0 in [8, 12]", "Operations: rhs 5"):
+        assert text in front
+    order = ["As a program", "def solve(", "def load(", "def main(", "def linear_0(", "def rhs("]
+    places = [front.index(text) for text in order]
     assert places == sorted(places)
-    assert source.index("METADATA = ") > source.index("class Solution:") > places[3]
-    for mark in ("# noqa", "type: ignore", ":class:", ":func:", "SolutionCore"):
-        assert mark not in source
-    assert "max_attempts : int" in source
-    assert "Largest error asked for, relative to the size of each unknown" in source
+    assert "Largest error asked for, relative to the size of each unknown" in front
+    assert "may be used, changed and passed on without restriction.\n" in front
+    assert "rankone." not in "".join(line for line in source.splitlines() if "import " in line)
 
 
-@pytest.mark.parametrize("method", ["train", "greedy"])
-def test_sections_open_with_prose_of_their_own(method):
-    """Prose stays as it is laid out, apart from what follows, without places of the sources."""
-    source = source_of(compiled("kirchhoff"), method)
-    assert "docs/" not in source
-    table = (ROOT / "src" / "rankone" / "ir" / "system.py").read_text(encoding="utf-8")
-    lines = table[table.index("=====") : table.index("``phi`` is")].splitlines()
-    assert "\n".join(f"# {line}".rstrip() for line in lines) in source
-    for section in source.split("\n# == ")[1:]:
-        head = list(
-            itertools.takewhile(lambda line: line.startswith("#"), section.splitlines()[1:])
-        )
-        assert section.splitlines()[1 + len(head)] == "", section[:200]
+@pytest.mark.parametrize("method", ["train", "cross", "greedy"])
+def test_the_runtime_is_whole_modules_of_the_library(method):
+    """Each once, after those it imports, the same statements, each name declared global."""
+    tree = ast.parse(source_of(compiled("decay"), method))
+    bundled = [
+        node for node in tree.body if isinstance(node, ast.FunctionDef) and "__" in node.name
+    ]
+    done = []
+    for node in bundled:
+        name = f"rankone.{node.name.replace('__', '.')}"
+        declared = [s for s in node.body if isinstance(s, ast.Global)]
+        documented = ast.get_docstring(node) is not None
+        body = node.body[: 1 if documented else 0] + node.body[documented + len(declared) :]
+        assert statements(body) == statements(ast.parse(source_text(name)).body), name
+        for inner in body:
+            if isinstance(inner, ast.ImportFrom) and inner.level:
+                assert {f"{inner.module}.{alias.name}" for alias in inner.names} & {*done} or (
+                    inner.module in done
+                )
+        done.append(name.removeprefix("rankone."))
+    assert len(done) == len({*done})
+    assert not [name for name in done if name.startswith(("symbolic", "codegen", "frontend"))]
 
 
-def test_running_text_is_filled_and_tables_are_not():
-    long = "word " * 25
-    assert max(map(len, _narrow(long).splitlines())) <= 98
-    for laid_out in (f"=====  =====\n{long}", f"    {long}"):
-        assert _narrow(laid_out) == laid_out
+def statements(body: list[ast.stmt]) -> list[str]:
+    """Statements as the bundler leaves them, docstrings without their indentation."""
+    texts = []
+    for node in body:
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone."):
+                inner.module = inner.module.removeprefix("rankone.")
+            if isinstance(inner, ast.ImportFrom):
+                inner.level = 0
+            if isinstance(inner, ast.Expr) and isinstance(inner.value, ast.Constant):
+                inner.value.value = inspect.cleandoc(str(inner.value.value))
+        if isinstance(node, ast.AnnAssign):
+            node = ast.Assign([node.target], node.value, lineno=1)
+        texts.append(ast.dump(node))
+    future = ast.dump(ast.parse("from __future__ import annotations").body[0])
+    return [text for text in texts if text != future]
+
+
+def test_tracebacks_and_pickles_name_the_modules_of_the_file(folder):
+    """A traceback shows lines of the file, a pickle of a solution is read in another process."""
+    script = ALONE + (
+        "import inspect, pickle, traceback\n"
+        "s = solver.solve(rtol=1e-3)\n"
+        "open('s.pickle', 'wb').write(pickle.dumps(s))\n"
+        "np.save('pickled.npy', s(t=1.0, x0=9.0, y0=5.0))\n"
+        "assert type(s).__module__ == 'solver.solution.core'\n"
+        "assert inspect.getsource(type(s).save).lstrip().startswith('def save')\n"
+        "try:\n    solver.solve(rtol=2)\n"
+        "except solver.OptionError as error:\n"
+        "    frame = traceback.extract_tb(error.__traceback__)[-1]\n"
+        "    assert frame.filename == solver.__file__\n"
+        "    lines = open(solver.__file__).read().splitlines()\n"
+        "    assert frame.line == lines[frame.lineno - 1].strip() and 'raise' in frame.line"
+    )
+    run = alone(folder, script=script)
+    assert run.returncode == 0, run.stderr
+    again = (
+        "import pickle, sys\nsys.path.insert(0, '')\n"
+        "s = pickle.loads(open('s.pickle', 'rb').read())\n"
+        "import numpy as np\n"
+        "assert np.array_equal(s(t=1.0, x0=9.0, y0=5.0), np.load('pickled.npy'))\n"
+        "assert 'rankone' not in sys.modules and 'sympy' not in sys.modules"
+    )
+    run = alone(folder, script=again)
+    assert run.returncode == 0, run.stderr
+
+
+def test_two_solvers_in_one_process_keep_apart(folder):
+    (folder / "second.py").write_bytes((folder / "solver.py").read_bytes())
+    script = ALONE + (
+        "import second\n"
+        "assert solver.OptionError is not second.OptionError\n"
+        "a, b = (each.solve(rtol=1e-3)(t=1, x0=9, y0=5) for each in (solver, second))\n"
+        "assert np.array_equal(a, b)"
+    )
+    run = alone(folder, script=script)
+    assert run.returncode == 0, run.stderr
 
 
 def test_a_solution_by_another_method_is_refused(tmp_path):
@@ -489,20 +551,12 @@ def test_long_texts_are_wrapped():
     terms = " + ".join(f"{k}*a**{k}*x" for k in range(1, 20))
     problem = ro.Problem.from_strings({"x": terms}, {"x": 1}, {"a": (0, 0.1)}, (0, 1))
     source = source_of(ro.compile(problem))
-    assert max(map(len, source.splitlines())) <= 100
+    front = source[: source.index("# Runtime: ")]
+    assert max(map(len, front.splitlines())) <= 100
     metadata = source[source.index("METADATA = ") :]
-    given = {"SolutionMetadata": SolutionMetadata}
-    exec(metadata[: metadata.index("\n)\n") + 3], given)
-    assert given["METADATA"] == replace(ro.compile(problem).metadata(), source=None)
-
-
-def test_header():
-    source = source_of(compiled("lotka_volterra"))
-    head = source[: source.index("import argparse")]
-    for text in ("x' = 1.5*x - x*y", "x0 in [8, 12]", "Operations: rhs 5", "coefficient  monomial"):
-        assert text in head
-    assert "may be used, changed and passed on without restriction.\n" in head
-    assert "rankone." not in "".join(line for line in source.splitlines() if "import" in line)
+    names = {"ir__metadata": ir_metadata}
+    exec(metadata[: metadata.index("\n)\n") + 3], names)
+    assert names["METADATA"] == replace(ro.compile(problem).metadata(), source=None)
 
 
 def test_awkward_names(tmp_path):
@@ -573,30 +627,13 @@ def test_files_that_would_hide_modules_are_refused(name, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_taken_names_are_renamed():
-    roots = ["rankone.tensors.truncation:truncated_svd"]
-    sections, _ = carry(roots, reserved={"_svd", "_DIRECT"})
-    text = sections[-1].text
-    assert "def _truncation_svd(" in text
-    assert "= _truncation_svd(matrix)" in text
-    assert " _svd(" not in text
-    assert "smaller > _TRUNCATION_DIRECT" in text
+def test_only_what_runs_counts_as_needed():
+    modules = needed_modules(["rankone.tensors.truncation"])
+    assert modules[-1] == "rankone.tensors.truncation"
+    assert "rankone.support.arrays" in modules
+    assert not [name for name in modules if name.startswith("rankone.solvers")]
 
 
 def test_unknown_roots_are_refused():
-    with pytest.raises(ExportError, match="does not define"):
-        carry(["rankone.tensors.slab:Nothing"])
-
-
-def test_imports_are_sorted():
-    found = {
-        Import("numpy", None, "np"),
-        Import("numpy.typing", "NDArray", "NDArray"),
-        Import("os", None, "os"),
-        Import("typing", "Any", "Any"),
-        Import("typing", "ClassVar", "ClassVar"),
-    }
-    assert import_lines(found) == [
-        *("import os", "from typing import Any, ClassVar", ""),
-        *("import numpy as np", "from numpy.typing import NDArray"),
-    ]
+    with pytest.raises(ExportError, match="not at hand"):
+        bundle(["rankone.tensors.nothing"])

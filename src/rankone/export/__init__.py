@@ -81,8 +81,8 @@ def export_solver(
     )
     _check_exportable(compiled, engine.name)
     taken = compiled.form_for(engine.name)
-    given = taken.separated, taken.source, compiled.metadata(method=engine.name)
-    text = standalone_source(compiled.problem.name, *given)
+    metadata = compiled.metadata(method=engine.name)
+    text = standalone_source(compiled.problem.name, taken.source, metadata)
     write_files({target: text}, overwrite, ExportError)
     return target
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import textwrap
+from inspect import getsource
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,8 @@ import numpy as np
 
 from rankone.codegen.names import Names, is_identifier
 from rankone.codegen.text import WIDTH, docstring, nested, paragraph, quoted, table
-from rankone.export.carry import banner, carry, import_lines
-from rankone.export.modules import Import
+from rankone.discretization.coordinates import round_off
+from rankone.export.bundler import banner, source_text
 from rankone.export.packing import PackedCore, PackedModel
 from rankone.export.templates import TERMS
 from rankone.support.files import Content, npz
@@ -35,30 +36,34 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     coefficients = np.concatenate([core.tensor.ravel() for core in model.distinct[0]])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
-    imports = {Import("numpy", None, "np")}
     if len(text) <= _LARGEST_TEXT:
-        imports.add(Import("base64", None, "base64"))
+        imports = _IMPORTS.format("import base64\n", "")
         rows = textwrap.wrap(text, WIDTH)
         data = ['DATA = """', *rows, '"""', "", *_LOAD_TEXT]
     else:
-        imports.add(Import("pathlib", "Path", "Path"))
+        imports = _IMPORTS.format("", "from pathlib import Path\n")
         files[path.with_suffix(".npz")] = npz({"coefficients": coefficients.astype("<f8")})
         data = _LOAD_FILE
-    sections, more = carry(["rankone.export.model_program:Model"], reserved={"np", *_OWN_NAMES})
-    head = [*docstring(_head(model, path), indent=""), ""]
-    head += ["from __future__ import annotations", "", *import_lines(imports | more), ""]
-    parts = [
-        "\n".join([*head, banner("The model"), "", *_tables(model)]),
-        *(str(section) for section in sections),
+    blocks = [
+        "\n".join([*docstring(_head(model, path), indent=""), imports]),
+        "\n".join([banner("The model"), "", *_tables(model)]),
+        f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
+        getsource(round_off).strip(),
+        source_text("rankone.export.model_program").partition(_END_OF_IMPORTS)[2].strip(),
         "\n".join([banner("Coefficients"), "", *data, "", *_END]),
     ]
-    return {path: "\n\n\n".join(parts) + "\n", **files}
+    return {path: "\n\n\n".join(blocks) + "\n", **files}
 
 
-_OWN_NAMES = (
-    *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "CORES", "STARTS", "SLABS"),
-    *("DATA", "MODEL", "COEFFICIENTS", "value", "gradient"),
-)
+_END_OF_IMPORTS = '__all__ = ["Model"]\n'
+_IMPORTS = """
+from __future__ import annotations
+
+{}from collections.abc import Mapping, Sequence
+{}from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray"""
 _LOAD_TEXT = ['COEFFICIENTS = np.frombuffer(base64.b64decode(DATA), dtype="<f8")']
 _LOAD_FILE = [
     'with np.load(Path(__file__).with_suffix(".npz"), allow_pickle=False) as file:',

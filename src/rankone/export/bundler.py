@@ -1,0 +1,155 @@
+"""The bundler: whole modules of the library inside one readable file.
+
+A bundled module is a function without arguments, named ``solvers__task`` after ``solvers.task``,
+and its body is the text of the module. Its first statement declares every name of the module
+global; :func:`module` then runs the function once, with the namespace of a new module as its
+globals. So each module keeps a namespace of its own, classes and functions keep their plain names
+(dataclasses and pickle look them up), and nothing is compiled from a string: tracebacks, debuggers,
+linters and cached bytecode work on the lines that a person reads.
+
+The text is changed in three places only: imports from the library become relative, ``from
+__future__`` is said once for the whole file, and annotated module constants lose the annotation,
+which Python forbids for a global name. Imports for type checkers and inside functions do not count
+as needed.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.machinery
+import importlib.util
+import inspect
+import re
+import symtable
+import sys
+import textwrap
+import types
+from collections.abc import Callable, Iterable
+from functools import cache
+
+from rankone.codegen.text import INDENT, WIDTH
+from rankone.support.errors import ExportError
+
+__all__ = ["banner", "bundle", "bundled_name", "module", "needed_modules", "source_text"]
+
+_PACKAGE = "rankone"
+_FUTURE = re.compile(r"^from __future__ import annotations\n+", re.MULTILINE)
+_INTERNAL = re.compile(rf"^(\s*)from {_PACKAGE}\.", re.MULTILINE)
+
+
+def module(body: Callable[[], None]) -> types.ModuleType:
+    """Run the body of a bundled module: ``solvers__task`` becomes ``solvers.task`` of this file."""
+    name = f"{__name__}.{body.__name__.replace('__', '.')}"
+    namespace = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, None))
+    vars(namespace).update(__file__=__file__, __doc__=body.__doc__, __builtins__=__builtins__)
+    sys.modules[name] = namespace
+    while (name := name.rpartition(".")[0]) and name not in sys.modules:
+        sys.modules[name] = types.ModuleType(name)
+    types.FunctionType(body.__code__, vars(namespace))()
+    return namespace
+
+
+def bundle(roots: Iterable[str]) -> list[str]:
+    """The text that runs the roots and all modules they need, each after what it imports.
+
+    Raises
+    ------
+    ExportError
+        If the source of a module is not at hand.
+    """
+    blocks = [inspect.getsource(module).rstrip()]
+    return blocks + [_block(name) for name in needed_modules(roots)]
+
+
+def banner(title: str) -> str:
+    """A comment that opens a section."""
+    start = f"# == {title} "
+    return start + "=" * max(WIDTH - 1 - len(start), 3)
+
+
+def bundled_name(name: str) -> str:
+    """Name of the function that holds a module."""
+    return name.removeprefix(f"{_PACKAGE}.").replace(".", "__")
+
+
+def needed_modules(roots: Iterable[str]) -> list[str]:
+    """The roots and all modules of the library that they import, each after what it imports."""
+    order: dict[str, None] = {}
+
+    def visit(name: str) -> None:
+        if name not in order:
+            for needed in _imports(name):
+                visit(needed)
+            order[name] = None
+
+    for root in roots:
+        visit(root)
+    return list(order)
+
+
+@cache
+def source_text(name: str) -> str:
+    """Source of a module, found without running it."""
+    spec = importlib.util.find_spec(name)
+    if spec is None or not isinstance(spec.loader, importlib.machinery.SourceFileLoader):
+        raise ExportError(f"the source of `{name}` is not at hand", term=name)
+    return spec.loader.get_source(name) or ""
+
+
+def _imports(name: str) -> list[str]:
+    """The modules of the library that a module imports when it runs, in their order."""
+    needed = []
+    for node in ast.parse(source_text(name)).body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"{_PACKAGE}."):
+            inner = (f"{node.module}.{alias.name}" for alias in node.names)
+            needed += [module if _exists(module) else str(node.module) for module in inner]
+    return list(dict.fromkeys(needed))
+
+
+@cache
+def _exists(name: str) -> bool:
+    """Whether there is a module of that name."""
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:  # the part before the last dot is no package
+        return False
+
+
+def _block(name: str) -> str:
+    """A module as a function of the exported file, under a banner."""
+    source = source_text(name)
+    tree = ast.parse(source)
+    lines = _without_annotations(source, tree)
+    opening = (tree.body[0].end_lineno or 0) if ast.get_docstring(tree) else 0
+    body = _FUTURE.sub("", "\n".join(lines[opening:]))
+    body = _INTERNAL.sub(rf"\1from {'.' * name.count('.')}", body)
+    parts = ["\n".join(lines[:opening]), _declarations(source), body.strip("\n")]
+    text = "\n\n".join(part for part in parts if part)
+    head = f"{banner(name)}\n\n\n@module\ndef {bundled_name(name)}() -> None:\n"
+    return head + textwrap.indent(text, INDENT)
+
+
+def _without_annotations(source: str, tree: ast.Module) -> list[str]:
+    """The lines of a module, without the annotations of its constants."""
+    lines = source.splitlines()
+    for node in tree.body:
+        if isinstance(node, ast.AnnAssign):
+            first, last = node.target.end_lineno or 0, node.annotation.end_lineno or 0
+            line = lines[first - 1].encode()[: node.target.end_col_offset].decode()
+            end = lines[last - 1].encode()[node.annotation.end_col_offset :].decode()
+            lines[first - 1 : last] = [line + end, *[""] * (last - first)]
+    return lines
+
+
+def _declarations(source: str) -> str:
+    """Statements that declare the names of a module global."""
+    symbols = symtable.symtable(source, "module", "exec").get_symbols()
+    names = [s.get_name() for s in symbols if s.is_assigned() or s.is_imported()]
+    names = [name for name in names if name != "annotations"]
+    return textwrap.fill(
+        ", ".join(names),
+        WIDTH - len(INDENT),
+        initial_indent="global ",
+        subsequent_indent="global ",
+        break_long_words=False,
+    ).replace(",\n", "\n")
