@@ -45,8 +45,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         files[path.with_suffix(".npz")] = npz({"coefficients": coefficients.astype("<f8")})
         data = _LOAD_FILE
     blocks = [
-        "\n".join([*docstring(_head(model, path), indent=""), imports]),
-        "\n".join([banner("The model"), "", *_tables(model)]),
+        "\n".join([*docstring(_head(model, path), indent=""), imports, *_tables(model)]),
         f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
         getsource(round_off).strip(),
         source_text("rankone.export.model_program").partition(_END_OF_IMPORTS)[2].strip(),
@@ -63,7 +62,8 @@ from __future__ import annotations
 {}from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray"""
+from numpy.typing import NDArray
+"""
 _LOAD_TEXT = ['COEFFICIENTS = np.frombuffer(base64.b64decode(DATA), dtype="<f8")']
 _LOAD_FILE = [
     'with np.load(Path(__file__).with_suffix(".npz"), allow_pickle=False) as file:',
@@ -118,6 +118,8 @@ def _tables(model: PackedModel) -> list[str]:
     unequal = any(core.edges for core in cores)
     more = ["# (where elements are unequal, both are given for each of them)"] if unequal else []
     return [
+        banner("The model"),
+        "",
         *table("UNKNOWNS", [quoted(name) for name in model.unknowns]),
         *table("COORDINATES", [quoted(name) for name in model.coordinates]),
         *table("KEYWORDS", [quoted(name) for name in keywords(model.coordinates)]),

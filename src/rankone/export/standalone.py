@@ -144,19 +144,15 @@ def solve(
     rtol : float
         Largest error asked for, relative to the size of each unknown. It is measured against
         SciPy trajectories after the solve; `success` of the solution says whether it is kept.
-    parameters : mapping of str to (float, float), optional
-        Other ranges of parameters.
-    t_final : float, optional
-        Another end of the horizon.
+    parameters, t_final : mapping of str to (float, float), float, optional
+        Other ranges of parameters, another end of the horizon.
     check : bool or int
         Number of check points in the interior, 96 for True; without any the error is not known.
     cover : {{"interior", "box"}}, optional
         Whether success covers the corners of the box too; by default up to three parameters.
-    effort : {{"low", "normal", "high"}} or float
+    effort, max_seconds : {{"low", "normal", "high"}} or float, float, optional
         Budget of counted work: 0.2, 1 or 10 times what a core does in about 25 seconds, or another
-        factor. The best solution so far is returned.
-    max_seconds : float, optional
-        Time limit on the clock besides.
+        factor; and a time limit on the clock. The best solution so far is returned.
     unknowns : sequence of str, optional
         The unknowns whose error has to be within the tolerance; by default all.
     **options
