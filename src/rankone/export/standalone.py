@@ -207,7 +207,7 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
             "# fmt: on",
             banner("This solver"),
             "",
-            "SYSTEM = sys.modules[__name__]",
+            "SYSTEM = ir__system.system_of(globals())",
             f"ENGINE = {home}.ENGINE",
             "METADATA = ir__metadata.SolutionMetadata(",
             *entries,
