@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rankone.interface.solution import Solution, load
     from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
     from rankone.ir.functions import duration, first_crossing, function, maximum, minimum, table
-    from rankone.ir.outcome import Status
+    from rankone.ir.verdict import Status
     from rankone.solvers.cross import CrossOptions
     from rankone.solvers.greedy import GreedyOptions
     from rankone.solvers.train import TrainOptions
@@ -113,7 +113,7 @@ _HOMES = {
     "SeparationError": ("support.errors", "SeparationError"),
     "Sobol": ("statistics.solution_statistics", "Sobol"),
     "Solution": ("interface.solution", "Solution"),
-    "Status": ("ir.outcome", "Status"),
+    "Status": ("ir.verdict", "Status"),
     "StorageError": ("support.errors", "StorageError"),
     "TrainOptions": ("solvers.train", "TrainOptions"),
     "WeakForm": ("symbolic", "WeakForm"),

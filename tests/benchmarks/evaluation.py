@@ -28,7 +28,8 @@ import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.interface.solution import Solution
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, Status
+from rankone.ir.outcome import Outcome
+from rankone.ir.verdict import Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
 
@@ -74,7 +75,7 @@ def random_solution(
         horizon=(0.0, 1.0),
         rtol=1e-6,
     )
-    return Solution(Outcome(tuple(trains), Status.UNCHECKED, "", None, ()), metadata)
+    return Solution(Outcome(tuple(trains), Status.UNCHECKED, None, ()), metadata)
 
 
 CASES = {

@@ -17,13 +17,13 @@ from rankone.commands.cli import main
 from rankone.commands.solve import ARGUMENTS
 from rankone.frontend.problem_files import TOML_LAYOUT
 from rankone.interface.solution import Solution, load
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from rankone.support.errors import BlowUpError, OptionError, RankoneWarning
 from tests.solution.functions import two_unknowns
 
 SOLVED = two_unknowns().solution
 FAILED = Solution(
-    replace(SOLVED.outcome, status=Status.RANK_LIMIT, message="rank 100 was reached"),
+    replace(SOLVED.outcome, status=Status.RANK_LIMIT),
     SOLVED.metadata,
 )
 UNCHECKED = Solution(

@@ -17,13 +17,13 @@ import pytest
 
 from rankone.commands.cli import main
 from rankone.interface.solution import Solution, load
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from tests.solution.functions import decay, oscillator, two_unknowns
 
 SOLVED = two_unknowns().solution
 UNITS = Solution(SOLVED.outcome, replace(SOLVED.metadata, units=(("t", "s"), ("x", "m"))))
 FAILED = Solution(
-    replace(SOLVED.outcome, status=Status.RANK_LIMIT, message="rank 100 was reached"),
+    replace(SOLVED.outcome, status=Status.RANK_LIMIT),
     SOLVED.metadata,
 )
 POINT = ["--at", "t=1.2", "x0=0.5", "y0=2.5"]
@@ -124,7 +124,7 @@ def test_a_failed_solution_is_evaluated_and_said(run: Run) -> None:
     status, out, err = run("eval", "failed.npz", *POINT)
     assert status == 1
     assert out.startswith("x = ")
-    message = "the error is not within the tolerance: rank 100 was reached"
+    message = "the error is not within the tolerance: the rank limit was reached"
     assert err == f"rankone: warning: {message}\n"
     status, out, err = run("report", "failed.npz", "--no-plots")
     assert status == 1
@@ -325,7 +325,7 @@ def test_what_cannot_be_exported(run: Run) -> None:
         (["u.nc", "-o", "m.fmu", "--fmi", "1.0"], 2, "invalid choice: '1.0'"),
         (["u.nc", "-o", "m.c", "--model-rtol", "2"], 2, "rtol=2"),
         (["u.nc", "-o", "m.c", "--method", "cross"], 2, "--method is for problem files"),
-        (["failed.npz", "-o", "m.c"], 1, "rank 100 was reached; remedy: solve again"),
+        (["failed.npz", "-o", "m.c"], 1, "the rank limit was reached; remedy: solve again"),
         (["none.toml", "-o", "m.py"], 2, "there is no file"),
     ):
         found, out, err = run("export", *arguments)

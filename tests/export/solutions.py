@@ -10,7 +10,8 @@ import numpy as np
 import rankone as ro
 from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, Status
+from rankone.ir.outcome import Outcome
+from rankone.ir.verdict import Status
 from rankone.tensors.slab import SlabTrain
 from tests.problems import EXAMPLES
 
@@ -106,4 +107,4 @@ def _random(bases_of_slabs: Sequence[tuple[Basis1D, ...]], status: Status) -> ro
         rtol=1e-3,
         equations=("x' = */ nothing /* at all",),
     )
-    return ro.Solution(Outcome(tuple(slabs), status, status.value, None, ()), metadata)
+    return ro.Solution(Outcome(tuple(slabs), status, None, ()), metadata)

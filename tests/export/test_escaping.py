@@ -21,6 +21,7 @@ import rankone as ro
 from rankone.codegen.text import commented, docstring, quoted
 from rankone.export.escaping import c_comment, c_string, js_comment, js_string
 from rankone.interface.solution import Solution
+from rankone.ir.verdict import Remedy
 from tests.export.node import NODE, needs_node
 from tests.export.solutions import solved
 
@@ -117,7 +118,7 @@ def hostile(number):
         units=tuple(zip(pool[:7], pool[8:15], strict=True)),
         equations=tuple("".join(TEXTS[number::7])[k::5] for k in range(5)),
     )
-    outcome = replace(solution.outcome, message="".join(TEXTS[number::11]))
+    outcome = replace(solution.outcome, notes=(Remedy("".join(TEXTS[number::11])),))
     return Solution(outcome, metadata)
 
 

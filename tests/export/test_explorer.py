@@ -20,7 +20,7 @@ from rankone.commands.cli import main
 from rankone.export.explorer.content import curve_times
 from rankone.export.explorer.mathml import Notation
 from rankone.ir.metadata import Role
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from rankone.plotting.style import PALETTE
 from rankone.support.errors import ExportError, OptionError
 from tests.export.browser import NoBrowserError, browser, settle
@@ -53,7 +53,7 @@ def with_units(solution, units=UNITS):
 
 
 def failed(solution):
-    outcome = replace(solution.outcome, status=Status.RANK_LIMIT, message="rank 100 was reached")
+    outcome = replace(solution.outcome, status=Status.RANK_LIMIT)
     return ro.Solution(outcome, solution.metadata)
 
 

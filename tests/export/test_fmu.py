@@ -20,7 +20,7 @@ import pytest
 
 import rankone as ro
 from rankone.export.model_fmu import checked_fmi
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from rankone.support.errors import ExportError, OptionError, RankoneWarning
 from tests.export.solutions import points, solved, synthetic
 from tests.problems import EXAMPLES

@@ -19,7 +19,7 @@ import rankone as ro
 from rankone.export.model_c import c_identifier
 from rankone.export.model_python import keywords
 from rankone.export.packing import pack
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from rankone.support.errors import ExportError, OptionError
 from tests.export.solutions import (
     border_points,

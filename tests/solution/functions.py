@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
 from rankone.interface.solution import Solution
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Measured, Outcome, SlabRecord, Status
+from rankone.ir.outcome import Measured, Outcome, SlabRecord
+from rankone.ir.verdict import Status
 from rankone.tensors.slab import SlabTrain
 
 Array = NDArray[np.float64]
@@ -94,7 +95,6 @@ def known(
     outcome = Outcome(
         slabs=tuple(slabs),
         status=Status.CONVERGED,
-        message="The measured error is within the tolerance.",
         measured=Measured(
             tuple(1e-7 * (k + 1) for k in range(len(names))),
             tuple(2e-7 * (k + 1) for k in range(len(names))),

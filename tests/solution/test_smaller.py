@@ -150,12 +150,12 @@ def test_a_part_at_the_corners_is_no_success_where_they_are_worse():
     assert solution.corner_error > 1e-4
     part = solution.fix(dict.fromkeys(list(solution.parameters)[:9], 0.7))
     assert not part.success
-    assert "its error may be that at the corners" in part.message
+    assert "on this part of the box it may be that at the corners" in part.message
     assert part.corner_error == solution.corner_error
     inner = solved("coupled", 1e-8)
     inner = inner.fix({next(iter(inner.parameters)): 1.0})
     assert inner.success
-    assert inner.message.endswith("a part of that solution, measured on the whole box")
+    assert inner.message.endswith("of which this solution is a part")
 
 
 def test_elements_are_cut_where_the_part_ends():

@@ -12,7 +12,7 @@ import pytest
 import sympy as sp
 
 from rankone.interface.solution import Solution
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Remedy, Status
 from rankone.support.errors import EvaluationError, RankoneWarning
 from tests.solution.functions import decay, oscillator, two_unknowns
 
@@ -53,9 +53,7 @@ def test_unchecked() -> None:
 
 
 def test_partial() -> None:
-    outcome = replace(
-        SOLUTION.outcome, slabs=SOLUTION.outcome.slabs[:2], status=Status.BLOW_UP, message="bang"
-    )
+    outcome = replace(SOLUTION.outcome, slabs=SOLUTION.outcome.slabs[:2], status=Status.BLOW_UP)
     solution = Solution(outcome, SOLUTION.metadata)
     assert solution.time == (0.0, 1.5)
     assert "t in [0, 1.5] of [0, 3]" in repr(solution)
@@ -65,10 +63,12 @@ def test_partial() -> None:
 
 
 def test_nothing_solved() -> None:
-    solution = Solution(replace(SOLUTION.outcome, slabs=(), message="bang"), SOLUTION.metadata)
+    solution = Solution(
+        replace(SOLUTION.outcome, slabs=(), status=Status.RANK_LIMIT), SOLUTION.metadata
+    )
     assert solution.rank == 0
-    assert "bang" in repr(solution)
-    with pytest.raises(EvaluationError, match="nothing was solved: bang"):
+    assert "the rank limit was reached" in repr(solution)
+    with pytest.raises(EvaluationError, match="nothing was solved: the rank limit was reached"):
         solution(0.0, x0=0, y0=2)
     with pytest.raises(EvaluationError, match="nothing was solved"):
         solution.to_canonical()
@@ -87,7 +87,7 @@ def test_repr_fits_one_screen() -> None:
         "Solution (rankone 0.1.0)\n"
         "  unknowns  x, y\n"
         "  over      t in [0, 3], x0 in [-1, 1], y0 in [2, 3]\n"
-        "  success   yes: The measured error is within the tolerance.\n"
+        "  success   yes: the measured error is within the tolerance\n"
         "  error     2e-07 measured on 256 trajectories, tolerance 1e-06; x 1e-07, y 2e-07\n"
         "  train     3 slabs, rank 3, ranks up to (3, 3), nodes up to (14, 15), 0.0058 MB\n"
         "  timings   reference 0.01 s, march 0.25 s, check 0.125 s"
@@ -95,7 +95,7 @@ def test_repr_fits_one_screen() -> None:
 
 
 def test_html_is_escaped() -> None:
-    solution = Solution(replace(SOLUTION.outcome, message="<b>"), SOLUTION.metadata)
+    solution = Solution(replace(SOLUTION.outcome, notes=(Remedy("<b>"),)), SOLUTION.metadata)
     assert "&lt;b&gt;" in solution._repr_html_()
     assert "<b>" not in solution._repr_html_()
 

@@ -10,8 +10,9 @@ import pytest
 
 import rankone as ro
 from rankone.ir.domain import Domain
-from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import Check, SolveRequest
+from rankone.ir.verdict import Status
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.march import MarchResult
 from rankone.support.errors import RankoneError
@@ -51,8 +52,8 @@ class Fake:
         self.seen.append(progress.stalls)
         return len(self.seen) < self.patience
 
-    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
-        return status, status.value
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, None]:
+        return status, None
 
 
 @pytest.fixture(scope="module")

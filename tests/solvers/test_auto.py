@@ -34,7 +34,7 @@ def test_the_next_engine_is_tried_where_the_first_one_fails():
     assert not solution.success
     other = {"cross": "train", "train": "cross"}[solution.method]
     assert solution.message.startswith(f"{solution.method}: the")
-    assert f". Tried too, {other}: the" in solution.message
+    assert f". Also tried {other}: the" in solution.message
     assert solution.error == min(
         compiled.solve(1e-6, method=m, max_nodes=5, max_attempts=1).error
         for m in ("cross", "train")

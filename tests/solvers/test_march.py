@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.outcome import SlabRecord
+from rankone.ir.verdict import Status
 from rankone.solvers.march import March, Span, Trial
 from rankone.support.progress import ProgressEvent
 from rankone.tensors.slab import SlabTrain

@@ -3,20 +3,20 @@
 import pytest
 
 import rankone as ro
-from rankone.ir.outcome import Measured, Status
-from rankone.solvers.march import MarchResult
-from rankone.solvers.verdict import Verdict
+from rankone.ir.outcome import Measured
+from rankone.ir.verdict import Budget, Remedy, Status, Verdict
+from rankone.solvers.attempts import error_notes, unknowns_notes
 
 STATES = ("x", "x_t", "y", "y_t")
 WORK = {"reference": 2e9, "samples": 7e9, "ranks": 1e9, "check": 1e7}
 
 
-def verdict(errors, status=Status.TOLERANCE, counted=None, result=None, **given):
-    corners, result = given.pop("corners", ()), result or MarchResult()
+def verdict(errors, status=Status.TOLERANCE, counted=None, corners=()):
     measured = Measured(errors, corners, 96, "DOP853", counted=counted)
-    return str(
-        Verdict(status, status.value, 1e-5, measured, result, STATES, WORK, 2e10, "narrow the box")
-    )
+    notes = error_notes(1e-5, measured, STATES)
+    if status is Status.TOLERANCE:
+        notes += [*unknowns_notes(1e-5, measured, STATES), *Budget.of(WORK, 2e10)]
+    return str(Verdict(status, None, (*notes, Remedy("narrow the box"))))
 
 
 def test_the_worst_unknown_is_named_and_those_that_are_accurate():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import threading
 from collections.abc import Callable
@@ -20,11 +21,39 @@ import pytest
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.interface.solution import Solution, load
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import (
+    AccurateUnknowns,
+    Budget,
+    Cause,
+    DerivativeOf,
+    EarlyEnd,
+    LiftedStates,
+    MeasuredError,
+    MovingFeatures,
+    Note,
+    NothingInterpolated,
+    NumericallyZero,
+    OtherEngines,
+    OutputError,
+    PartOfSolution,
+    ReferenceLimit,
+    Remedy,
+    Status,
+    SteepParameter,
+    StoppedAt,
+    SwitchingTerm,
+    TrajectoryStops,
+    UncertainPart,
+    UnknownOutputError,
+    UnsettledTerms,
+    Verdict,
+    WorstOutput,
+)
 from rankone.storage.header import digest_of
 from rankone.storage.netcdf import sealed
 from rankone.support.errors import StorageError
 from rankone.support.files import write_files
+from rankone.support.plain_data import Tagged
 from tests.problems import REFERENCE
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
@@ -312,7 +341,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=4), "version 4 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=2), "version 2 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
@@ -327,6 +356,9 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
         (lambda header, _: header["history"][0].update(residuals=0.5), "0.5 is not"),
         (lambda header, _: header["history"][0].pop("ranks"), "damaged .*ranks"),
         (lambda header, _: header.update(status="FINE"), "damaged"),
+        (lambda header, _: header.update(cause={"type": "Status"}), "damaged"),
+        (lambda header, _: header.update(cause={"type": "Remedy", "text": ""}), "is no Cause"),
+        (lambda header, _: header.update(notes=[{"type": "StoppedAt", "time": "x"}]), "damaged"),
         (lambda header, _: header["slabs"][0].update(bases=[0, 99]), "damaged"),
         (lambda header, _: header["bases"][0].update(degree=5), "do not fit their bases"),
         (lambda header, _: header["measured"].update(interior=[1e-7, 1e-5]), "CONVERGED"),
@@ -496,8 +528,8 @@ def test_unequal_elements_are_kept_to_the_bit(name: str, tmp_path: Path) -> None
     path = solution.save(tmp_path / name)
     header: dict[str, Any] = {}
     edited(path, lambda found, _: header.update(found))
-    assert header["format_version"] == 2
-    assert [b.get("breaks") for b in header["bases"]] == [[-0.3, 0.1 + 0.2], None, [-0.3], [7 / 3]]
+    assert header["format_version"] == 1
+    assert [b.get("breaks") for b in header["bases"]] == [[-0.3, 0.1 + 0.2], [], [-0.3], [7 / 3]]
     again = load(path)
     for ours, theirs in zip(again.outcome.slabs, solution.outcome.slabs, strict=True):
         assert ours.bases == theirs.bases
@@ -534,14 +566,6 @@ def test_damaged_breaks(change: dict[str, Any], message: str, tmp_path: Path) ->
         load(path)
 
 
-def test_breaks_need_the_second_version(name: str, tmp_path: Path) -> None:
-    """Readers of the first would take the elements for equal."""
-    path = with_breaks().save(tmp_path / name)
-    edited(path, lambda header, _: header.update(format_version=1))
-    with pytest.raises(StorageError, match="damaged"):
-        load(path)
-
-
 def test_every_truncation_is_noticed(name: str, tmp_path: Path) -> None:
     path = SOLUTION.save(tmp_path / name)
     content = path.read_bytes()
@@ -572,17 +596,38 @@ def test_history_is_loaded_as_it_was(method: str, tmp_path: Path) -> None:
     assert replace(again.outcome, slabs=()) == replace(solution.outcome, slabs=())
 
 
-def test_files_without_roles(name: str, tmp_path: Path) -> None:
-    """Earlier versions wrote none: states behind the unknowns are derivatives."""
-    path = oscillator().solution.save(tmp_path / name)
+VERDICTS = [
+    Verdict(Status.WORK_LIMIT, ReferenceLimit(0.5, 3, "x"), (Budget((("reference", 0.9),)),)),
+    Verdict(Status.NO_CONVERGENCE, TrajectoryStops(0.5), (StoppedAt(None), Remedy("raise effort"))),
+    Verdict(Status.NO_CONVERGENCE, UnsettledTerms(7, 0.0, 1.0, 0.1), (StoppedAt(0.5),)),
+    Verdict(
+        Status.STEEP,
+        SteepParameter("k", "x", 1.0, 1.1, 0.5, False, True, (("m", 2.0),)),
+        (MeasuredError(1e-3, 1e-6, "x", 0.1), AccurateUnknowns(("y",), ("x",))),
+    ),
+    Verdict(Status.TOLERANCE, MovingFeatures(), (MeasuredError(1e-3, 1e-6), LiftedStates(1e-4))),
+    Verdict(Status.UNCHECKED, DerivativeOf("k"), (NumericallyZero("x", 1e-20, 1e-16),)),
+    Verdict(Status.UNCHECKED, UncertainPart(0.1), (PartOfSolution(), NothingInterpolated())),
+    Verdict(Status.UNCHECKED, UnknownOutputError(1e-7)),
+    Verdict(Status.TOLERANCE, None, (OutputError(1e-3, math.inf), WorstOutput("peak"))),
+    Verdict(Status.SWITCHES, None, (SwitchingTerm("sign(v)", "equation 2", "v", "tanh(v/w)"),)),
+]
 
-    def older(header: dict[str, Any], arrays: dict[str, Any]) -> None:
-        header["metadata"].pop("roles")
-        arrays["digest"] = np.array(digest_of({**arrays, "header": np.array(json.dumps(header))}))
 
-    edited(path, older)
-    assert load(path).metadata.roles == ("unknown", "derivative")
-    assert load(path).metadata == oscillator().solution.metadata
+def test_every_verdict_is_loaded_as_it_was(name: str, tmp_path: Path) -> None:
+    """Causes and notes are data: the message of a loaded solution is the same."""
+    early = EarlyEnd(0.0, 0.5, 1.0, VERDICTS[0], VERDICTS[1])
+    others = OtherEngines("cross", tuple(("train", verdict) for verdict in VERDICTS))
+    nested = Verdict(Status.BLOW_UP, early, (others,))
+    for verdict in (*VERDICTS, nested):
+        status, cause, notes = verdict.status, verdict.cause, verdict.notes
+        outcome = replace(SOLUTION.outcome, status=status, cause=cause, notes=notes)
+        path = Solution(outcome, SOLUTION.metadata).save(tmp_path / name, overwrite=True)
+        again = load(path)
+        assert again.outcome.verdict == verdict
+        assert again.message == str(verdict)
+    classes = {type(note) for v in (*VERDICTS, nested) for note in (v.cause, *v.notes)}
+    assert {*Tagged.subclasses.values()} - {Cause, Note} == classes - {type(None)}
 
 
 def test_unknowns_are_asked_for_by_role(tmp_path: Path) -> None:

@@ -3,9 +3,7 @@
 import pytest
 
 import rankone as ro
-from rankone.ir.outcome import Measured, Status
-from rankone.solvers.march import MarchResult
-from rankone.solvers.verdict import Verdict
+from rankone.ir.verdict import MeasuredError, Status, Verdict
 
 BOX = dict.fromkeys("abcd", (0.0, 1.0))
 PRODUCTS = ro.Problem.from_strings(
@@ -38,11 +36,10 @@ def test_few_parameters_are_covered_by_default():
 
 
 def test_the_message_says_what_is_covered():
-    measured = Measured((1e-4,), (3e-3,), 40, "DOP853")
-    verdict = Verdict(Status.CONVERGED, "within", 1e-3, measured, MarchResult(), ("x",), {}, 1.0)
+    verdict = Verdict(Status.CONVERGED, None, (MeasuredError(1e-4, 1e-3, None, 3e-3),))
     assert str(verdict) == (
-        "within in the interior of the box: 1.0e-04 of 1.0e-03 "
-        "(up to 3.0e-03 at the corners, which cover='box' asks for too)"
+        f"{Status.CONVERGED.value} in the interior of the box: 1.0e-04 of 1.0e-03 "
+        "(up to 3.0e-03 at the corners, which count with cover='box')"
     )
 
 

@@ -7,12 +7,13 @@ from sympy.core.function import AppliedUndef
 
 from rankone.codegen.general import ExplicitSystem
 from rankone.codegen.switching import JUMPS, boundaries
-from rankone.support.wording import quote
+from rankone.ir.verdict import SwitchingTerm
+from rankone.support.wording import quote, written
 
 __all__ = ["switching_term"]
 
 
-def switching_term(system: ExplicitSystem, state: int | None = None) -> str | None:
+def switching_term(system: ExplicitSystem, state: int | None = None) -> SwitchingTerm | None:
     """Which term switches over the unknowns, and how to smooth it; None if there is none.
 
     Parameters
@@ -29,12 +30,14 @@ def switching_term(system: ExplicitSystem, state: int | None = None) -> str | No
                 if levels is not None and boundary.has(AppliedUndef)
             ]
             if switches:
-                return _sentence(system, index, term, min(switches, key=sp.default_sort_key))
+                return _described(system, index, term, min(switches, key=sp.default_sort_key))
     return None
 
 
-def _sentence(system: ExplicitSystem, index: int, term: sp.Expr, boundary: sp.Expr) -> str:
-    """What a user reads."""
+def _described(
+    system: ExplicitSystem, index: int, term: sp.Expr, boundary: sp.Expr
+) -> SwitchingTerm:
+    """A term by the names of the unknowns."""
     plain = {
         f: sp.Symbol(state.name) for f, state in zip(system.functions, system.states, strict=True)
     }
@@ -43,7 +46,4 @@ def _sentence(system: ExplicitSystem, index: int, term: sp.Expr, boundary: sp.Ex
     where = f"the equation of {quote(system.states[index].name)}"
     where = where if origin is None else f"equation {origin}"
     smooth = f"tanh({boundary}/w)" if boundary.is_Symbol else f"tanh(({boundary})/w)"
-    return (
-        f"the term {quote(term)} in {where} switches at {quote(boundary)} = 0: smooth it, "
-        f"for example by {quote(smooth)} with a width w too small to matter"
-    )
+    return SwitchingTerm(written(term), where, written(boundary), smooth)

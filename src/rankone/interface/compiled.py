@@ -51,9 +51,9 @@ from rankone.ir.domain import Domain
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Status
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
+from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up
 from rankone.solvers.engine import Engine, solve_with
 from rankone.solvers.registry import AUTO, ENGINES, engines_for
@@ -324,16 +324,16 @@ class CompiledProblem:
         seconds = time.perf_counter() - began
         logger.info("solve: %.3f s, %s", seconds, outcome.message)
         timings = {"compile": sum(self.timings.values()), **outcome.timings, "solve": seconds}
-        message, smoothing = outcome.message, None
+        notes = outcome.notes
         if outcome.status not in (Status.CONVERGED, Status.UNCHECKED):
-            smoothing = switching_term(self.first_order, outcome.switching)
-            message = "; ".join(filter(None, [message, smoothing]))
-        solution = Solution(replace(outcome, timings=timings, message=message), metadata)
+            term = switching_term(self.first_order, outcome.switching)
+            notes = notes if term is None else (*notes, term)
+        solution = Solution(replace(outcome, timings=timings, notes=notes), metadata)
 
         def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> Solution:
             return self._solved(request.on_box(intervals, factor), engines, form, False)
 
-        raise_blow_up(solution, on_box, smoothing)
+        raise_blow_up(solution, on_box)
         return solution
 
     def _check_gaps(self, domain: Domain) -> None:

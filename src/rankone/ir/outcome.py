@@ -4,42 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
-from rankone.support.budget import OutOfBudgetError, OutOfWorkError
+from rankone.ir.verdict import Cause, Note, Status, Verdict
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Measured", "Outcome", "SafeInterval", "SlabRecord", "Status"]
-
-
-class Status(Enum):
-    """How a solve ended; the value is the sentence a user reads first."""
-
-    CONVERGED = "the measured error is within the tolerance"
-    UNCHECKED = "no check was asked for, so the error is not known"
-    TOLERANCE = "the measured error is above the tolerance"
-    RANK_LIMIT = "the rank limit was reached"
-    NODE_LIMIT = "the limit of parameter nodes was reached"
-    SLAB_LIMIT = "the limit of time slabs was reached"
-    MEMORY_LIMIT = "the memory limit was reached"
-    WORK_LIMIT = "the budget of work was reached"
-    TIME_LIMIT = "the time limit was reached"
-    TRAJECTORY_LIMIT = "the limit of trajectories was reached"
-    NO_CONVERGENCE = "the sweeps did not converge on any slab length"
-    STEEP = "the solution depends steeply on a parameter"
-    BLOW_UP = "a trajectory blows up inside the horizon"
-    SWITCHES = "a trajectory switches to and fro without end"
-    LEAVES = "a trajectory comes to where its right-hand side is not finite"
-
-    @property
-    def ends_early(self) -> bool:
-        """Whether a trajectory does not reach the end of the horizon."""
-        return self in (Status.BLOW_UP, Status.LEAVES, Status.SWITCHES)
-
-    @classmethod
-    def of_limit(cls, error: OutOfBudgetError) -> Status:
-        """How a solve ended that ran out of its budget."""
-        return cls.WORK_LIMIT if isinstance(error, OutOfWorkError) else cls.TIME_LIMIT
+__all__ = ["Measured", "Outcome", "SafeInterval", "SlabRecord"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +90,12 @@ class Measured:
         """Largest of those at corners; 0 without any."""
         return self._largest(self.corners)
 
+    @property
+    def worst_first(self) -> list[int]:
+        """The states that count, by their errors."""
+        states = range(len(self.interior)) if self.counted is None else self.counted
+        return sorted(states, key=lambda i: -self.interior[i])
+
     def _largest(self, errors: tuple[float, ...]) -> float:
         counted = range(len(errors)) if self.counted is None else self.counted
         return max((errors[i] for i in counted if errors), default=0.0)
@@ -162,8 +137,8 @@ class Outcome:
     ----------
     slabs : tuple of SlabTrain
         Consecutive slabs, all differential states.
-    message : str
-        One or two sentences: how it ended, why, and what to do.
+    status : Status
+        How it ended.
     measured : Measured or None
         None when no check was made.
     timings : dict of str to float
@@ -176,11 +151,14 @@ class Outcome:
         Where the box would have to end instead, the one that keeps most of it first.
     switching : int or None
         The state whose rate switches to and fro where the reference trajectories came to an end.
+    cause : Cause or None
+        Why it ended, where the status does not say enough.
+    notes : tuple of Note
+        What else matters: the error, limits, other engines, what to do.
     """
 
     slabs: tuple[SlabTrain, ...]
     status: Status
-    message: str
     measured: Measured | None
     history: tuple[SlabRecord, ...]
     timings: dict[str, float] = field(default_factory=dict)
@@ -188,6 +166,18 @@ class Outcome:
     blow_up: tuple[float, tuple[float, ...]] | None = None
     safe: tuple[SafeInterval, ...] = ()
     switching: int | None = None
+    cause: Cause | None = None
+    notes: tuple[Note, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """How it ended: status, cause and notes."""
+        return Verdict(self.status, self.cause, self.notes)
+
+    @property
+    def message(self) -> str:
+        """One or two sentences: how it ended, why, and what to do."""
+        return str(self.verdict)
 
     @property
     def error(self) -> float:

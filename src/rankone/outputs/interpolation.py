@@ -13,7 +13,8 @@ import numpy as np
 
 from rankone.discretization import Basis1D
 from rankone.ir.domain import Domain
-from rankone.ir.outcome import Measured, Outcome, Status
+from rankone.ir.outcome import Measured, Outcome
+from rankone.ir.verdict import Note, OutputError, Remedy, Status, UnknownOutputError, WorstOutput
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
@@ -30,7 +31,6 @@ from rankone.support.budget import (
     work_left,
 )
 from rankone.support.errors import ConvergenceError
-from rankone.support.wording import quote
 from rankone.tensors.cross import interpolate, left_points, rounded, with_points
 from rankone.tensors.growing_basis import GrowingBasis
 from rankone.tensors.samples import Samples
@@ -38,6 +38,12 @@ from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import apply_to_modes, mode_norms
 
 __all__ = ["solved_quantities"]
+
+_OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
+_OF_INTERPOLATION = Remedy(
+    "raise effort, loosen rtol or restrict the solution; what jumps or kinks as parameters change "
+    "is hardly resolved"
+)
 
 _AIM = 0.1
 """Error of the interpolation that is aimed at, over the tolerance."""
@@ -281,16 +287,9 @@ def _outcome(
     rtol: float,
 ) -> Outcome:
     """What was found and how good it is; the first points are corners."""
-    interpolation = f"{missed.max():.1e} of the interpolation"
     if np.isnan(brought).any():
-        return Outcome(
-            slabs,
-            Status.UNCHECKED,
-            f"the error is not known: {interpolation}, and that of the solution's states or of "
-            "their derivatives, which was not measured",
-            None,
-            (),
-        )
+        cause = UnknownOutputError(float(missed.max()))
+        return Outcome(slabs, Status.UNCHECKED, None, (), cause=cause)
     total = missed + brought
     measured = Measured(
         interior=tuple(map(float, total.max(axis=1))),
@@ -300,13 +299,8 @@ def _outcome(
         cover="box",
     )
     status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
-    message = f"{status.value}: {interpolation}, {brought.max():.1e} of the solution"
+    notes: list[Note] = [OutputError(float(missed.max()), float(brought.max()))]
     if status is Status.TOLERANCE:
-        worst = quantities.names[int(total.max(axis=1).argmax())]
-        message += f"; largest for {quote(worst)}; remedy: " + (
-            "solve with a smaller rtol, or loosen that of the output"
-            if brought.max() > missed.max()
-            else "raise effort, loosen rtol or restrict the solution; what jumps "
-            "or kinks as parameters change is hardly resolved"
-        )
-    return Outcome(slabs, status, message, measured, ())
+        notes.append(WorstOutput(quantities.names[int(total.max(axis=1).argmax())]))
+        notes.append(_OF_SOLUTION if brought.max() > missed.max() else _OF_INTERPOLATION)
+    return Outcome(slabs, status, measured, (), notes=tuple(notes))

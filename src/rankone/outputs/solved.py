@@ -10,6 +10,7 @@ import numpy as np
 
 from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Outcome
+from rankone.ir.verdict import EarlyEnd
 from rankone.outputs.interpolation import solved_quantities
 from rankone.outputs.quantities import Quantities
 from rankone.solution.core import SolutionCore
@@ -56,7 +57,10 @@ def with_outputs(
     outcome, rtol = solved_quantities(solution, quantities, rtol, *limits)
     metadata = solution.metadata
     if solution.time[1] < metadata.horizon[1]:
-        outcome = replace(outcome, status=solution.status, message=_partial(solution, outcome))
+        cause = EarlyEnd(
+            *solution.time, metadata.horizon[1], outcome.verdict, solution.outcome.verdict
+        )
+        outcome = replace(outcome, status=solution.status, cause=cause, notes=())
     return outcome, replace(
         metadata,
         states=quantities.names,
@@ -84,12 +88,3 @@ def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
             raise OptionError(
                 f"there is no output {quote(name)}{did_you_mean(name, quantities.names)}", term=name
             )
-
-
-def _partial(solution: SolutionCore, outcome: Outcome) -> str:
-    """The message of quantities of a solution that ends before its horizon."""
-    (start, end), asked = solution.time, solution.metadata.horizon[1]
-    return (
-        f"the solution ends at {end:.6g} instead of {asked:.6g}, and so do its outputs, "
-        f"which are those of [{start:g}, {end:.6g}] ({outcome.message}); {solution.message}"
-    )

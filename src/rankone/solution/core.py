@@ -17,7 +17,8 @@ import numpy as np
 
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, Status
+from rankone.ir.outcome import Outcome
+from rankone.ir.verdict import Status, SwitchingTerm
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, EvaluationError
@@ -316,12 +317,10 @@ def _memory() -> Iterator[None]:
 def raise_blow_up(
     solution: SolutionCore,
     on_box: Callable[[Mapping[int, tuple[float, float]], float], SolutionCore],
-    smoothing: str | None = None,
 ) -> None:
     """Raise a BlowUpError that carries the solution if a trajectory has no end.
 
-    ``on_box`` solves with other intervals of some parameters, and a fraction of the budget;
-    ``smoothing`` says which term switches.
+    ``on_box`` solves with other intervals of some parameters, and a fraction of the budget.
     """
     outcome = solution.outcome
     if not outcome.status.ends_early or outcome.blow_up is None:
@@ -347,7 +346,11 @@ def raise_blow_up(
     raise BlowUpError(
         f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"
         + (f" at {at}" if at else "")
-        + (f"; {smoothing}" if smoothing else ""),
+        + "".join(
+            note.lead + note.sentence(outcome.status)
+            for note in outcome.notes
+            if isinstance(note, SwitchingTerm)
+        ),
         time=when,
         parameters=where,
         solution=solution,

@@ -10,7 +10,8 @@ import numpy as np
 
 from rankone.discretization.coordinates import name_of, round_off
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, Status
+from rankone.ir.outcome import Outcome
+from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
 from rankone.support.errors import OptionError
 from rankone.support.units import of_derivatives
 from rankone.support.wording import did_you_mean, listing, quote
@@ -18,7 +19,6 @@ from rankone.tensors.calculus import at_one_time, differentiated, fixed, restric
 
 __all__ = ["at_time", "derived", "merged", "with_fixed", "with_restricted"]
 
-_PART = "a part of that solution, measured on the whole box"
 _NARROWEST = 1e-6
 """Width of the smallest interval, in widths of the one before: derivatives grow with rounding."""
 
@@ -36,9 +36,10 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _P
         outcome,
         slabs=slabs,
         status=Status.UNCHECKED,
-        message=f"the derivative with respect to {quote(name)}: its error was not measured",
         measured=None,
         history=(),
+        cause=DerivativeOf(name),
+        notes=(),
     )
     units = of_derivatives(metadata.units, metadata.states, name)
     return made, replace(metadata, equations=(), source=None, units=units)
@@ -171,11 +172,18 @@ def _part(outcome: Outcome, rtol: float) -> Outcome:
     A part may be at the corners: where they did not count, and are worse, its error is not known.
     """
     measured = outcome.measured
-    if measured is None or _PART in outcome.message:
+    if measured is None or any(isinstance(note, PartOfSolution) for note in outcome.notes):
         return outcome
-    status, message = outcome.status, f"{outcome.message}; {_PART}"
+    status, cause, notes = outcome.status, outcome.cause, outcome.notes
     if status is Status.CONVERGED and measured.corner_error > rtol:
-        status = Status.UNCHECKED
-        message += f": its error may be that at the corners, {measured.corner_error:.1e}"
-    kept = replace(measured, worst=(), quantile=None)
-    return replace(outcome, status=status, message=message, measured=kept, history=())
+        status, cause = Status.UNCHECKED, UncertainPart(measured.corner_error)
+        notes = tuple(note for note in notes if not isinstance(note, MeasuredError))
+    measured = replace(measured, worst=(), quantile=None)
+    return replace(
+        outcome,
+        status=status,
+        cause=cause,
+        notes=(*notes, PartOfSolution()),
+        measured=measured,
+        history=(),
+    )

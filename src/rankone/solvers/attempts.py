@@ -5,28 +5,38 @@ from __future__ import annotations
 import itertools
 import math
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rankone.ir.outcome import Measured, Outcome, SafeInterval, SlabRecord, Status
+from rankone.ir.outcome import Measured, Outcome, SafeInterval, SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
+from rankone.ir.verdict import (
+    AccurateUnknowns,
+    Budget,
+    Cause,
+    MeasuredError,
+    Note,
+    NothingInterpolated,
+    ReferenceLimit,
+    Remedy,
+    Status,
+    StoppedAt,
+)
 from rankone.solvers.march import MarchResult
-from rankone.solvers.verdict import Verdict, spent_sentence
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report
-from rankone.support.wording import quote
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.residual import doubtful_points
 from rankone.verification.survival import safe_intervals
 
-__all__ = ["Attempt", "Marcher", "Progress", "solve_in_attempts"]
+__all__ = ["Attempt", "Marcher", "Progress", "error_notes", "solve_in_attempts", "unknowns_notes"]
 
 _EXPLAINING, _LONGEST, _SHARE = 5e9, 5.0, 0.15
 """Operations, and seconds of a time limit, that are kept for saying why a solve failed, and their
@@ -154,9 +164,9 @@ class Marcher(Protocol):
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """Ask more of the next march; False when there is nothing left to try."""
 
-    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """The status, or one that says more, and why it ended so."""
-        return status, status.value
+        return status, None
 
 
 def solve_in_attempts(
@@ -179,7 +189,7 @@ def solve_in_attempts(
                 marcher = prepared(request, reference_set)
                 marcher.reference_set = reference_set
         except OutOfBudgetError as out:
-            return _out_at_reference(Status.of_limit(out), out.args, system, stages)
+            return _out_at_reference(out, system, stages)
         options = request.options_of(group)
         best, records, met = _attempts(marcher, request.rtol, options, report, stages)
     reference_set = marcher.reference_set
@@ -190,39 +200,86 @@ def solve_in_attempts(
         try:
             status, cause = marcher.explained(status, best)
         except OutOfBudgetError:
-            cause = status.value
+            cause = None
     remedy = {**_REMEDIES, **marcher.remedies}.get(status)
-    measure = status, cause, request.rtol, best.measured, best.result
-    message = str(Verdict(*measure, system.states, stages.named, stages.budget, remedy))
-    message += reference_set.zeros
-    slabs, blow_up = tuple(best.result.slabs), reference_set.blow_up
+    notes = [*error_notes(request.rtol, best.measured, system.states)]
+    if status is not Status.CONVERGED:
+        if best.result.stopped is None:
+            notes += unknowns_notes(request.rtol, best.measured, system.states)
+        else:
+            notes.append(_extent(best.result))
+    notes += reference_set.zeros
+    if status is not Status.CONVERGED:
+        notes += Budget.of(stages.named, stages.budget)
+        notes += [] if remedy is None else [Remedy(remedy)]
     safe: tuple[SafeInterval, ...] = ()
-    if blow_up is not None and reference_set.reference.switching is None:
+    blow_up, switching = reference_set.blow_up, reference_set.reference.switching
+    if blow_up is not None and switching is None:
         with stages.of("reference"):
             safe = safe_intervals(system, request.domain, reference_set.cuts, np.array(blow_up[1]))
-    ended = blow_up, safe, reference_set.reference.switching
     return Outcome(
-        slabs, status, message, best.measured, tuple(records), stages.timings, stages.work, *ended
+        slabs=tuple(best.result.slabs),
+        status=status,
+        measured=best.measured,
+        history=tuple(records),
+        timings=stages.timings,
+        work=stages.work,
+        blow_up=blow_up,
+        safe=safe,
+        switching=switching,
+        cause=cause,
+        notes=tuple(notes),
     )
 
 
-def _out_at_reference(
-    status: Status, reached: tuple[Any, ...], system: System, stages: Stages
-) -> Outcome:
-    """The outcome when a limit is met by the reference; ``reached`` tells how far it came."""
-    cause, switching = f"{status.value} by the reference trajectories", None
-    if reached:
-        time, steps, switching = reached
-        cause += f", at t = {time:.6g} after {steps} steps"
-    if switching is not None:
-        name = quote(system.states[switching])
-        cause += f", where the rate of {name} switches to and fro"
-    took = spent_sentence(stages.work, stages.budget)
-    message = "; ".join(
-        filter(None, [cause, took, _REMEDIES[status] if switching is None else None])
+def _out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> Outcome:
+    """The outcome when a limit is met by the reference."""
+    status, cause, switching = Status.of_limit(out), ReferenceLimit(), None
+    if out.reached is not None:
+        switching = out.reached.chattering
+        name = None if switching is None else system.states[switching]
+        cause = ReferenceLimit(float(out.reached.time), out.reached.steps, name)
+    notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
+    if switching is None:
+        notes.append(Remedy(_REMEDIES[status]))
+    return Outcome(
+        (),
+        status,
+        None,
+        (),
+        stages.timings,
+        stages.work,
+        switching=switching,
+        cause=cause,
+        notes=tuple(notes),
     )
-    spent = stages.timings, stages.work
-    return Outcome((), status, message, None, (), *spent, switching=switching)
+
+
+def error_notes(rtol: float, measured: Measured | None, states: Sequence[str]) -> list[Note]:
+    """The measured error, if there is one."""
+    if measured is None:
+        return []
+    worst = states[measured.worst_first[0]] if len(measured.worst_first) > 1 else None
+    corners = measured.corner_error
+    counts = corners <= max(rtol, measured.error)
+    return [MeasuredError(measured.error, rtol, worst, None if counts else corners)]
+
+
+def unknowns_notes(rtol: float, measured: Measured | None, states: Sequence[str]) -> list[Note]:
+    """Which unknowns are accurate enough, if others are not."""
+    if measured is None:
+        return []
+    errors, order = measured.interior, measured.worst_first
+    accurate = tuple(states[i] for i in sorted(order) if errors[i] <= rtol)
+    inaccurate = tuple(states[i] for i in order if errors[i] > rtol)
+    return [AccurateUnknowns(accurate, inaccurate)] if accurate and inaccurate else []
+
+
+def _extent(result: MarchResult) -> Note:
+    """How much of the horizon or of the box was solved."""
+    if result.whole:
+        return NothingInterpolated()
+    return StoppedAt(float(result.slabs[-1].end) if result.slabs else None)
 
 
 def _attempts(

@@ -9,9 +9,10 @@ import numpy as np
 
 from rankone.ir.domain import Domain, check_factors
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
+from rankone.ir.verdict import LiftedStates, MeasuredError, Note, OtherEngines, Remedy, Status
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
@@ -28,7 +29,7 @@ _TRAIN_SHARE = 0.4
 """Largest share of the budget for train where cross follows."""
 _CROSS_SHARE = 0.7
 """Share of the budget for cross where train follows."""
-_AS_WRITTEN = "method='cross', the default, takes the system as it was written"
+_AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 
 @dataclass(frozen=True)
@@ -122,9 +123,9 @@ def _best_outcome(
         return best, method
     timings = {stage: sum(o.timings[stage] for o, _ in outcomes) for stage in best.timings}
     work = {stage: sum(o.work[stage] for o, _ in outcomes) for stage in best.work}
-    tried = "".join(f". Tried too, {n}: {o.message}" for o, n in outcomes if o is not best)
-    message = f"{method}: {best.message}{tried}"
-    return replace(best, timings=timings, work=work, message=message), method
+    others = tuple((name, o.verdict) for o, name in outcomes if o is not best)
+    notes = (*best.notes, OtherEngines(method, others))
+    return replace(best, timings=timings, work=work, notes=notes), method
 
 
 def _share(engine: Engine, last: bool) -> tuple[float, float]:
@@ -151,18 +152,15 @@ def _without_lifted(
     if truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:
         return outcome
     if outcome.status is not Status.CONVERGED:
-        return replace(outcome, message=f"{outcome.message}; {_AS_WRITTEN}")
+        return replace(outcome, notes=(*outcome.notes, _AS_WRITTEN))
     try:
         measured = ReferenceSet.of(truth, request).measured(outcome.slabs)
     except OutOfBudgetError as out:
-        status = Status.of_limit(out)
-        return replace(outcome, status=status, message=status.value)
+        return replace(outcome, status=Status.of_limit(out), cause=None, notes=())
     assert measured is not None
     measured, error = replace(measured, drift=drifted), measured.error
+    notes: tuple[Note, ...] = (MeasuredError(error, request.rtol),)
     if error <= request.rtol:
-        message = f"{Status.CONVERGED.value}: {error:.1e} of {request.rtol:.1e}"
-        return replace(outcome, measured=measured, message=message)
-    message = f"{Status.TOLERANCE.value}: measured error {error:.1e}, asked {request.rtol:.1e}"
-    message += f" (of the system as it was written; lifted states drift by {drifted:.1e})"
-    message += f"; {_AS_WRITTEN}"
-    return replace(outcome, measured=measured, status=Status.TOLERANCE, message=message)
+        return replace(outcome, measured=measured, notes=notes)
+    notes = (*notes, LiftedStates(drifted), _AS_WRITTEN)
+    return replace(outcome, measured=measured, status=Status.TOLERANCE, notes=notes)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.outcome import SlabRecord
+from rankone.ir.verdict import Status
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
 from rankone.support.progress import ProgressEvent, Report

@@ -13,7 +13,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -25,7 +25,8 @@ import numpy as np
 
 from rankone.discretization import BASES, Basis1D
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.ir.outcome import Outcome, SlabRecord
+from rankone.ir.verdict import Status
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
 from rankone.support.naming import is_line, name_defect
@@ -44,10 +45,8 @@ __all__ = [
 ]
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 3
-"""The newest version: 3 if values are timeless or parameters have distributions, 2 if there are
-elements of unequal size, else 1 is written."""
-_PLAIN = ("status", "message", "measured", "timings", "blow_up")
+FORMAT_VERSION = 1
+_PLAIN = ("status", "cause", "notes", "measured", "timings", "work", "blow_up")
 """Fields of an outcome that the header holds as they are."""
 _DAMAGE = (
     BadZipFile,
@@ -110,11 +109,11 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
         slabs.append({"start": slab.start, "end": slab.end, "bases": used})
     header = {
         "format": FORMAT,
-        "format_version": _version(metadata, bases),
+        "format_version": FORMAT_VERSION,
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
-        **{name: getattr(outcome, name) for name in (*_PLAIN, "work")},
+        **{name: getattr(outcome, name) for name in ("message", *_PLAIN)},
         "history": outcome.history,
-        "bases": [_plain_basis(basis) for basis in bases],
+        "bases": [{"kind": basis.kind, **plain(basis)} for basis in bases],
         "slabs": slabs,
     }
     arrays = {"header": np.array(json.dumps(plain(header), allow_nan=False))}
@@ -125,13 +124,6 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
     return arrays
 
 
-def _version(metadata: SolutionMetadata, bases: Iterable[Basis1D]) -> int:
-    """The lowest version whose readers understand a file."""
-    if metadata.timeless or metadata.distributions or metadata.correlations:
-        return 3
-    return 2 if any(basis.breaks for basis in bases) else 1
-
-
 def digest_of(arrays: Mapping[str, Any]) -> str:
     """SHA-256 of the header and of all cores, in the order of their names."""
     digest = hashlib.sha256(str(arrays["header"][()]).encode())
@@ -139,12 +131,6 @@ def digest_of(arrays: Mapping[str, Any]) -> str:
         digest.update(f"{name} {arrays[name].shape} ".encode())
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
     return digest.hexdigest()
-
-
-def _plain_basis(basis: Basis1D) -> dict[str, Any]:
-    """The fields of a basis; breaks only if there are any."""
-    fields = {"kind": basis.kind, **plain(basis)}
-    return fields if basis.breaks else {k: v for k, v in fields.items() if k != "breaks"}
 
 
 # --- reading -----------------------------------------------------------------------------------
@@ -192,12 +178,10 @@ def _header(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _metadata(fields: Mapping[str, Any]) -> SolutionMetadata:
-    """What was asked; without roles the states behind the unknowns are derivatives."""
-    unknowns, states = fields["unknowns"], fields["states"]
-    behind = ["derivative"] * (len(states) - len(unknowns))
-    roles = {"roles": ["unknown"] * len(unknowns) + behind}
-    metadata: SolutionMetadata = rebuilt(SolutionMetadata, roles | {**fields})
-    if len(metadata.roles) != len(states) or [*metadata.unknowns] != unknowns:
+    """What was asked; the unknowns, written for other readers, are those of the roles."""
+    metadata: SolutionMetadata = rebuilt(SolutionMetadata, fields)
+    fit = len(metadata.roles) == len(metadata.states)
+    if not fit or [*metadata.unknowns] != fields["unknowns"]:
         raise ValueError("the unknowns do not fit the states")
     return metadata
 
@@ -206,7 +190,7 @@ def _outcome(
     header: Mapping[str, Any], record: type[SlabRecord], arrays: Mapping[str, Any]
 ) -> Outcome:
     hints = get_type_hints(Outcome)
-    bases = [_basis(fields, header["format_version"]) for fields in header["bases"]]
+    bases = [_basis(fields) for fields in header["bases"]]
     slabs = [
         _slab(i, fields, tuple(bases[k] for k in fields["bases"]), arrays)
         for i, fields in enumerate(header["slabs"])
@@ -215,14 +199,13 @@ def _outcome(
         slabs=tuple(slabs),
         history=tuple(rebuilt(record, entry) for entry in header["history"]),
         **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
-        work=rebuilt(hints["work"], header.get("work", {})),  # files of earlier versions have none
     )
 
 
-def _basis(fields: Mapping[str, Any], version: int) -> Basis1D:
-    """One basis; breaks are part of the format since version 2 and fit the number of elements."""
+def _basis(fields: Mapping[str, Any]) -> Basis1D:
+    """One basis; its breaks fit the number of elements."""
     basis: Basis1D = rebuilt(BASES[fields["kind"]], fields)
-    if basis.breaks and (version < 2 or basis.elements != fields["elements"]):
+    if basis.breaks and basis.elements != fields["elements"]:
         raise ValueError("the breaks of a basis do not fit")
     if min(basis.degree, basis.elements) < 1:
         raise ValueError("a basis has no nodes")

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome, SlabRecord, Status
+from rankone.ir.outcome import Outcome, SlabRecord
+from rankone.ir.verdict import Status
 from rankone.storage.header import FORMAT, not_a_solution, packed, reading, unpacked
 from rankone.support.arrays import Array
 from rankone.support.errors import StorageError

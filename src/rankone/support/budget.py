@@ -12,7 +12,7 @@ import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, NamedTuple
 
 from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
@@ -25,6 +25,7 @@ __all__ = [
     "OutOfBudgetError",
     "OutOfTimeError",
     "OutOfWorkError",
+    "Reached",
     "charge",
     "check_time",
     "effort_of",
@@ -47,8 +48,26 @@ _SECONDS = 1e-9
 """Seconds that an operation takes, about: what would end after the deadline is not begun."""
 
 
+class Reached(NamedTuple):
+    """How far an integration came before a limit.
+
+    ``chattering`` is the state whose rate switches to and fro there, or None.
+    """
+
+    time: float
+    steps: int
+    chattering: int | None
+
+
 class OutOfBudgetError(Exception):
-    """A limit was reached; caught where the best answer so far is known."""
+    """A limit was reached; caught where the best answer so far is known.
+
+    ``reached`` says how far an integration came, if the limit was reached by one.
+    """
+
+    def __init__(self, reached: Reached | None = None) -> None:
+        super().__init__(reached)
+        self.reached = reached
 
 
 class OutOfWorkError(OutOfBudgetError):

@@ -12,19 +12,29 @@ from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
 from functools import cache
 from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["plain", "rebuilt"]
+__all__ = ["Tagged", "plain", "rebuilt"]
 
 _NOT_FINITE = ("nan", "inf", "-inf")
+
+
+class Tagged:
+    """Base of dataclasses that stand for each other: plain data names the class as ``"type"``."""
+
+    subclasses: ClassVar[dict[str, type[Tagged]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        Tagged.subclasses[cls.__name__] = cls
 
 
 def plain(value: Any) -> Any:
     """Turn dataclasses, mappings, tuples, enumerations and NumPy numbers into plain data."""
     if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        content = {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return {"type": type(value).__name__, **content} if isinstance(value, Tagged) else content
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -64,6 +74,11 @@ def rebuilt(kind: Any, value: Any) -> Any:
         return tuple(rebuilt(part, item) for part, item in zip(parts, value, strict=True))
     if origin is dict and isinstance(value, dict):
         return {rebuilt(parts[0], key): rebuilt(parts[1], item) for key, item in value.items()}
+    if isinstance(kind, type) and issubclass(kind, Tagged) and isinstance(value, dict):
+        tagged = Tagged.subclasses[value["type"]]
+        if not issubclass(tagged, kind):
+            raise TypeError(f"{tagged.__name__} is no {kind.__name__}")
+        return _dataclass(tagged, value)
     if origin is None and is_dataclass(kind) and isinstance(value, dict):
         return _dataclass(kind, value)
     if isinstance(kind, type) and issubclass(kind, Enum):

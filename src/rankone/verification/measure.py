@@ -14,6 +14,7 @@ from rankone.ir.domain import Domain
 from rankone.ir.outcome import Measured
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
+from rankone.ir.verdict import NumericallyZero
 from rankone.support.arrays import Array
 from rankone.support.budget import unlimited
 from rankone.support.errors import ConvergenceError
@@ -157,14 +158,14 @@ class ReferenceSet:
             return measure(slabs, self.reference, self.states, *counts)
 
     @property
-    def zeros(self) -> str:
-        """Which unknowns are numerically zero, as a message says it; empty if none is."""
-        seen = len(self.system.unknowns)
-        zero = np.broadcast_to(self.reference.zero, len(self.states))[:seen]
-        return "".join(
-            f"; `{self.system.states[i]}` is numerically zero: it stays below "
-            f"{self.reference.rounded[i]:.1e}, which rounding errors reach; its error counts "
-            f"relative to {self.states[i]:.1e}"
+    def zeros(self) -> tuple[NumericallyZero, ...]:
+        """The unknowns that are numerically zero."""
+        unknowns = len(self.system.unknowns)
+        zero = np.broadcast_to(self.reference.zero, len(self.states))[:unknowns]
+        return tuple(
+            NumericallyZero(
+                self.system.states[i], float(self.reference.rounded[i]), float(self.states[i])
+            )
             for i in np.nonzero(zero)[0]
         )
 

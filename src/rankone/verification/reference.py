@@ -13,7 +13,7 @@ import scipy.integrate
 from rankone.ir.outcome import Measured
 from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, charge
+from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
 from rankone.support.spread import corners, spread
@@ -192,8 +192,7 @@ def integrate_reference(
     ConvergenceError
         If not a single step can be made.
     OutOfBudgetError
-        With the time reached, the number of steps, and the state whose rate switches to and fro
-        there, or None.
+        With how far the integration came.
     """
     between = _with_moving(system, points, start, end, cuts)
     stack = Stack(system, points, [start, *between, end])
@@ -212,7 +211,7 @@ def integrate_reference(
                 steps, rtol, atol, max_step=longest, watched=not system.separated
             )
         except OutOfBudgetError as out:
-            raise type(out)(*steps.so_far(system, points, end - start)) from out
+            raise type(out)(steps.so_far(system, points, end - start)) from out
         if not steps.pieces:
             break
         largest, early = (
@@ -341,16 +340,14 @@ class _Steps:
         if len(self.pieces) <= _EARLY:
             self.early = self.largest
 
-    def so_far(
-        self, system: System, points: Array, horizon: float
-    ) -> tuple[float, int, int | None]:
-        """Time reached, number of steps, and the state whose rate switches to and fro there."""
+    def so_far(self, system: System, points: Array, horizon: float) -> Reached:
+        """How far the integration came."""
         time, count = self.times[-1], len(self.pieces)
         if not count:
-            return time, count, None
+            return Reached(time, count, None)
         states = self.pieces[-1](time).reshape(-1, len(points))
         chatter = switching_state(system, time, states, points, horizon)
-        return time, count, None if chatter is None else chatter[0]
+        return Reached(time, count, None if chatter is None else chatter[0])
 
 
 def times_within(start: float, end: float, shares: Array) -> Array:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.ir.domain import Domain
-from rankone.ir.outcome import SafeInterval, Status
+from rankone.ir.outcome import SafeInterval
 from rankone.ir.system import System
+from rankone.ir.verdict import Status
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, work_left
 from rankone.support.errors import ConvergenceError

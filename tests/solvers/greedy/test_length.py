@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from rankone.solvers.greedy.engine import SlabLengths
 from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.march import Span

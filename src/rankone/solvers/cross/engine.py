@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
-from rankone.ir.outcome import Outcome, Status
+from rankone.ir.outcome import Outcome
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
+from rankone.ir.verdict import Cause, MovingFeatures, Status, TrajectoryStops
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
 from rankone.solvers.cross.options import CrossOptions
@@ -58,10 +59,6 @@ _FAR, _FAST = 5.0, 0.2
 """Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
 
 
-_MOVING = (
-    " (the rates switch, or are narrow, at times that depend on parameters: with time in units of "
-    "such a time, or parts of the horizon in units of their own, they stand still)"
-)
 _UNRESOLVED = (
     Status.TOLERANCE,
     Status.RANK_LIMIT,
@@ -253,14 +250,14 @@ class CrossMarcher:
         tolerance = _HIGHEST * self.share * self.rtol
         return more_nodes(bases, self.spectra, tolerance, self.options.max_nodes)
 
-    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """Whether a steep dependence on a parameter is the reason, and on which."""
         trajectories, domain = self.trajectories, self.reference_set.domain
         if status is Status.NO_CONVERGENCE:
-            return status, f"a trajectory cannot be integrated beyond t = {self.ends:.6g}"
+            return status, TrajectoryStops(float(self.ends))
         system = self.reference_set.system
         moves = system.features.n_moving_cuts > 0 and status in (*_UNRESOLVED, Status.SLAB_LIMIT)
-        cause = status.value + (_MOVING if moves else "")
+        cause = MovingFeatures() if moves else None
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
         trajectories.wanted = _INTEGRATION * self.rtol  # what later attempts wanted is too dear
@@ -273,7 +270,7 @@ class CrossMarcher:
             front = None
         if front is None:
             return status, cause
-        return Status.STEEP, front.sentence(system.states, system.parameters)
+        return Status.STEEP, front.cause(system.states, system.parameters)
 
 
 def solve_cross(system: System, request: SolveRequest, report: Report) -> Outcome:

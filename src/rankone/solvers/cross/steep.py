@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.ir.domain import Domain
+from rankone.ir.verdict import SteepParameter
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
-from rankone.support.wording import quote
 
 __all__ = ["Front", "steepest_front"]
 
@@ -57,31 +56,23 @@ class Front:
     at_end: bool
     point: Array
 
-    def sentence(self, states: Sequence[str], parameters: Sequence[str]) -> str:
-        """What a user reads."""
-        name = parameters[self.parameter]
-        others = [
-            f"{other} = {value:.4g}"
-            for j, (other, value) in enumerate(zip(parameters, self.point, strict=True))
+    def cause(self, states: Sequence[str], parameters: Sequence[str]) -> SteepParameter:
+        """The front by the names of states and parameters."""
+        others = tuple(
+            (name, float(at))
+            for j, (name, at) in enumerate(zip(parameters, self.point, strict=True))
             if j != self.parameter
-        ]
-        where = f" (at {', '.join(others)})" if others else ""
-        if self.share > _JUMP:
-            return (
-                f"the solution depends steeply on {quote(name)}: {states[self.state]} changes by "
-                f"{self.change:.2g} of its size between {name} = {self._told(self.lower)} and "
-                f"{self._told(self.upper)}{where}"
-            )
-        do = "end in different states" if self.at_end else "differ"
-        return (
-            f"the solution depends on {quote(name)} as on a jump: trajectories on both sides of "
-            f"{name} = {self.lower:.6g} {do}{where}"
         )
-
-    def _told(self, value: float) -> str:
-        """A place with so many digits that the ends of the piece differ."""
-        width, largest = self.upper - self.lower, max(abs(self.lower), abs(self.upper))
-        return f"{value:.{max(6, 2 + math.ceil(math.log10(largest / width)))}g}"
+        return SteepParameter(
+            parameters[self.parameter],
+            states[self.state],
+            float(self.lower),
+            float(self.upper),
+            self.change,
+            bool(self.share <= _JUMP),
+            bool(self.at_end),
+            others,
+        )
 
 
 def steepest_front(

@@ -10,8 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import SolveRequest
+from rankone.ir.verdict import Cause, Status, UnsettledTerms
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine
 from rankone.solvers.greedy.constants import (
@@ -148,10 +149,10 @@ class GreedyMarcher(Marcher):
             self.share *= min(max(0.5 * self.rtol / attempt.error, 0.05), 0.5)
         return True
 
-    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, str]:
+    def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """Say where the lagged terms settled least, if the iteration did not converge."""
         unsettled = status is Status.NO_CONVERGENCE
-        return status, _unsettled(attempt.result.records) if unsettled else status.value
+        return status, _unsettled(attempt.result.records) if unsettled else None
 
 
 def _stiffness(reference_set: ReferenceSet) -> float:
@@ -166,14 +167,11 @@ def _stiffness(reference_set: ReferenceSet) -> float:
     return float(scaled.sum(axis=1).max())
 
 
-def _unsettled(records: Sequence[SlabRecord]) -> str:
+def _unsettled(records: Sequence[SlabRecord]) -> UnsettledTerms:
     """The slab on which the lagged terms settled least, as a sentence."""
     worst = max(records, key=lambda record: record.residuals[-1])
-    return (
-        f"the lagged terms did not settle: after {len(worst.residuals)} updates on "
-        f"[{worst.start:.4g}, {worst.end:.4g}] the unknowns still change by "
-        f"{worst.residuals[-1]:.1e} times their size"
-    )
+    updates, change = len(worst.residuals), worst.residuals[-1]
+    return UnsettledTerms(updates, worst.start, worst.end, change)
 
 
 ENGINE = Engine(

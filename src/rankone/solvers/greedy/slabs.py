@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rankone.ir.domain import Domain
-from rankone.ir.outcome import Status
 from rankone.ir.system import System
+from rankone.ir.verdict import Status
 from rankone.solvers.greedy.constants import (
     DIVERGED_CHANGE,
     END_ROUNDING_SHARE,

@@ -8,8 +8,9 @@ from functools import partial
 from typing import ClassVar
 
 from rankone.discretization import RadauCollocation
-from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import SolveRequest
+from rankone.ir.verdict import Status
 from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import March, MarchResult

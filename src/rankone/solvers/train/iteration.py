@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rankone.discretization import Basis1D, RadauCollocation
-from rankone.ir.outcome import SlabRecord, Status
+from rankone.ir.outcome import SlabRecord
+from rankone.ir.verdict import Status
 from rankone.solvers.train.constants import (
     COARSENING_SHARE,
     DIVERGED_RESIDUAL,

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from rankone.discretization import Basis1D, RadauCollocation
-from rankone.ir.outcome import Status
+from rankone.ir.verdict import Status
 from rankone.solvers.march import Span, Trial
 from rankone.solvers.train.constants import (
     DIVERGED_FACTOR,

@@ -1,0 +1,475 @@
+"""How a solve ended: status, cause and notes as data, and the message made of them.
+
+A cause says more than the status why a solve ended; a note says what else matters. Each knows its
+sentence: nothing else writes what users read of the end of a solve.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import ClassVar
+
+from rankone.support.budget import OutOfBudgetError, OutOfWorkError
+from rankone.support.plain_data import Tagged
+from rankone.support.wording import listing, quote
+
+__all__ = [
+    "AccurateUnknowns",
+    "Budget",
+    "Cause",
+    "DerivativeOf",
+    "EarlyEnd",
+    "LiftedStates",
+    "MeasuredError",
+    "MovingFeatures",
+    "Note",
+    "NothingInterpolated",
+    "NumericallyZero",
+    "OtherEngines",
+    "OutputError",
+    "PartOfSolution",
+    "ReferenceLimit",
+    "Remedy",
+    "Status",
+    "SteepParameter",
+    "StoppedAt",
+    "SwitchingTerm",
+    "TrajectoryStops",
+    "UncertainPart",
+    "UnknownOutputError",
+    "UnsettledTerms",
+    "Verdict",
+    "WorstOutput",
+]
+
+_MOST_NAMES = 4
+"""Unknowns that a message names; a longer list is not read."""
+_LEAST_SHARE = 0.005
+"""Share of the budget from which a stage is named: it rounds to one percent."""
+_STAGES = {
+    "reference": "the reference trajectories",
+    "samples": "samples",
+    "march": "the march",
+    "ranks": "ranks",
+    "check": "the check",
+}
+"""What messages call the stages of a solve."""
+
+
+class Status(Enum):
+    """How a solve ended; the value is the sentence a user reads first."""
+
+    CONVERGED = "the measured error is within the tolerance"
+    UNCHECKED = "no check was asked for, so the error is not known"
+    TOLERANCE = "the measured error is above the tolerance"
+    RANK_LIMIT = "the rank limit was reached"
+    NODE_LIMIT = "the limit of parameter nodes was reached"
+    SLAB_LIMIT = "the limit of time slabs was reached"
+    MEMORY_LIMIT = "the memory limit was reached"
+    WORK_LIMIT = "the budget of work was reached"
+    TIME_LIMIT = "the time limit was reached"
+    TRAJECTORY_LIMIT = "the limit of trajectories was reached"
+    NO_CONVERGENCE = "the sweeps did not converge on any slab length"
+    STEEP = "the solution depends steeply on a parameter"
+    BLOW_UP = "a trajectory blows up inside the horizon"
+    SWITCHES = "a trajectory switches to and fro without end"
+    LEAVES = "a trajectory reaches a point where its right-hand side is not finite"
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether a trajectory does not reach the end of the horizon."""
+        return self in (Status.BLOW_UP, Status.LEAVES, Status.SWITCHES)
+
+    @classmethod
+    def of_limit(cls, error: OutOfBudgetError) -> Status:
+        """How a solve ended that ran out of its budget."""
+        return cls.WORK_LIMIT if isinstance(error, OutOfWorkError) else cls.TIME_LIMIT
+
+
+class Cause(Tagged):
+    """Why a solve ended, where the status does not say enough."""
+
+    def sentence(self, status: Status) -> str:
+        """What the message says in place of the status."""
+        raise NotImplementedError
+
+
+class Note(Tagged):
+    """What else matters about how a solve ended."""
+
+    lead: ClassVar[str] = "; "
+    """What stands between a note and the text before it."""
+
+    def sentence(self, status: Status) -> str:
+        """What the message says."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a solve ended; ``str`` is the message."""
+
+    status: Status
+    cause: Cause | None = None
+    notes: tuple[Note, ...] = ()
+
+    def __str__(self) -> str:
+        first = self.status.value if self.cause is None else self.cause.sentence(self.status)
+        text = first + "".join(note.lead + note.sentence(self.status) for note in self.notes)
+        methods = [note.method for note in self.notes if isinstance(note, OtherEngines)]
+        return ": ".join([*methods, text])
+
+
+# --- causes ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ReferenceLimit(Cause):
+    """A limit was reached while the reference trajectories were integrated.
+
+    ``time`` and ``steps`` say how far they came, ``chattering`` names the state whose rate switches
+    to and fro there.
+    """
+
+    time: float | None = None
+    steps: int = 0
+    chattering: str | None = None
+
+    def sentence(self, status: Status) -> str:
+        text = f"{status.value} by the reference trajectories"
+        if self.time is not None:
+            text += f", at t = {self.time:.6g} after {self.steps} steps"
+        if self.chattering is not None:
+            text += f", where the rate of {quote(self.chattering)} switches to and fro"
+        return text
+
+
+@dataclass(frozen=True)
+class TrajectoryStops(Cause):
+    """A sampled trajectory that cannot be integrated to the end."""
+
+    time: float
+
+    def sentence(self, status: Status) -> str:
+        return f"a trajectory cannot be integrated beyond t = {self.time:.6g}"
+
+
+@dataclass(frozen=True)
+class UnsettledTerms(Cause):
+    """Lagged terms that still change, in sizes of the unknowns, after many updates on a slab."""
+
+    updates: int
+    start: float
+    end: float
+    change: float
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"the lagged terms did not settle: after {self.updates} updates on "
+            f"[{self.start:.4g}, {self.end:.4g}] the unknowns still change by "
+            f"{self.change:.1e} times their size"
+        )
+
+
+@dataclass(frozen=True)
+class SteepParameter(Cause):
+    """A parameter on which the solution depends steeply, and where.
+
+    Attributes
+    ----------
+    parameter, unknown : str
+        The parameter, and the unknown that changes most.
+    lower, upper : float
+        The interval over which it changes.
+    change : float
+        By how much, in sizes of the unknown.
+    jump : bool
+        Whether the interval is too short to be told from a point.
+    at_end : bool
+        Whether the states at the end of the horizon differ as well.
+    others : tuple of (str, float)
+        Values of the other parameters.
+    """
+
+    parameter: str
+    unknown: str
+    lower: float
+    upper: float
+    change: float
+    jump: bool
+    at_end: bool
+    others: tuple[tuple[str, float], ...] = ()
+
+    def sentence(self, status: Status) -> str:
+        place = ", ".join(f"{name} = {at:.4g}" for name, at in self.others)
+        place = f" (at {place})" if place else ""
+        if self.jump:
+            differ = "end in different states" if self.at_end else "differ"
+            return (
+                f"the solution depends on {quote(self.parameter)} as on a jump: trajectories on "
+                f"both sides of {self.parameter} = {self.lower:.6g} {differ}{place}"
+            )
+        largest = max(abs(self.lower), abs(self.upper))
+        digits = max(6, 2 + math.ceil(math.log10(largest / (self.upper - self.lower))))
+        return (
+            f"the solution depends steeply on {quote(self.parameter)}: {self.unknown} changes by "
+            f"{self.change:.2g} of its size between {self.parameter} = {self.lower:.{digits}g} and "
+            f"{self.upper:.{digits}g}{place}"
+        )
+
+
+@dataclass(frozen=True)
+class MovingFeatures(Cause):
+    """A limit was reached where the rates are not smooth at times that depend on parameters."""
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"{status.value} (the rates switch, or are narrow, at times that depend on parameters: "
+            "with time in units of such a time, or parts of the horizon in units of their own, "
+            "they stand still)"
+        )
+
+
+@dataclass(frozen=True)
+class DerivativeOf(Cause):
+    """The solution is a derivative of another one."""
+
+    coordinate: str
+
+    def sentence(self, status: Status) -> str:
+        coordinate = quote(self.coordinate)
+        return f"the derivative with respect to {coordinate}: its error was not measured"
+
+
+@dataclass(frozen=True)
+class UncertainPart(Cause):
+    """A part of a solution that is not accurate at the corners of its box."""
+
+    corners: float
+
+    def sentence(self, status: Status) -> str:
+        return (
+            "the error is not known: on this part of the box it may be that at the corners, "
+            f"{self.corners:.1e}"
+        )
+
+
+@dataclass(frozen=True)
+class UnknownOutputError(Cause):
+    """Outputs of states, or of derivatives, whose error was not measured."""
+
+    interpolation: float
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"the error is not known: {self.interpolation:.1e} of the interpolation, and that of "
+            "the solution's states or of their derivatives, which was not measured"
+        )
+
+
+@dataclass(frozen=True)
+class EarlyEnd(Cause):
+    """Outputs of a solution that ends before its horizon.
+
+    ``horizon`` is what was asked for; ``outputs`` says how the outputs ended, ``solution`` how the
+    solution did.
+    """
+
+    start: float
+    end: float
+    horizon: float
+    outputs: Verdict
+    solution: Verdict
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"the solution ends at {self.end:.6g} instead of {self.horizon:.6g}, and so do its "
+            f"outputs, which are those of [{self.start:g}, {self.end:.6g}] ({self.outputs}); "
+            f"{self.solution}"
+        )
+
+
+# --- notes -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MeasuredError(Note):
+    """The error that was measured, and the tolerance.
+
+    ``unknown`` names the worst of several unknowns; ``corners`` is the error at corners of the box
+    where it is larger and does not count.
+    """
+
+    error: float
+    rtol: float
+    unknown: str | None = None
+    corners: float | None = None
+
+    lead: ClassVar[str] = ""
+
+    def sentence(self, status: Status) -> str:
+        if status is Status.CONVERGED:
+            interior = "" if self.corners is None else " in the interior of the box"
+            text = f"{interior}: {self.error:.1e} of {self.rtol:.1e}"
+        else:
+            worst = "" if self.unknown is None else f" in {quote(self.unknown)}"
+            text = f": measured error {self.error:.1e}{worst}, asked {self.rtol:.1e}"
+        if self.corners is not None:
+            text += f" (up to {self.corners:.1e} at the corners, which count with cover='box')"
+        return text
+
+
+@dataclass(frozen=True)
+class LiftedStates(Note):
+    """The error is that of the system as it was written; ``drift`` is that of lifted states."""
+
+    drift: float
+
+    lead: ClassVar[str] = " "
+
+    def sentence(self, status: Status) -> str:
+        return f"(of the system as it was written; lifted states drift by {self.drift:.1e})"
+
+
+@dataclass(frozen=True)
+class AccurateUnknowns(Note):
+    """Unknowns that are within the tolerance, where others are not; the worst of those first."""
+
+    accurate: tuple[str, ...]
+    inaccurate: tuple[str, ...]
+
+    def sentence(self, status: Status) -> str:
+        if len(self.accurate) <= _MOST_NAMES:
+            names = [*self.accurate]
+            are, them = ("is", "it") if len(names) == 1 else ("are", "them")
+            return f"{listing(names)} {are} within it: unknowns={names!r} asks for {them} alone"
+        worst = listing(self.inaccurate[:_MOST_NAMES])
+        hidden = len(self.inaccurate) - _MOST_NAMES
+        more = f" and {hidden} more" if hidden > 0 else ""
+        return f"all but {worst}{more} are within it: unknowns= asks for some alone"
+
+
+@dataclass(frozen=True)
+class StoppedAt(Note):
+    """The time up to which there is a solution; None if there is nothing."""
+
+    time: float | None
+
+    def sentence(self, status: Status) -> str:
+        if self.time is None:
+            return "stopped before the first slab"
+        return f"stopped at t = {self.time:.6g}"
+
+
+@dataclass(frozen=True)
+class NothingInterpolated(Note):
+    """The solution is the trajectory at the centre of the box."""
+
+    def sentence(self, status: Status) -> str:
+        return "rank 1: nothing was interpolated yet, the values are those at the centre"
+
+
+@dataclass(frozen=True)
+class Budget(Note):
+    """The shares of the budget that the stages took."""
+
+    shares: tuple[tuple[str, float], ...]
+
+    @classmethod
+    def of(cls, work: dict[str, float], operations: float) -> tuple[Budget, ...]:
+        """The note, if there is a budget and a stage that took much of it."""
+        shares = tuple((stage, done / operations) for stage, done in work.items())
+        told = tuple((stage, share) for stage, share in shares if share >= _LEAST_SHARE)
+        return (cls(told),) if told else ()
+
+    def sentence(self, status: Status) -> str:
+        (first, share), *others = self.shares
+        further = "".join(f", {_STAGES[stage]} {100.0 * each:.0f} %" for stage, each in others)
+        return f"{_STAGES[first]} took {100.0 * share:.0f} % of the budget{further}"
+
+
+@dataclass(frozen=True)
+class Remedy(Note):
+    """What to do about it."""
+
+    text: str
+
+    def sentence(self, status: Status) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class NumericallyZero(Note):
+    """An unknown that stays below what rounding errors reach, and the size that stands for it."""
+
+    unknown: str
+    rounding: float
+    size: float
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"{quote(self.unknown)} is numerically zero: it stays below {self.rounding:.1e}, which "
+            f"rounding errors reach; its error counts relative to {self.size:.1e}"
+        )
+
+
+@dataclass(frozen=True)
+class OtherEngines(Note):
+    """The engine of the solution, and how the others ended that were tried."""
+
+    method: str
+    others: tuple[tuple[str, Verdict], ...]
+
+    lead: ClassVar[str] = ""
+
+    def sentence(self, status: Status) -> str:
+        return "".join(f". Also tried {method}: {verdict}" for method, verdict in self.others)
+
+
+@dataclass(frozen=True)
+class SwitchingTerm(Note):
+    """A term that switches where unknowns cross a boundary, and how to smooth it."""
+
+    term: str
+    place: str
+    boundary: str
+    smooth: str
+
+    def sentence(self, status: Status) -> str:
+        return (
+            f"the term {quote(self.term)} in {self.place} switches at {quote(self.boundary)} = 0: "
+            f"smooth it, for example by {quote(self.smooth)} with a width w too small to matter"
+        )
+
+
+@dataclass(frozen=True)
+class PartOfSolution(Note):
+    """The solution is a part of another one, whose error was measured on the whole box."""
+
+    def sentence(self, status: Status) -> str:
+        return "it was measured on the whole box, of which this solution is a part"
+
+
+@dataclass(frozen=True)
+class OutputError(Note):
+    """The parts of the error of outputs: their interpolation, and the solution."""
+
+    interpolation: float
+    solution: float
+
+    lead: ClassVar[str] = ": "
+
+    def sentence(self, status: Status) -> str:
+        return f"{self.interpolation:.1e} of the interpolation, {self.solution:.1e} of the solution"
+
+
+@dataclass(frozen=True)
+class WorstOutput(Note):
+    """The output with the largest error."""
+
+    output: str
+
+    def sentence(self, status: Status) -> str:
+        return f"largest for {quote(self.output)}"
