@@ -9,7 +9,7 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -33,11 +33,20 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
     name: getattr(math, name)
     for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "atan")
 }
-_STEP = 1e-5
-"""Of differences, relative to the interval of a parameter."""
+_STEP_SHARE = 1e-5
+"""Step of differences, in shares of the interval of a parameter: truncation near rounding."""
 
 
-def quantity(given: Any, names: Sequence[str]) -> Quantity:
+@runtime_checkable
+class _Expression(Protocol):
+    """A symbolic expression that evaluates itself, such as one of SymPy."""
+
+    free_symbols: set[Any]
+
+    def evalf(self, *, subs: Mapping[Any, float]) -> float: ...
+
+
+def quantity(given: object, names: Sequence[str]) -> Quantity:
     """A function of the parameters by name, from a function, text or an expression.
 
     Raises
@@ -45,19 +54,15 @@ def quantity(given: Any, names: Sequence[str]) -> Quantity:
     OptionError
         If it is none of these, or has names that are no parameters.
     """
-    symbols = getattr(given, "free_symbols", None)
     if isinstance(given, str):
         return _from_text(given, names)
-    if symbols is not None and hasattr(given, "evalf"):
+    if isinstance(given, _Expression):
+        expression, symbols = given, given.free_symbols
         _check({symbol.name for symbol in symbols}, names, given)
-
-        def evaluated(values: Mapping[str, float]) -> float:
-            subs = {symbol: values[symbol.name] for symbol in symbols}
-            return float(given.evalf(subs=subs))
-
-        return evaluated
+        return lambda at: float(expression.evalf(subs={s: at[s.name] for s in symbols}))
     if callable(given):
-        return lambda values: float(given(dict(values)))
+        function = given
+        return lambda at: float(function(dict(at)))
     raise OptionError(
         f"{given!r} is not a quantity of the parameters",
         term=given,
@@ -65,21 +70,21 @@ def quantity(given: Any, names: Sequence[str]) -> Quantity:
     )
 
 
-def gradient(function: Quantity, values: Mapping[str, float], steps: Mapping[str, float]) -> Array:
-    """Derivatives with respect to the names in ``steps``, by central differences of fourth order.
+def gradient(function: Quantity, point: Mapping[str, float], widths: Mapping[str, float]) -> Array:
+    """Derivatives at a point, by central differences of fourth order.
 
-    ``steps`` are widths of intervals.
+    ``widths`` are those of the intervals of the parameters that are varied.
     """
-    found = []
-    for name, width in steps.items():
-        h = _STEP * width
+    slopes = []
+    for name, width in widths.items():
+        h = _STEP_SHARE * width
 
         def at(shift: float, name: str = name) -> float:
-            return function({**values, name: values[name] + shift})
+            return function({**point, name: point[name] + shift})
 
         near, far = at(h) - at(-h), at(2.0 * h) - at(-2.0 * h)
-        found.append((8.0 * near - far) / (12.0 * h))
-    return np.array(found)
+        slopes.append((8.0 * near - far) / (12.0 * h))
+    return np.array(slopes)
 
 
 def _from_text(text: str, names: Sequence[str]) -> Quantity:
@@ -90,25 +95,25 @@ def _from_text(text: str, names: Sequence[str]) -> Quantity:
         raise OptionError(f"{quote(text)} is not an expression", term=text) from None
     used = {node.id for node in ast.walk(body) if isinstance(node, ast.Name)}
     _check(used - _FUNCTIONS.keys(), names, text)
-    _value(body, dict.fromkeys(names, 1.0), text, dry=True)
-    return lambda values: float(_value(body, values, text))
+    _evaluated(body, dict.fromkeys(names, 1.0), text, dry=True)
+    return lambda at: float(_evaluated(body, at, text))
 
 
-def _value(node: ast.expr, values: Mapping[str, float], text: str, dry: bool = False) -> float:
-    """The value of a part; without arithmetic where only its form is checked."""
+def _evaluated(node: ast.expr, at: Mapping[str, float], text: str, dry: bool = False) -> float:
+    """The value of an expression; without arithmetic where only its form is checked."""
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         return float(node.value)  # type: ignore[arg-type]
-    if isinstance(node, ast.Name) and node.id in values:
-        return values[node.id]
+    if isinstance(node, ast.Name) and node.id in at:
+        return at[node.id]
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-        left, right = (_value(side, values, text, dry) for side in (node.left, node.right))
+        left, right = (_evaluated(side, at, text, dry) for side in (node.left, node.right))
         return 1.0 if dry else _BINARY[type(node.op)](left, right)
     if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-        return _UNARY[type(node.op)](_value(node.operand, values, text, dry))
+        return _UNARY[type(node.op)](_evaluated(node.operand, at, text, dry))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) == 1:
         function = _FUNCTIONS.get(node.func.id)
         if function is not None and not node.keywords:
-            inner = _value(node.args[0], values, text, dry)
+            inner = _evaluated(node.args[0], at, text, dry)
             return 1.0 if dry else function(inner)
     raise OptionError(
         f"{quote(text)}: {quote(ast.unparse(node))} is not understood",
@@ -117,7 +122,7 @@ def _value(node: ast.expr, values: Mapping[str, float], text: str, dry: bool = F
     )
 
 
-def _check(used: set[str], names: Sequence[str], given: Any) -> None:
+def _check(used: set[str], names: Sequence[str], given: object) -> None:
     for name in sorted(used):
         if name not in names:
             raise OptionError(

@@ -1,23 +1,20 @@
-"""What a fit says: best values, intervals, what is identified, and what speaks against it."""
+"""A fit: best values, intervals, what is identified, and what speaks against it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.stats
 
 from rankone.discretization.coordinates import name_of
 from rankone.estimation.expressions import gradient, quantity
-from rankone.estimation.findings import findings_of
-from rankone.estimation.identification import Identification
+from rankone.estimation.identification import Best, Identification, Profile, Stop, profiles
 from rankone.estimation.least_squares import LeastSquares
 from rankone.estimation.observations import Observations
-from rankone.estimation.profiles import Best, Profile, Stop, profiles
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
@@ -26,8 +23,14 @@ from rankone.support.wording import count, did_you_mean, listing, quote
 
 __all__ = ["Fit", "checked_level", "quantile_of"]
 
-_NULL = 1e-3
-"""Share of a gradient along flat directions from which a quantity is not identified."""
+_FLAT_SHARE = 1e-3
+"""Share of a gradient along flat directions above which a quantity is not identified."""
+_UNLIKELY = 1e-3
+"""Probability of the residuals below which they are too large."""
+_MODEL_SHARE = 0.5
+"""How far the error of the solution may move an estimate, in its standard deviations."""
+_BOUND_TOLERANCE = 1e-9
+"""Distance from a bound, in widths of the interval, that counts as at the bound: rounding."""
 
 Interval = tuple[float, float]
 
@@ -61,8 +64,8 @@ class Fit:
     converged: bool
     _problem: LeastSquares
     _z: Array
-    _row: Array
-    _known: Identification
+    _scaled_residuals: Array
+    _identification: Identification
     others: tuple[dict[str, float], ...] = ()
     size: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -86,39 +89,39 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """All parameters, fixed ones as well: ``solution(times, fit.values)`` is the curve."""
-        every = {**self.x, **self.fixed}
-        return {name: every[name] for name in self.solution.parameters}
+        return self._problem.free.complete(self.x)
 
     @cached_property
-    def residuals(self) -> Any:
+    def residuals(self) -> Array | dict[str, Array]:
         """Data minus model, in the shape of the data; by name if the data were so."""
-        return self.observations.arranged(-self._row / self.observations.scale)
+        return self.observations.arranged(-self._scaled_residuals / self.observations.scale)
 
     @property
     def dof(self) -> int:
         """Number of data less that of directions of the parameters that are fitted to them."""
-        return self.observations.size - self._known.used
+        return self.observations.size - self._identification.used
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the residuals over what was given as sigma.
+        """Standard deviation of the residuals, in units of sigma where sigma was given.
 
-        Where no sigma was given it is the estimate of sigma, or of that of a datum of weight one.
+        Where none was given it is the estimate of sigma; with weights, for a datum of weight one.
         """
         return math.sqrt(self.chi2 / self.dof) if self.dof > 0 else math.nan
 
     @property
     def p_value(self) -> float:
         """Probability of residuals as large as these or larger; NaN where sigma is not known."""
-        known = self.observations.known and self.dof > 0
-        return float(scipy.stats.chi2.sf(self.chi2, self.dof)) if known else math.nan
+        if not self.observations.sigma_known or not self.dof > 0:
+            return math.nan
+        return float(scipy.stats.chi2.sf(self.chi2, self.dof))
 
     # --- uncertainty ---------------------------------------------------------------------------
 
     @property
     def _unit(self) -> float:
         """Standard deviation of scaled residuals: one, or the estimate."""
-        return 1.0 if self.observations.known else self.sigma
+        return 1.0 if self.observations.sigma_known else self.sigma
 
     @cached_property
     def covariance(self) -> Array:
@@ -126,12 +129,12 @@ class Fit:
 
         Infinite variances and NaN for parameters that the data do not identify.
         """
-        root = self._known.root * self._problem.free.width[:, None] * self._unit
-        found = root @ root.T
-        flat = list(self._known.flat)
-        found[flat], found[:, flat] = np.nan, np.nan
-        found[flat, flat] = np.inf
-        return np.asarray(found)
+        root = self._identification.root * self._problem.free.width[:, None] * self._unit
+        covariance = np.asarray(root @ root.T)
+        flat = list(self._identification.flat)
+        covariance[flat], covariance[:, flat] = np.nan, np.nan
+        covariance[flat, flat] = np.inf
+        return covariance
 
     @property
     def std(self) -> dict[str, float]:
@@ -160,7 +163,7 @@ class Fit:
             If the level is not between 0 and 1, or the method unknown.
         """
         if method == "profile":
-            return {name: _known_ends(self, name, level) for name in self.parameters}
+            return {name: self._profile_interval(name, level) for name in self.parameters}
         if method != "linear":
             raise OptionError(
                 f"method={method!r} is unknown", remedy='choose "linear" or "profile"'
@@ -168,7 +171,7 @@ class Fit:
         q = self._quantile(level)
         return {name: (self.x[name] - q * s, self.x[name] + q * s) for name, s in self.std.items()}
 
-    def interval_of(self, given: Any, level: float | None = None) -> Interval:
+    def interval_of(self, given: object, level: float | None = None) -> Interval:
         """An interval for a quantity of the parameters, such as ``"C_D/m"``, by linearisation.
 
         Also for combinations that are identified while the parameters in them are not.
@@ -189,14 +192,14 @@ class Fit:
             If it is no quantity of the parameters.
         """
         q = self._quantile(level)
-        value, spread_of = self._quantity(given)
-        return value - q * spread_of, value + q * spread_of
+        estimate, deviation = self._quantity(given)
+        return estimate - q * deviation, estimate + q * deviation
 
-    def value_of(self, given: Any) -> float:
+    def value_of(self, given: object) -> float:
         """The estimate of a quantity of the parameters; see :meth:`interval_of`."""
         return self._quantity(given)[0]
 
-    def profile(self, parameter: Any, level: float | None = None) -> Profile:
+    def profile(self, parameter: object, level: float | None = None) -> Profile:
         """The profile likelihood of a parameter up to a level.
 
         Returns
@@ -204,31 +207,47 @@ class Fit:
         Profile
             In coordinates from 0 to 1 of the bounds; ends carry what stops them.
         """
-        name = _parameter(self, parameter)
+        name = name_of(parameter)
+        if name not in self.parameters:
+            raise OptionError(
+                f"{quote(name)} is no free parameter{did_you_mean(name, self.parameters)}",
+                term=parameter,
+                remedy=f"choose from {listing(self.parameters)}",
+            )
         index, limit = self.parameters.index(name), (self._quantile(level) * self._unit) ** 2
-        deviation = np.minimum(self._known.spread * self._unit, 1.0)
+        deviation = np.minimum(self._identification.spread * self._unit, 1.0)
         best = Best(self._z, self.chi2, deviation)
         return profiles(self._problem, best, limit, [index])[0]
 
     def _quantile(self, level: float | None) -> float:
         """Half the length of an interval, in standard deviations."""
         if level is None:
-            return quantile_of(self.level, self.observations.known, self.dof)
-        return quantile_of(checked_level(level), self.observations.known, self.dof)
+            return quantile_of(self.level, self.observations.sigma_known, self.dof)
+        return quantile_of(checked_level(level), self.observations.sigma_known, self.dof)
 
-    def _quantity(self, given: Any) -> tuple[float, float]:
+    def _quantity(self, given: object) -> tuple[float, float]:
         """A quantity at the estimate, and its standard deviation."""
         function = quantity(given, tuple(self.solution.parameters))
         width = dict(zip(self.parameters, self._problem.free.width, strict=True))
         try:
-            value = function(self.values)
+            estimate = function(self.values)
             slope = gradient(function, self.values, width) * self._problem.free.width
         except (ArithmeticError, ValueError) as reason:
             raise OptionError(f"{quote(given)} has no value at the fit: {reason}") from reason
-        along = float(np.linalg.norm(slope @ self._known.null))
-        if along > _NULL * float(np.linalg.norm(slope)):
-            return value, math.inf
-        return value, float(np.linalg.norm(slope @ self._known.root)) * self._unit
+        along = float(np.linalg.norm(slope @ self._identification.null))
+        if along > _FLAT_SHARE * float(np.linalg.norm(slope)):
+            return estimate, math.inf
+        return estimate, float(np.linalg.norm(slope @ self._identification.root)) * self._unit
+
+    def _profile_interval(self, name: str, level: float | None) -> Interval:
+        """The profile interval; NaN for an end that the box makes."""
+        profile, free = self.profile(name, level), self._problem.free
+        j = self.parameters.index(name)
+        low, high = (
+            float(free.lower[j] + free.width[j] * end.z) if end.stop is Stop.DATA else math.nan
+            for end in (profile.lower, profile.upper)
+        )
+        return low, high
 
     # --- whether to believe it -----------------------------------------------------------------
 
@@ -238,17 +257,17 @@ class Fit:
 
         They do not where the others can make up for any value of it within the box.
         """
-        return {name: i not in self._known.flat for i, name in enumerate(self.parameters)}
+        return {name: i not in self._identification.flat for i, name in enumerate(self.parameters)}
 
     @property
     def combinations(self) -> tuple[str, ...]:
         """Combinations that are identified, of parameters that are not: ``("C_D/m",)``."""
-        return self._known.combinations
+        return self._identification.combinations
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
         """What speaks against the fit, a sentence each."""
-        return tuple(findings_of(self))
+        return tuple(_findings(self))
 
     @property
     def success(self) -> bool:
@@ -265,37 +284,33 @@ class Fit:
         """Parameters whose estimate is at the ``"lower"`` or ``"upper"`` end of its bounds."""
         ends = {}
         for name, z in zip(self.parameters, self._z, strict=True):
-            if min(z, 1.0 - z) <= 1e-9:
+            if min(z, 1.0 - z) <= _BOUND_TOLERANCE:
                 ends[name] = "lower" if z < 0.5 else "upper"
         return ends
 
     def __repr__(self) -> str:
-        known = "given" if self.observations.known else "estimated"
-        size = 1.0 if self.observations.known else self.sigma
-        said = f"chi2 {self.chi2:.4g}" if self.observations.known else f"sigma {size:.4g} {known}"
-        of = f"{count(self.observations.size, 'value')} of {', '.join(self.observations.names)}"
-        lines = [f"Fit to {of}: {said}, {self.dof} degrees of freedom"]
-        shown = f"{100 * self.level:g} %"
+        observations, level = self.observations, f"{100 * self.level:g} %"
+        noise = (
+            f"chi2 {self.chi2:.4g}"
+            if observations.sigma_known
+            else f"sigma {self.sigma:.4g} estimated"
+        )
+        of = f"{count(observations.size, 'value')} of {', '.join(observations.names)}"
+        lines = [f"Fit to {of}: {noise}, {self.dof} degrees of freedom"]
         width = max(len(name) for name in self.parameters)
         for name, (low, high) in self.interval().items():
-            text = f"  {name:<{width}}  "
+            text = "not identified"
             if self.identifiable[name]:
-                text += f"{self.x[name]:.6g}  {shown} in [{low:.6g}, {high:.6g}]"
-            else:
-                text += "not identified"
-            lines.append(text)
-        for text in self.combinations:
-            low, high = self.interval_of(text)
-            value = self.value_of(text)
-            lines.append(
-                f"  {text}  {value:.6g}  {100 * self.level:g} % in [{low:.6g}, {high:.6g}]"
-            )
-        return "\n".join(
-            [*lines, f"  {'success' if self.success else 'no success'}: {self.message}"]
-        )
+                text = f"{self.x[name]:.6g}  {level} in [{low:.6g}, {high:.6g}]"
+            lines.append(f"  {name:<{width}}  {text}")
+        for name in self.combinations:
+            low, high = self.interval_of(name)
+            lines.append(f"  {name}  {self.value_of(name):.6g}  {level} in [{low:.6g}, {high:.6g}]")
+        lines.append(f"  {'success' if self.success else 'no success'}: {self.message}")
+        return "\n".join(lines)
 
 
-def checked_level(level: Any) -> float:
+def checked_level(level: float) -> float:
     """A probability strictly between 0 and 1, or an OptionError."""
     level = checked_number("level", level, 0.0, 1.0, float)
     if not 0.0 < level < 1.0:
@@ -303,30 +318,62 @@ def checked_level(level: Any) -> float:
     return float(level)
 
 
-def quantile_of(level: float, known: bool, dof: int) -> float:
+def quantile_of(level: float, sigma_known: bool, dof: int) -> float:
     """Half the length of an interval in standard deviations; Student's for unknown sigma."""
     share = 0.5 + 0.5 * level
-    return float(scipy.stats.norm.ppf(share) if known else scipy.stats.t.ppf(share, dof))
+    return float(scipy.stats.norm.ppf(share) if sigma_known else scipy.stats.t.ppf(share, dof))
 
 
-def _parameter(fit: Fit, key: Any) -> str:
-    name = name_of(key)
-    if name not in fit.parameters:
-        raise OptionError(
-            f"{quote(name)} is no free parameter{did_you_mean(name, fit.parameters)}",
-            term=key,
-            remedy=f"choose from {listing(fit.parameters)}",
+def _findings(fit: Fit) -> Iterator[str]:
+    """What speaks against a fit, in sentences."""
+    if not fit.converged:
+        yield "the search did not end; remedy: give a start, or more starts"
+    yield from _unidentified(fit)
+    for name, end in fit.at_bounds.items():
+        if fit.identifiable[name]:
+            yield (
+                f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
+                "are not valid there; remedy: widen the bounds, or solve on a wider box"
+            )
+    for minimum in fit.others:
+        where = ", ".join(f"{name} = {x:.6g}" for name, x in minimum.items())
+        yield f"other values fit as well: {where}; remedy: set bounds, or measure more"
+    if fit.p_value < _UNLIKELY:
+        yield (
+            f"the residuals are {fit.sigma:.3g} times as large as sigma (chi2 {fit.chi2:.4g} with "
+            f"{fit.dof} degrees of freedom, p = {fit.p_value:.1g}): the model does not describe "
+            "the data, or sigma is larger"
         )
-    return name
+    if not fit.solution.success:
+        yield f"the solution is no success itself: {fit.solution.message}"
+    yield from _error_of_solution(fit)
 
 
-def _known_ends(fit: Fit, name: str, level: float | None) -> Interval:
-    """The profile interval; NaN for an end that the box makes."""
-    profile = fit.profile(name, level)
-    j = fit.parameters.index(name)
-    lower, width = fit._problem.free.lower[j], fit._problem.free.width[j]
-    ends: Sequence[float] = [
-        float(lower + width * end.z) if end.stop is Stop.DATA else math.nan
-        for end in (profile.lower, profile.upper)
-    ]
-    return ends[0], ends[1]
+def _unidentified(fit: Fit) -> Iterator[str]:
+    names = [name for name, identified in fit.identifiable.items() if not identified]
+    if not names:
+        return
+    if len(names) == 1:
+        yield f"the data do not identify {quote(names[0])}; remedy: fix it, or measure more"
+        return
+    said = f"the data do not identify {listing(names)}"
+    if fit.combinations:
+        yield f"{said} alone, only {listing(fit.combinations)}; remedy: fix one of them"
+    else:
+        yield f"{said} within their bounds; remedy: fix some, measure more, or widen the box"
+
+
+def _error_of_solution(fit: Fit) -> Iterator[str]:
+    """Where the error of the solution is not small beside the noise."""
+    for i, name in enumerate(fit.observations.names):
+        here = fit.observations.owner == i
+        error = fit.solution.errors[name]
+        if not here.any() or math.isnan(error):
+            continue
+        absolute = error * float(fit.size[here][0])
+        noise = fit._unit / fit.observations.scale[here]
+        if absolute * float(np.sqrt(np.sum(noise**-2.0, where=noise > 0.0))) > _MODEL_SHARE:
+            yield (
+                f"the error of the solution, {absolute:.2g} in {quote(name)}, is not small beside "
+                f"the noise, {float(np.median(noise)):.2g}; remedy: solve with a smaller rtol"
+            )

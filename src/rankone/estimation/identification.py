@@ -1,43 +1,236 @@
-"""Which parameters, and which combinations of them, the data identify.
+"""Which parameters, and which combinations of them, the data identify, by profile likelihoods.
 
-Flat directions of the least squares are found by the singular values of the Jacobian, and checked
-by going along them: a parameter whose profile interval ends only where the box does is not
-identified. What is left of several is named: the row space of the Jacobian with respect to their
-logarithms holds the powers of a product that is identified, such as (1, -1) for C_D/m.
+A profile tells how the least cost grows as one parameter is held away from its best value (Venzon &
+Moolgavkar, "A method for computing profile-likelihood-based confidence intervals", 1988). Flat
+directions of the least squares are found by the singular values of the Jacobian, and checked by
+going along them: a parameter whose profile interval ends only where the box does is not identified
+(Raue et al., "Structural and practical identifiability analysis", 2009). What is left of several is
+named: the row space of the Jacobian with respect to their logarithms holds the powers of a product
+that is identified, such as (1, -1) for C_D/m.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from fractions import Fraction
 
 import numpy as np
 
 from rankone.estimation.least_squares import LeastSquares
-from rankone.estimation.profiles import Best, Profile, profiles
 from rankone.support.arrays import Array
 
-__all__ = ["Identification", "identify"]
+__all__ = ["Best", "End", "Identification", "Profile", "Stop", "identify", "profiles"]
 
-_SUSPICIOUS = 0.25
-"""Half a linear interval from which the profile is looked at, in widths of the box."""
-_WIDE, _WIDER = 0.1, 3.0
-"""A flat interval is at least so wide in the box, and so many times what its neighbours leave."""
-_SIMPLE = 0.04
-"""How far a power may be from a simple fraction."""
-_DENOMINATORS = 4
-_USED, _RANK = 0.5, 1e-7
-"""Change of the residuals from one end of the cube to the other, in standard deviations, and over
-that along the steepest direction, from which a direction is fitted to the data."""
-_CLOSE = 0.05
-"""How exactly the ends of intervals are found."""
-_LEVEL = 0.25
+_PATH_SHARES = np.array([0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0])
+"""Points of a profile, in shares of the way to the bound: closer where it begins."""
+_PATH_DEVIATIONS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
+"""Points of a profile in standard deviations: around the ends of usual intervals."""
+_MOST_REFINEMENTS = 12
+"""Most refinements of an end: a bound on the work where the rise is not smooth."""
+_END_TOLERANCE = 1e-4
+"""How close an end comes to the limit, in shares of its root: four digits."""
+_ROUGH_END_TOLERANCE = 0.05
+"""The same where only the length of an interval is compared with others."""
+_BOUND_TOLERANCE = 1e-9
+"""Distance from a bound, in widths of the box, that counts as at the bound: rounding."""
+_SUSPICIOUS_WIDTH = 0.25
+"""Half a linear interval, in widths of the box, above which the profile is computed."""
+_FLAT_WIDTH = 0.1
+"""Least length of a flat interval, in widths of the box."""
+_FLAT_RATIO = 3.0
+"""Least ratio of a flat interval to what it would be without the flat directions."""
+_FRACTION_TOLERANCE = 0.04
+"""How far a power may be from a simple fraction: half of the way from 1/4 to 1/3."""
+_LARGEST_DENOMINATOR = 4
+"""Largest denominator of a simple fraction."""
+_USED_CHANGE = 0.5
+"""Change of the residuals from one end of the cube to the other, in standard deviations, above
+which a direction is fitted to the data."""
+_USED_RATIO = 1e-7
+"""The same over the change along the steepest direction: above rounding."""
+_PATH_RISE = 0.25
 """Share of the limit up to which a profile is along the flat direction."""
-_NAMED = 0.1
-"""Variation of a combination along a path from which it is none."""
-_CONSTANT = 0.02
-"""Variation of a product along a path that is none, in shares of that of its factors."""
+_NAMED_VARIATION = 0.1
+"""Variation of a combination along a path above which it is none."""
+_CONSTANT_VARIATION = 0.02
+"""Variation of a product along a path below which it is constant, in shares of that of its
+factors."""
+
+
+class Stop(Enum):
+    """What ends an interval."""
+
+    DATA = "the data"
+    BOUND = "the bound of the parameter"
+    OTHER = "the bound of another parameter"
+
+
+@dataclass(frozen=True)
+class End:
+    """One end of an interval: its place in z, and what it is there for."""
+
+    z: float
+    stop: Stop
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best point: z (n,), its cost, and standard deviations (n,) to start with."""
+
+    z: Array
+    cost: float
+    spread: Array
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The profile of one parameter.
+
+    Attributes
+    ----------
+    index : int
+    path : ndarray (k, n)
+        Best points for values of the parameter, ascending.
+    rise : ndarray (k,)
+        How far their costs are above the least.
+    lower, upper : End
+        Where the rise reaches the limit, or where the box ends.
+    """
+
+    index: int
+    path: Array
+    rise: Array
+    lower: End
+    upper: End
+
+    @property
+    def width(self) -> float:
+        """Length of the interval in z."""
+        return self.upper.z - self.lower.z
+
+    @property
+    def bounded_by_box(self) -> bool:
+        """Whether no end is there because of the data."""
+        return Stop.DATA not in (self.lower.stop, self.upper.stop)
+
+
+def profiles(
+    problem: LeastSquares,
+    best: Best,
+    limit: float,
+    indices: Sequence[int],
+    close: float = _END_TOLERANCE,
+) -> list[Profile]:
+    """The profiles of some parameters up to a rise of the cost by ``limit``.
+
+    ``close`` is the share by which the root of the rise at an end may be off.
+    """
+    directions = [(index, sign) for index in indices for sign in (-1.0, 1.0)]
+    held = [_places(best, index, sign) for index, sign in directions]
+    rows = np.concatenate([np.full(len(z), k) for k, z in enumerate(held)])
+    columns = np.array([directions[k][0] for k in rows])
+    points, costs = _along(problem, best, columns, np.concatenate(held))
+    ways = []
+    for k, (index, _) in enumerate(directions):
+        here = rows == k
+        path = np.vstack([best.z, points[here]])
+        rise = np.concatenate([[0.0], np.maximum(costs[here] - best.cost, 0.0)])
+        ways.append(_Way(index, path, rise))
+    _refine(problem, best, limit, ways, close)
+    curves = []
+    for low, high in zip(ways[::2], ways[1::2], strict=True):
+        path = np.vstack([low.path[:0:-1], high.path])
+        rise = np.concatenate([low.rise[:0:-1], high.rise])
+        curves.append(Profile(low.index, path, rise, low.end(limit), high.end(limit)))
+    return curves
+
+
+@dataclass
+class _Way:
+    """From the best point in one direction: best points (k, n) in order, and rises (k,)."""
+
+    index: int
+    path: Array
+    rise: Array
+
+    def above(self, limit: float) -> int:
+        """The first point above the limit; the number of points if there is none."""
+        higher = np.flatnonzero(self.rise > limit)
+        return int(higher[0]) if higher.size else len(self.rise)
+
+    def insert(self, at: int, point: Array, rise: float) -> None:
+        self.path = np.insert(self.path, at, point, axis=0)
+        self.rise = np.insert(self.rise, at, rise)
+
+    def settled(self, limit: float, close: float) -> bool:
+        k = self.above(limit)
+        if k == len(self.rise):
+            return True
+        near = abs(np.sqrt(self.rise[[k - 1, k]] / limit) - 1.0).min() <= close
+        z = self.path[[k - 1, k], self.index]
+        return bool(near or abs(z[1] - z[0]) <= 1e-12)
+
+    def between(self, limit: float, turn: int) -> float:
+        """A value between the points below and above: by the secant of the root, or halfway."""
+        k = self.above(limit)
+        (a, b), (f, g) = self.path[[k - 1, k], self.index], np.sqrt(self.rise[[k - 1, k]])
+        share = (np.sqrt(limit) - f) / (g - f) if g > f else 0.5
+        share = 0.5 if turn % 4 == 3 else min(max(share, 0.02), 0.98)
+        return float(a + share * (b - a))
+
+    def end(self, limit: float) -> End:
+        k = self.above(limit)
+        if k == len(self.rise):
+            return End(float(self.path[-1, self.index]), Stop.BOUND)
+        pair = np.sqrt(self.rise[[k - 1, k]])
+        share = float((np.sqrt(limit) - pair[0]) / (pair[1] - pair[0]))
+        z = self.path[k - 1] + share * (self.path[k] - self.path[k - 1])
+        free = np.delete(self.path[k], self.index)
+        at_bound = (free <= _BOUND_TOLERANCE) | (free >= 1.0 - _BOUND_TOLERANCE)
+        return End(float(z[self.index]), Stop.OTHER if at_bound.any() else Stop.DATA)
+
+
+def _refine(
+    problem: LeastSquares, best: Best, limit: float, ways: list[_Way], close: float
+) -> None:
+    """Close in on where the rise reaches the limit, on all ways at once."""
+    for turn in range(_MOST_REFINEMENTS):
+        waiting = [way for way in ways if not way.settled(limit, close)]
+        if not waiting:
+            return
+        places = np.array([way.between(limit, turn) for way in waiting])
+        columns = np.array([way.index for way in waiting])
+        near = np.array([way.path[way.above(limit) - 1] for way in waiting])
+        points, costs = _along(problem, best, columns, places, near)
+        for way, point, cost in zip(waiting, points, costs, strict=True):
+            way.insert(way.above(limit), point, max(float(cost) - best.cost, 0.0))
+
+
+def _places(best: Best, index: int, sign: float) -> Array:
+    """Values to hold a parameter at, from the best one outwards to its bound."""
+    z = best.z[index]
+    way = z if sign < 0.0 else 1.0 - z
+    steps = np.concatenate([_PATH_SHARES * way, _PATH_DEVIATIONS * best.spread[index]])
+    steps = np.unique(steps[(steps > 1e-12) & (steps <= way)])
+    return np.asarray(np.clip(z + sign * steps, 0.0, 1.0))
+
+
+def _along(
+    problem: LeastSquares, best: Best, columns: Array, places: Array, near: Array | None = None
+) -> tuple[Array, Array]:
+    """Best points (K, n) and costs (K,) with one coordinate of each held at a value."""
+    starts = np.tile(best.z, (len(places), 1)) if near is None else near.copy()
+    rows = np.arange(len(places))
+    starts[rows, columns] = places
+    held = np.zeros(starts.shape, dtype=bool)
+    held[rows, columns] = True
+    minima = problem.minima(starts, held)
+    return minima.z, minima.cost
+
+
+# --- identification ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -67,9 +260,9 @@ class Identification:
     @property
     def spread(self) -> Array:
         """Standard deviations in z for unit sigma, infinite for what is not identified."""
-        found = np.sqrt(np.sum(self.root**2, axis=1))
-        found[list(self.flat)] = np.inf
-        return np.asarray(found)
+        deviations = np.sqrt(np.sum(self.root**2, axis=1))
+        deviations[list(self.flat)] = np.inf
+        return np.asarray(deviations)
 
 
 def identify(
@@ -83,27 +276,28 @@ def identify(
     _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
     floor = 1e-13 * singular[0] if singular[0] > 0.0 else 1.0
     root = right.T / np.maximum(singular, floor)
-    used = int(np.count_nonzero(singular > max(_USED * sigma, _RANK * singular[0])))
+    used = int(np.count_nonzero(singular > max(_USED_CHANGE * sigma, _USED_RATIO * singular[0])))
     half = quantile * sigma * np.sqrt(np.sum(root**2, axis=1))
-    suspects = np.flatnonzero(half > _SUSPICIOUS)
-    nothing = Identification((), root, np.zeros((z.size, 0)), (), used)
-    if not suspects.size:
-        return nothing
+    uncertain = np.flatnonzero(half > _SUSPICIOUS_WIDTH)
+    all_identified = Identification((), root, np.zeros((z.size, 0)), (), used)
+    if not uncertain.size:
+        return all_identified
     best = Best(z, cost, np.minimum(half / quantile, 1.0))
     limit = max((quantile * sigma) ** 2, 1e-12 * cost)
-    found = profiles(problem, best, limit, suspects.tolist(), _CLOSE)
-    boxed = [p for p in found if p.bounded_by_box and p.width > _WIDE]
+    candidates = profiles(problem, best, limit, uncertain.tolist(), _ROUGH_END_TOLERANCE)
+    boxed = [p for p in candidates if p.bounded_by_box and p.width > _FLAT_WIDTH]
     if not boxed:
-        return nothing
+        return all_identified
     order = np.argsort(singular)
     for q in range(1, z.size + 1):
         kept = np.sort(order[q:])
         left = quantile * sigma * np.sqrt(np.sum(root[:, kept] ** 2, axis=1))
-        if all(2.0 * left[p.index] * _WIDER < p.width for p in boxed) or q == z.size:
+        if all(2.0 * left[p.index] * _FLAT_RATIO < p.width for p in boxed) or q == z.size:
             break
-    flat = tuple(p.index for p in boxed if p.width > _WIDER * 2.0 * left[p.index] or q == z.size)
+    wide = (p for p in boxed if p.width > _FLAT_RATIO * 2.0 * left[p.index] or q == z.size)
+    flat = tuple(p.index for p in wide)
     if not flat:
-        return nothing
+        return all_identified
     names = _combinations(problem, z, jacobian, flat, q, boxed, limit)
     return Identification(flat, root[:, kept], right[order[:q]].T, names, used)
 
@@ -114,13 +308,13 @@ def _combinations(
     jacobian: Array,
     flat: Sequence[int],
     q: int,
-    found: Sequence[Profile],
+    boxed: Sequence[Profile],
     limit: float,
 ) -> tuple[str, ...]:
     """Texts of the combinations of flat parameters that are constant along flat directions."""
     names = [problem.free.names[i] for i in flat]
-    widest = max(found, key=lambda p: p.width)
-    inside = widest.path[widest.rise <= _LEVEL * limit]
+    widest = max(boxed, key=lambda p: p.width)
+    inside = widest.path[widest.rise <= _PATH_RISE * limit]
     path = problem.free.values(inside)[:, list(flat)]
     linear = _reduced(jacobian / problem.free.width, flat, q)
     if not len(linear):
@@ -129,9 +323,9 @@ def _combinations(
     if ((path > 0.0).all(axis=0) | (path < 0.0).all(axis=0)).all():
         powers = _reduced(jacobian / problem.free.width * problem.free.values(z), flat, q)
         in_powers = _variation(np.log(np.abs(path)), powers)
-        if in_powers <= max(_CONSTANT, min(in_sums, _NAMED)):
+        if in_powers <= max(_CONSTANT_VARIATION, min(in_sums, _NAMED_VARIATION)):
             return tuple(_product(names, row) for row in powers)
-    return tuple(_sum(names, row) for row in linear) if in_sums <= _NAMED else ()
+    return tuple(_sum(names, row) for row in linear) if in_sums <= _NAMED_VARIATION else ()
 
 
 def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
@@ -146,17 +340,17 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
     for k in range(len(rows)):  # reduced row echelon form: few parameters in each row
         pivot = int(np.argmax(np.abs(rows[k])))
         rows[k] /= rows[k, pivot]
-        for other in range(len(rows)):
-            if other != k:
-                rows[other] -= rows[other, pivot] * rows[k]
-    rows[np.abs(rows) < _SIMPLE] = 0.0
+        for i in range(len(rows)):
+            if i != k:
+                rows[i] -= rows[i, pivot] * rows[k]
+    rows[np.abs(rows) < _FRACTION_TOLERANCE] = 0.0
     return rows
 
 
 def _variation(path: Array, rows: Array) -> float:
-    """How much combinations vary along a path, as a share of what their parts do."""
-    parts = np.sum(np.abs(rows) * np.ptp(path, axis=0), axis=1)
-    return float(np.max(np.ptp(path @ rows.T, axis=0) / np.maximum(parts, 1e-300)))
+    """How much combinations vary along a path, as a share of what their terms do."""
+    terms = np.sum(np.abs(rows) * np.ptp(path, axis=0), axis=1)
+    return float(np.max(np.ptp(path @ rows.T, axis=0) / np.maximum(terms, 1e-300)))
 
 
 def _scaled(row: Array) -> list[tuple[int, str]]:
@@ -164,15 +358,15 @@ def _scaled(row: Array) -> list[tuple[int, str]]:
     used = row[row != 0.0]
     row = row * np.sign(used[0]) / np.abs(used).max()
     for scale in (np.abs(used).max() / np.abs(used).min(), 1.0):
-        near = [Fraction(float(v * scale)).limit_denominator(_DENOMINATORS) for v in row]
+        near = [Fraction(float(v * scale)).limit_denominator(_LARGEST_DENOMINATOR) for v in row]
         pairs = zip(near, row * scale, strict=True)
-        if all(abs(float(simple) - v) <= _SIMPLE * abs(v) for simple, v in pairs):
+        if all(abs(float(simple) - v) <= _FRACTION_TOLERANCE * abs(v) for simple, v in pairs):
             return [((v > 0) - (v < 0), _fraction(abs(v))) for v in near]
     return [(int(np.sign(v)), f"{abs(v):.3g}") for v in row]
 
 
-def _fraction(value: Fraction) -> str:
-    return str(value) if value.denominator == 1 else f"({value})"
+def _fraction(power: Fraction) -> str:
+    return str(power) if power.denominator == 1 else f"({power})"
 
 
 def _product(names: Sequence[str], row: Array) -> str:

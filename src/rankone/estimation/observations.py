@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rankone.discretization.coordinates import name_of
 from rankone.solution.core import SolutionCore
@@ -15,7 +15,10 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 
-__all__ = ["Observations", "checked_times", "observed", "state_name"]
+__all__ = ["Measurements", "Observations", "checked_times", "observed", "state_name"]
+
+Measurements = ArrayLike | Mapping[Any, ArrayLike]
+"""Numbers for all outputs, or for each by name or symbol."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,12 @@ class Observations:
     times, values : ndarray (m,)
     scale : ndarray (m,)
         What residuals are multiplied with: one over sigma, or the root of the weight.
-    known : bool
-        Whether sigma is known.
+    sigma_known : bool
+        Whether sigma was given.
     present : ndarray of bool (all data)
         Data that are not missing.
-    shape : tuple of int, or tuple of (str, int)
-        Shape of the data as given, or name and number of each.
+    shape : tuple of int, or dict of str to int
+        Shape of the data as given, or the number of data of each output.
     """
 
     names: tuple[str, ...]
@@ -47,34 +50,33 @@ class Observations:
     times: Array
     values: Array
     scale: Array
-    known: bool
+    sigma_known: bool
     present: NDArray[np.bool_]
-    shape: tuple[Any, ...]
+    shape: tuple[int, ...] | dict[str, int]
 
     @property
     def size(self) -> int:
         """Number of data."""
         return self.values.size
 
-    def arranged(self, row: Array) -> Any:
+    def arranged(self, row: Array) -> Array | dict[str, Array]:
         """Numbers for each datum as the data were given; NaN where they are missing."""
         whole = np.full(self.present.size, np.nan)
         whole[self.present] = row
-        if not self.shape or not isinstance(self.shape[0], tuple):
+        if not isinstance(self.shape, dict):
             return whole.reshape(self.shape)
-        ends = np.cumsum([number for _, number in self.shape])[:-1]
-        parts = np.split(whole, ends)
-        return {name: part for (name, _), part in zip(self.shape, parts, strict=True)}
+        columns = np.split(whole, np.cumsum(list(self.shape.values()))[:-1])
+        return dict(zip(self.shape, columns, strict=True))
 
 
 def observed(
     solution: SolutionCore,
-    times: Any,
-    data: Any,
-    observe: Any = None,
+    times: Measurements,
+    data: Measurements,
+    observe: object = None,
     *,
-    sigma: Any = None,
-    weights: Any = None,
+    sigma: Measurements | None = None,
+    weights: Measurements | None = None,
     missing: str = "error",
 ) -> Observations:
     """Check what was measured.
@@ -89,15 +91,13 @@ def observed(
             remedy="give sigma if the noise is known, weights if only its ratios are",
         )
     names = _names(solution, observe, data)
-    by_name = isinstance(data, Mapping)
-    if by_name:
-        shape: tuple[Any, ...] = ()
-        each = {name_of(key, solution.metadata.time): value for key, value in data.items()}
-        columns = [_numbers(f"the data of {quote(name)}", each[name]) for name in names]
+    if isinstance(data, Mapping):
+        by_name = {name_of(key, solution.metadata.time): column for key, column in data.items()}
+        columns = [_reals(f"the data of {quote(name)}", by_name[name]) for name in names]
+        table_shape: tuple[int, ...] | None = None
     else:
-        table = _numbers("the data", data)
-        shape = table.shape
-        columns = _columns(table, names)
+        table = _reals("the data", data)
+        table_shape, columns = table.shape, _columns(table, names)
     clocks = [_times_of(solution, times, name, len(names)) for name in names]
     for name, clock, column in zip(names, clocks, columns, strict=True):
         if column.shape != clock.shape:
@@ -108,30 +108,28 @@ def observed(
                 remedy="give one value for each time: data have the shape (times,), or "
                 "(outputs, times) for several outputs",
             )
-    if by_name:
-        shape = tuple((name, column.size) for name, column in zip(names, columns, strict=True))
-    sizes = [column.size for column in columns]
-    given, what = (sigma, "sigma") if weights is None else (weights, "weights")
-    spread = _spread(given, what, names, sizes, shape)
-    values = np.concatenate(columns)
-    present = _present(values, missing)
-    owner = np.repeat(np.arange(len(names)), sizes)[present]
+    sizes = {name: column.size for name, column in zip(names, columns, strict=True)}
+    noise, option = (sigma, "sigma") if weights is None else (weights, "weights")
+    spread = _spread(noise, option, sizes, table_shape)
+    every = np.concatenate(columns)
+    present = _present(every, missing)
+    owner = np.repeat(np.arange(len(names)), list(sizes.values()))[present]
     rows = np.array([solution.states.index(name) for name in names], dtype=np.intp)
-    scale = 1.0 / spread if what == "sigma" else np.sqrt(spread)
+    scale = 1.0 / spread if option == "sigma" else np.sqrt(spread)
     return Observations(
         names=names,
         owner=owner,
         rows=rows[owner],
         times=np.concatenate(clocks)[present],
-        values=values[present],
+        values=every[present],
         scale=scale[present],
-        known=sigma is not None,
+        sigma_known=sigma is not None,
         present=present,
-        shape=shape,
+        shape=sizes if table_shape is None else table_shape,
     )
 
 
-def state_name(solution: SolutionCore, key: Any) -> str:
+def state_name(solution: SolutionCore, key: object) -> str:
     """The name of an unknown, or of a derivative that is a state; an OptionError if unknown."""
     name = name_of(key, solution.metadata.time)
     if name not in solution.states:
@@ -144,7 +142,7 @@ def state_name(solution: SolutionCore, key: Any) -> str:
     return name
 
 
-def checked_times(solution: SolutionCore, times: Any) -> Array:
+def checked_times(solution: SolutionCore, times: ArrayLike | None) -> Array:
     """Times (k,) inside of the horizon; one, its start, where nothing depends on time.
 
     Raises
@@ -164,7 +162,7 @@ def checked_times(solution: SolutionCore, times: Any) -> Array:
     return np.atleast_1d(checked)
 
 
-def _names(solution: SolutionCore, observe: Any, data: Any) -> tuple[str, ...]:
+def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, ...]:
     """The states observed."""
     if observe is None:
         observe = list(data) if isinstance(data, Mapping) else list(solution.unknowns)
@@ -201,11 +199,11 @@ def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
     )
 
 
-def _times_of(solution: SolutionCore, times: Any, name: str, outputs: int) -> Array:
+def _times_of(solution: SolutionCore, times: Measurements, name: str, outputs: int) -> Array:
     """Times of one output."""
     if not isinstance(times, Mapping):
         return checked_times(solution, times)
-    by_name = {name_of(key, solution.metadata.time): value for key, value in times.items()}
+    by_name = {name_of(key, solution.metadata.time): clock for key, clock in times.items()}
     if name not in by_name:
         raise OptionError(
             f"there are no times of {quote(name)}",
@@ -215,7 +213,7 @@ def _times_of(solution: SolutionCore, times: Any, name: str, outputs: int) -> Ar
     return checked_times(solution, by_name[name])
 
 
-def _numbers(what: str, given: Any) -> Array:
+def _reals(subject: str, given: ArrayLike) -> Array:
     """Real numbers, also NaN."""
     try:
         array = np.asarray(given)
@@ -223,65 +221,63 @@ def _numbers(what: str, given: Any) -> Array:
             return np.asarray(array, dtype=float)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise OptionError(f"{what}, {shown(given)}, are not real numbers", term=given)
+    raise OptionError(f"{subject}, {shown(given)}, are not real numbers", term=given)
 
 
 def _spread(
-    given: Any, what: str, names: tuple[str, ...], sizes: list[int], shape: tuple[Any, ...]
+    given: Measurements | None,
+    option: str,
+    sizes: Mapping[str, int],
+    table_shape: tuple[int, ...] | None,
 ) -> Array:
-    """Sigma or the weight of each datum."""
-    total = sum(sizes)
+    """Sigma or the weight of each datum; the shape of the data is None if they are by name."""
     if given is None:
-        return np.ones(total)
+        return np.ones(sum(sizes.values()))
     if isinstance(given, Mapping):
-        by_name = {name_of(key): value for key, value in given.items()}
-        if sorted(by_name) != sorted(names):
+        by_name = {name_of(key): spread for key, spread in given.items()}
+        if sorted(by_name) != sorted(sizes):
             raise OptionError(
-                f"{what} is given for {listing(by_name)}, observed are {listing(names)}",
+                f"{option} is given for {listing(by_name)}, observed are {listing(sizes)}",
                 term=given,
             )
-        parts: Iterable[Any] = [by_name[name] for name in names]
-        arrays = [_numbers(what, part) for part in parts]
+        arrays = [_reals(option, by_name[name]) for name in sizes]
     else:
-        array = _numbers(what, given)
-        per_output = array.shape == (len(names),) and array.shape != shape
-        if array.ndim and not per_output and array.shape != shape:
+        array = _reals(option, given)
+        per_output = array.shape == (len(sizes),) and array.shape != table_shape
+        if array.ndim and not per_output and array.shape != table_shape:
             raise OptionError(
-                f"{what} has the shape {array.shape}",
+                f"{option} has the shape {array.shape}",
                 term=given,
-                remedy=f"give a number, one for each output ({len(names)}), or the shape of "
+                remedy=f"give a number, one for each output ({len(sizes)}), or the shape of "
                 "the data",
             )
-        if array.ndim == 2:
-            arrays = list(array)
-        elif per_output:
-            arrays = [np.asarray(value) for value in array]
-        else:
-            arrays = [array] * len(names)
-    for name, part, size in zip(names, arrays, sizes, strict=True):
-        if part.shape not in ((), (size,)):
+        rows = array.ndim == 2 or per_output
+        arrays = [np.asarray(row) for row in array] if rows else [array] * len(sizes)
+    for (name, size), array in zip(sizes.items(), arrays, strict=True):
+        if array.shape not in ((), (size,)):
             raise OptionError(
-                f"{what} of {quote(name)} has the shape {part.shape} for {count(size, 'value')}",
+                f"{option} of {quote(name)} has the shape {array.shape} for {count(size, 'value')}",
                 term=given,
                 remedy="give a number, or one for each value",
             )
-    found = np.concatenate(
-        [np.broadcast_to(part, size) for part, size in zip(arrays, sizes, strict=True)]
-    ).astype(float)
-    if not (np.isfinite(found) & (found > 0.0)).all():
-        worst = found[~(np.isfinite(found) & (found > 0.0))][0]
-        raise OptionError(f"{what} = {worst:g} is not a positive number", term=given)
-    return found
+    pairs = zip(arrays, sizes.values(), strict=True)
+    spread = np.concatenate([np.broadcast_to(array, size) for array, size in pairs]).astype(float)
+    positive = np.isfinite(spread) & (spread > 0.0)
+    if not positive.all():
+        raise OptionError(
+            f"{option} = {spread[~positive][0]:g} is not a positive number", term=given
+        )
+    return spread
 
 
-def _present(values: Array, missing: str) -> NDArray[np.bool_]:
+def _present(every: Array, missing: str) -> NDArray[np.bool_]:
     """Which data are there; an error for those that are no numbers, unless they may miss."""
-    if np.isinf(values).any():
+    if np.isinf(every).any():
         raise OptionError("the data have infinite values", remedy="leave them out")
-    present: NDArray[np.bool_] = ~np.isnan(values)
+    present: NDArray[np.bool_] = ~np.isnan(every)
     if missing == "error" and not present.all():
         raise OptionError(
-            f"{np.count_nonzero(~present)} of {values.size} data are NaN",
+            f"{np.count_nonzero(~present)} of {every.size} data are NaN",
             remedy='leave them out, or give missing="drop"',
         )
     return present

@@ -5,52 +5,90 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rankone.discretization.coordinates import name_of
-from rankone.estimation.cells import Cells, adapted
-from rankone.estimation.chains import chain
+from rankone.estimation.cube_distributions import Cells, CubeDistribution, adapted, chain
 from rankone.estimation.fit import Fit
-from rankone.estimation.least_squares import LeastSquares
-from rankone.estimation.likelihood import Posterity, priors
-from rankone.estimation.model import TrainModel
+from rankone.estimation.free_parameters import Bounds, ParameterValues
+from rankone.estimation.least_squares import LeastSquares, TrainModel
+from rankone.estimation.observations import Measurements
 from rankone.estimation.search import fit
 from rankone.solution.core import SolutionCore
-from rankone.statistics.distributions import from_text
+from rankone.statistics.distributions import Measure, from_text
+from rankone.statistics.joint_distribution import Distributions, measures_of
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_count, checked_number
 from rankone.support.spread import spread
 from rankone.support.wording import did_you_mean, listing, quote
-from rankone.tensors.calculus import fixed
+from rankone.tensors.calculus import fixed as with_fixed
 
 __all__ = ["Posterior", "posterior"]
 
 _MOST_STEPS = 10**6
-"""Steps of a chain at most."""
-_BY_QUADRATURE = 3
-"""Most parameters for quadrature."""
+"""Most steps of a chain."""
+_MOST_QUADRATURE_PARAMETERS = 3
+"""Most parameters for quadrature: the number of cells grows with its power."""
 _ACCURATE = 1e-3
 """Error of integrals up to which the quadrature counts as exact."""
-_UNNOTICED = 1e-4
+_UNNOTICED_CHANGE = 1e-4
 """Change of the data, in standard deviations of the noise, that does not count."""
-_MODES, _FAR = 24, 6.0
-"""Starts of searches for modes, and how far below the best one they count, in deviations."""
-_DRAWN = 400
+_MODE_STARTS = 24
+"""Starts of searches for modes."""
+_MODE_DEPTH = 6.0
+"""How far below the best one modes count, in standard deviations."""
+_DRAWN_POINTS = 400
 """Points by which the cells are told where the density is."""
+_END_DISTANCE = 1e-9
+"""Distance from the ends of an interval, in widths: a density may be infinite there."""
 
 
-class _Found(Protocol):
-    """A distribution in the unit cube: nodes with masses, marginals and samples."""
+@dataclass(frozen=True)
+class LogPosterior:
+    """Logarithm of the posterior density in the unit cube.
+
+    Gaussian noise; where its sigma is not known, it is integrated over with the density 1/sigma
+    (Gelman et al., Bayesian Data Analysis, ch. 14.2).
+
+    Attributes
+    ----------
+    problem : LeastSquares
+    measures : tuple of Measure
+        The prior of each free parameter.
+    """
+
+    problem: LeastSquares
+    measures: tuple[Measure, ...]
 
     @property
-    def nodes(self) -> Array: ...
+    def dimension(self) -> int:
+        """Number of free parameters."""
+        return len(self.measures)
+
     @property
-    def masses(self) -> Array: ...
-    def marginal(self, j: int, z: Array) -> Array: ...
-    def quantile(self, j: int, shares: Array) -> Array: ...
+    def unit(self) -> tuple[Array, Array]:
+        """Lower bounds and widths of the parameters."""
+        return self.problem.free.lower, self.problem.free.width
+
+    def __call__(self, z: Array) -> Array:
+        """Values at z (N, n): shape (N,); minus infinity where the prior is zero."""
+        residuals = self.problem.residuals(z)
+        squares = np.einsum("km,km->k", residuals, residuals)
+        logs = -0.5 * squares
+        if not self.problem.observations.sigma_known:
+            size = residuals.shape[1]
+            logs = -0.5 * size * np.log(np.maximum(squares, 1e-300))
+        points = self.problem.free.values(z)
+        for column, measure in zip(points.T, self.measures, strict=True):
+            if measure.distribution is not None:
+                near = _END_DISTANCE * (measure.upper - measure.lower)
+                at = np.clip(column, measure.lower + near, measure.upper - near)
+                with np.errstate(divide="ignore"):
+                    logs = logs + measure.distribution.logpdf(at)
+        return np.where(np.isnan(logs), -math.inf, logs)
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,8 +113,8 @@ class Posterior:
     log_evidence: float
     success: bool
     message: str
-    _density: Posterity
-    _found: _Found
+    _log_density: LogPosterior
+    _distribution: CubeDistribution
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -86,13 +124,15 @@ class Posterior:
     @property
     def mean(self) -> dict[str, float]:
         """The mean of each parameter."""
-        return self._density.problem.free.named(self._found.masses @ self._found.nodes)
+        return self._log_density.problem.free.named(
+            self._distribution.masses @ self._distribution.nodes
+        )
 
     @property
     def covariance(self) -> Array:
         """Covariance of the parameters, (n, n)."""
-        masses, nodes = self._found.masses, self._found.nodes
-        centred = (nodes - masses @ nodes) * self._density.unit[1]
+        masses, nodes = self._distribution.masses, self._distribution.nodes
+        centred = (nodes - masses @ nodes) * self._log_density.unit[1]
         return np.asarray((centred * masses[:, None]).T @ centred)
 
     @property
@@ -101,7 +141,7 @@ class Posterior:
         roots = np.sqrt(np.diag(self.covariance))
         return dict(zip(self.parameters, map(float, roots), strict=True))
 
-    def quantile(self, q: Any) -> dict[str, Any]:
+    def quantile(self, q: ArrayLike) -> dict[str, float] | dict[str, Array]:
         """Quantiles of each parameter, numbers or arrays like ``q``.
 
         Raises
@@ -115,21 +155,26 @@ class Posterior:
             raise OptionError(f"q={q!r} are no numbers", term=q) from None
         if not ((shares >= 0.0) & (shares <= 1.0)).all():
             raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
-        lower, width = self._density.unit
-        found: dict[str, Any] = {}
-        for j, name in enumerate(self.parameters):
-            z = self._found.quantile(j, shares.ravel()).reshape(shares.shape)
-            values = lower[j] + width[j] * z
-            found[name] = float(values) if values.ndim == 0 else values
-        return found
+        quantiles = self._quantiles(shares)
+        if shares.ndim:
+            return quantiles
+        return {name: float(quantile) for name, quantile in quantiles.items()}
+
+    def _quantiles(self, shares: Array) -> dict[str, Array]:
+        lower, width = self._log_density.unit
+        return {
+            name: lower[j]
+            + width[j] * self._distribution.quantile(j, shares.ravel()).reshape(shares.shape)
+            for j, name in enumerate(self.parameters)
+        }
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """For each parameter the interval between equal tails."""
         level = checked_number("level", level, 0.0, 1.0, float)
-        found = self.quantile([0.5 - 0.5 * level, 0.5 + 0.5 * level])
-        return {name: (float(ends[0]), float(ends[1])) for name, ends in found.items()}
+        ends = self._quantiles(np.array([0.5 - 0.5 * level, 0.5 + 0.5 * level]))
+        return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
-    def density(self, parameter: Any, values: Any) -> Array:
+    def density(self, parameter: object, values: ArrayLike) -> Array:
         """The marginal density of one parameter at values; zero outside of its bounds."""
         name = name_of(parameter)
         if name not in self.parameters:
@@ -139,11 +184,11 @@ class Posterior:
                 remedy=f"choose from {listing(self.parameters)}",
             )
         j = self.parameters.index(name)
-        lower, width = self._density.unit
+        lower, width = self._log_density.unit
         z = (np.asarray(values, dtype=float) - lower[j]) / width[j]
         inside = (z >= 0.0) & (z <= 1.0)
-        found = self._found.marginal(j, np.clip(z, 0.0, 1.0).ravel()).reshape(z.shape)
-        return np.where(inside, found / width[j], 0.0)
+        marginal = self._distribution.marginal(j, np.clip(z, 0.0, 1.0).ravel()).reshape(z.shape)
+        return np.where(inside, marginal / width[j], 0.0)
 
     def sample(self, count: int, *, seed: int | None = None) -> dict[str, Array]:
         """Random values of all parameters, fixed ones as well, by name, (count,) each.
@@ -153,18 +198,20 @@ class Posterior:
         count = checked_count("count", count, 0, 3 * len(self.fit._problem.free.order))
         seed = None if seed is None else checked_number("seed", seed, 0)
         generator = np.random.default_rng(seed)
-        if isinstance(self._found, Cells):
+        if isinstance(self._distribution, Cells):
             shift = self.log_evidence
 
             def density(z: Array) -> Array:
-                return np.asarray(np.exp(self._density(z) - shift))
+                return np.asarray(np.exp(self._log_density(z) - shift))
 
-            z = self._found.sample(count, density, generator)
+            z = self._distribution.sample(count, density, generator)
         else:
-            z = self._found.nodes[generator.integers(0, len(self._found.nodes), count)]
+            z = self._distribution.nodes[
+                generator.integers(0, len(self._distribution.nodes), count)
+            ]
         free = self.fit._problem.free
         every = dict(zip(free.names, free.values(z).T, strict=True))
-        every |= {name: np.full(count, value) for name, value in free.fixed.items()}
+        every |= {name: np.full(count, x) for name, x in free.fixed.items()}
         return {name: every[name] for name in free.order}
 
     def __repr__(self) -> str:
@@ -182,87 +229,145 @@ class Posterior:
 
 def posterior(
     solution: SolutionCore,
-    times: Any,
-    data: Any,
+    times: Measurements,
+    data: Measurements,
     *,
-    prior: Mapping[Any, Any] | None = None,
+    observe: object = None,
+    sigma: Measurements | None = None,
+    prior: Distributions = None,
+    fixed: ParameterValues = None,
+    bounds: Bounds = None,
+    weights: Measurements | None = None,
+    missing: str = "error",
     seed: int = 0,
     steps: int = 1000,
-    **given: Any,
 ) -> Posterior:
-    """The posterior; parameters and errors are those of :meth:`~rankone.Solution.posterior`."""
+    """The distribution of the parameters after the data are known, for Gaussian noise.
+
+    Up to three free parameters by quadrature on cells that are refined where the density is,
+    beyond by a Markov chain, for which emcee is needed.
+
+    Parameters
+    ----------
+    times, data, observe, sigma, fixed, bounds, weights, missing
+        As for :meth:`fit`. If sigma is not given it is integrated over, with the density
+        1/sigma.
+    prior : mapping, optional
+        For parameters, by names or symbols, frozen continuous distributions of scipy.stats,
+        cut at the bounds. Others have the distribution that the problem gives them, or are
+        uniform. Priors are independent, also where the problem has correlations.
+    seed, steps : int
+        Of the Markov chain.
+
+    Returns
+    -------
+    Posterior
+        With ``mean``, ``std``, ``covariance``, ``quantile``, ``interval``, ``density`` and
+        ``sample``.
+
+    Raises
+    ------
+    OptionError, EvaluationError
+        As for :meth:`fit`, and if a prior does not fit.
+    RankoneError
+        If emcee is needed and not installed.
+    """
     if not isinstance(prior, Mapping | None):
         raise OptionError(f"prior={prior!r} is not a mapping from parameters", term=prior)
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, _MOST_STEPS)
-    found = fit(solution, times, data, **given)
-    usual = {name: from_text(text) for name, text in solution.metadata.distributions}
-    density = Posterity(_smaller(found), priors(found._problem.free, prior, usual))
-    likely, extents = _likely(found, density)
-    if density.dimension > _BY_QUADRATURE:
-        links = chain(density, likely, seed, steps)
-        return Posterior(
-            found, "mcmc", math.nan, links.success, links.message + _boxed(found), density, links
-        )
-    cells, evidence = adapted(density, likely, extents)
+    best = fit(
+        solution,
+        times,
+        data,
+        observe=observe,
+        sigma=sigma,
+        weights=weights,
+        fixed=fixed,
+        bounds=bounds,
+        missing=missing,
+    )
+    log_density = LogPosterior(_without_fixed(best), _priors(best, prior))
+    likely, extents = _likely(best, log_density)
+    boxed = _boxed(best)
+    if log_density.dimension > _MOST_QUADRATURE_PARAMETERS:
+        links = chain(log_density, likely, seed, steps)
+        message = links.message + boxed
+        return Posterior(best, "mcmc", math.nan, links.success, message, log_density, links)
+    cells, evidence = adapted(log_density, likely, extents)
     success = cells.error <= _ACCURATE
-    message = f"integrals are exact to about {cells.error:.1e}{_boxed(found)}"
+    message = f"integrals are exact to about {cells.error:.1e}{boxed}"
     if not success:
         message += "; remedy: restrict the box to where the density is, or fix parameters"
-    return Posterior(found, "quadrature", evidence, success, message, density, cells)
+    return Posterior(best, "quadrature", evidence, success, message, log_density, cells)
 
 
-def _boxed(found: Fit) -> str:
+def _priors(fit: Fit, prior: Distributions) -> tuple[Measure, ...]:
+    """The prior of each free parameter, cut at its bounds: as given, of the problem, or uniform."""
+    free = fit._problem.free
+    for key in prior or {}:
+        if name_of(key) in free.fixed:
+            raise OptionError(f"{quote(name_of(key))} is fixed, and has a prior", term=key)
+    box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
+    usual = {name: from_text(text) for name, text in fit.solution.metadata.distributions}
+    return measures_of(free.names, box, prior, usual)
+
+
+def _boxed(fit: Fit) -> str:
     """Words on parameters that the data alone do not identify."""
-    names = [name for name, identified in found.identifiable.items() if not identified]
+    names = [name for name, identified in fit.identifiable.items() if not identified]
     if not names:
         return ""
     return f"; the data do not identify {listing(names)} alone: box and prior limit them"
 
 
-def _smaller(found: Fit) -> LeastSquares:
+def _without_fixed(fit: Fit) -> LeastSquares:
     """The least squares of the free parameters alone, with ranks that the noise allows."""
-    free, seen = found._problem.free, found.observations
-    slabs = found.solution.outcome.slabs
+    free, observations = fit._problem.free, fit.observations
+    slabs = fit.solution.outcome.slabs
     for position in reversed(range(len(free.order))):
         if free.order[position] in free.fixed:
-            slabs = fixed(slabs, position, free.fixed[free.order[position]])
-    model = TrainModel(slabs, seen.rows, seen.times)
-    unit = found._unit if found._unit > 0.0 else 1.0
+            slabs = with_fixed(slabs, position, free.fixed[free.order[position]])
+    model = TrainModel(slabs, observations.rows, observations.times)
+    unit = fit._unit if fit._unit > 0.0 else 1.0
     positions = tuple(range(len(free.names)))
     alone = replace(free, order=free.names, positions=positions, fixed={})
-    return LeastSquares(model.thinned(seen.scale, _UNNOTICED * unit), seen, alone)
+    return LeastSquares(
+        model.thinned(observations.scale, _UNNOTICED_CHANGE * unit), observations, alone
+    )
 
 
-def _likely(found: Fit, density: Posterity) -> tuple[Array, Array]:
+def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
     """Points where the posterior is large (k, n), and its extents there, others held (n,)."""
-    problem, n = density.problem, density.dimension
+    problem, n = log_density.problem, log_density.dimension
     generator = np.random.default_rng(11)
-    unit = max(found._unit, 1e-12) if math.isfinite(found._unit) else 1.0
-    minima = problem.minima(np.vstack([found._z, spread(_MODES, n, generator)]))
-    good = minima.cost <= minima.cost.min() + _FAR**2 * unit**2
+    unit = max(fit._unit, 1e-12) if math.isfinite(fit._unit) else 1.0
+    minima = problem.minima(np.vstack([fit._z, spread(_MODE_STARTS, n, generator)]))
+    good = minima.cost <= minima.cost.min() + _MODE_DEPTH**2 * unit**2
     near, extents = [], np.ones(n)
     for z, jacobian in zip(minima.z[good], minima.jacobian[good], strict=True):
         slopes = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
         extents = np.minimum(extents, unit / slopes)
         _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
         root = right.T * np.minimum(unit / np.maximum(singular, 1e-12), 1.0)
-        near.append(z + generator.standard_normal((_DRAWN // good.sum(), len(root.T))) @ root.T)
-    wide = generator.random((8 * _DRAWN, n))
-    centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in density.measures]
-    lower, width = density.unit
+        near.append(
+            z + generator.standard_normal((_DRAWN_POINTS // good.sum(), len(root.T))) @ root.T
+        )
+    wide = generator.random((8 * _DRAWN_POINTS, n))
+    centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in log_density.measures]
+    lower, width = log_density.unit
     prior = (np.array(centres).T - lower) / width
     every = np.clip(np.vstack(near), 0.0, 1.0)
     points = np.vstack([minima.z[good], every, prior, wide])
-    logs = density(points)
+    logs = log_density(points)
     if not np.isfinite(logs.max()):
         raise OptionError("the prior has no probability where the data have any")
     likely = points[logs > logs.max() - 0.5 * (3.0**2 + n)]
-    spreads = [_spread(m, z) for m, z in zip(density.measures, width, strict=True)]
+    spreads = [_spread(m, z) for m, z in zip(log_density.measures, width, strict=True)]
     return likely, np.minimum(extents, np.array(spreads))
 
 
-def _spread(measure: Any, width: float) -> float:
+def _spread(measure: Measure, width: float) -> float:
     """Extent of a prior in the unit interval."""
     if measure.distribution is None:
         return 1.0

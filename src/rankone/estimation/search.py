@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from rankone.estimation.fit import Fit, checked_level, quantile_of
-from rankone.estimation.free import Free, free_parameters
+from rankone.estimation.free_parameters import (
+    Bounds,
+    FreeParameters,
+    ParameterValues,
+    free_parameters,
+)
 from rankone.estimation.identification import identify
-from rankone.estimation.least_squares import LeastSquares, Minima
-from rankone.estimation.model import TrainModel
-from rankone.estimation.observations import Observations, observed
+from rankone.estimation.least_squares import LeastSquares, Minima, TrainModel
+from rankone.estimation.observations import Measurements, Observations, observed
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.budget import NORMAL, operations_for
@@ -24,65 +26,123 @@ from rankone.support.wording import count, listing
 
 __all__ = ["fit"]
 
-_LOOKED_AT, _MOST_POINTS, _MOST_STARTS = 128, 2**15, 128
-"""Points of the box among which the starts are chosen, the most of them and of starts, whatever the
-effort."""
-_APART = 1e-2
-"""Distance in the cube from which minima are different ones."""
-_AS_GOOD = 1e-3
-"""Share of the mean square by which minima count as equally good."""
+_SCREENED_POINTS = 128
+"""Points of the box among which the starts are chosen, for normal effort."""
+_MOST_SCREENED_POINTS = 2**15
+"""Most of these points, whatever the effort."""
+_MOST_STARTS = 128
+"""Most starts, whatever the effort."""
+_DISTINCT_DISTANCE = 1e-2
+"""Distance in the cube above which minima are different ones."""
+_EQUAL_COST_SHARE = 1e-3
+"""Share of the mean square by which costs may differ where minima count as equally good."""
+_SAME_DISTANCE = 1e-3
+"""Distance in the cube below which minima are the same one."""
 
 
 def fit(
     solution: SolutionCore,
-    times: Any,
-    data: Any,
+    times: Measurements,
+    data: Measurements,
     *,
-    observe: Any = None,
-    sigma: Any = None,
-    weights: Any = None,
-    fixed: Mapping[Any, Any] | None = None,
-    start: Mapping[Any, Any] | None = None,
-    bounds: Mapping[Any, Any] | None = None,
+    observe: object = None,
+    sigma: Measurements | None = None,
+    weights: Measurements | None = None,
+    fixed: ParameterValues = None,
+    start: ParameterValues = None,
+    bounds: Bounds = None,
     starts: int = 4,
     effort: str | float = "normal",
     level: float = 0.95,
     missing: str = "error",
 ) -> Fit:
-    """Fit parameters to data; parameters and errors are those of :meth:`~rankone.Solution.fit`."""
+    """Parameters from data, by weighted least squares with exact derivatives.
+
+    Parameters
+    ----------
+    times : array_like (times,) or mapping
+        When the data were measured, in the unit of time; the same time may come more than
+        once. A mapping from outputs gives each its own times.
+    data : array_like (times,) or (outputs, times), or mapping
+        What was measured: of one output, of several, or for each by name.
+    observe : name, symbol or list of them, optional
+        The unknowns that were measured, or derivatives that are states. By default those
+        named by the data, or all unknowns.
+    sigma : float or array_like, optional
+        Standard deviation of the noise: a number, one for each output, or one for each datum.
+        If it is not given, one for all data is estimated from the residuals.
+    weights : array_like, optional
+        Instead of sigma, factors of the squares, in the same shapes: one over the variance up
+        to a factor, which is estimated.
+    fixed : mapping, optional
+        Parameters that are known, by names or symbols, and their values.
+    start : mapping, optional
+        A value of some parameters to start from; the others start in the middle.
+    bounds : mapping, optional
+        Intervals of some parameters, parts of the box; by default the box.
+    starts : int
+        Number of further starts, the best of points all over the box.
+    effort : {"low", "normal", "high"} or float
+        Factor on the number of points and of starts: 0.2, 1, 10 or another one.
+    level : float
+        Of the intervals.
+    missing : {"error", "drop"}
+        Whether data that are NaN are an error, or left out.
+
+    Returns
+    -------
+    Fit
+        With the estimates ``x``, ``covariance``, ``interval()``, ``residuals``,
+        ``identifiable``, ``success`` and ``message``. It is a success if the search ended
+        inside of the bounds, every parameter is identified, the residuals are not far above
+        sigma, and the error of the solution is small beside the noise.
+
+    Raises
+    ------
+    OptionError
+        If shapes do not fit, data are NaN, there are fewer data than free parameters, sigma
+        is not positive, an unknown or a parameter is not known, all parameters are fixed or
+        a start is outside of its bounds.
+    EvaluationError
+        If a time is outside of the horizon, or a value outside of the box.
+    """
     solution._evaluator  # noqa: B018 - raises if nothing was solved
     free = free_parameters(solution, fixed, bounds, start)
-    seen = observed(solution, times, data, observe, sigma=sigma, weights=weights, missing=missing)
+    observations = observed(
+        solution, times, data, observe, sigma=sigma, weights=weights, missing=missing
+    )
     level = checked_level(level)
-    starts = checked_number("starts", starts, 0 if start is not None else 1, _LOOKED_AT)
+    starts = checked_number("starts", starts, 0 if start is not None else 1, _SCREENED_POINTS)
     factor = operations_for(effort) / NORMAL
     starts = min(math.ceil(factor * starts), _MOST_STARTS)
-    looked_at = max(min(math.ceil(factor * _LOOKED_AT), _MOST_POINTS), starts, 1)
-    _enough(seen, free)
-    problem = LeastSquares(TrainModel(solution.outcome.slabs, seen.rows, seen.times), seen, free)
-    residuals, from_where = _starts(problem, starts, looked_at)
-    minima = problem.minima(from_where)
+    screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
+    _check_size(observations, free)
+    model = TrainModel(solution.outcome.slabs, observations.rows, observations.times)
+    problem = LeastSquares(model, observations, free)
+    residuals, first = _starts(problem, starts, max(screened, starts, 1))
+    minima = problem.minima(first)
     k = _chosen(minima)
     z, cost, jacobian = minima.z[k], float(minima.cost[k]), minima.jacobian[k]
-    dof = max(seen.size - len(free.names), 1)
-    unit = 1.0 if seen.known else math.sqrt(cost / dof)
-    q = quantile_of(level, seen.known, dof)
-    known = identify(problem, z, cost, jacobian, q, unit)
-    values = np.abs(residuals / seen.scale + seen.values)
-    largest = values.max(axis=0)
-    size = np.array([largest[seen.owner == i].max() for i in range(len(seen.names))])[seen.owner]
+    dof = max(observations.size - len(free.names), 1)
+    unit = 1.0 if observations.sigma_known else math.sqrt(cost / dof)
+    q = quantile_of(level, observations.sigma_known, dof)
+    identification = identify(problem, z, cost, jacobian, q, unit)
+    distinct = () if identification.flat else _others(problem, minima, k, (q * unit) ** 2)
+    largest = np.abs(residuals / observations.scale + observations.values).max(axis=0)
+    outputs = range(len(observations.names))
+    sizes = np.array([largest[observations.owner == i].max() for i in outputs])
     return Fit(
         solution,
-        seen,
+        observations,
         level,
         cost,
         bool(minima.converged[k]),
         problem,
         z,
         minima.residuals[k],
-        known,
-        _others(problem, minima, k, (q * unit) ** 2) if not known.flat else (),
-        size,
+        identification,
+        distinct,
+        sizes[observations.owner],
     )
 
 
@@ -92,39 +152,39 @@ def _others(
     """Minima apart from the chosen one whose costs are within a limit of it."""
     chosen = [minima.z[k]]
     for z, cost, ended in zip(minima.z, minima.cost, minima.converged, strict=True):
-        apart = all(np.abs(z - other).max() > _APART for other in chosen)
+        apart = all(np.abs(z - minimum).max() > _DISTINCT_DISTANCE for minimum in chosen)
         if ended and apart and cost <= minima.cost[k] + max(limit, 1e-9 * minima.cost[k]):
             chosen.append(z)
     return tuple(problem.free.named(z) for z in chosen[1:])
 
 
-def _enough(seen: Observations, free: Free) -> None:
-    """An error for fewer data than parameters."""
-    least = len(free.names) if seen.known else len(free.names) + 1
-    if seen.size < least:
-        spread_too = "" if seen.known else " and sigma"
+def _check_size(observations: Observations, free: FreeParameters) -> None:
+    """Raise an OptionError if there are fewer data than parameters."""
+    free_sigma = not observations.sigma_known
+    if observations.size < len(free.names) + free_sigma:
         raise OptionError(
-            f"there are {count(seen.size, 'value')} for {count(len(free.names), 'parameter')}"
-            f"{spread_too}: {listing(free.names)}",
+            f"there are {count(observations.size, 'value')} for "
+            f"{count(len(free.names), 'parameter')}{' and sigma' if free_sigma else ''}: "
+            f"{listing(free.names)}",
             remedy="measure more, or fix parameters: fixed={name: value}"
-            + ("" if seen.known else "; or give sigma"),
+            + ("; or give sigma" if free_sigma else ""),
         )
 
 
-def _starts(problem: LeastSquares, number: int, looked_at: int) -> tuple[Array, Array]:
+def _starts(problem: LeastSquares, starts: int, screened: int) -> tuple[Array, Array]:
     """Residuals (N, m) at points all over the cube, and the best of them that are apart (k, n)."""
     n = len(problem.free.names)
-    points = spread(looked_at, n, np.random.default_rng(7))
+    points = spread(screened, n, np.random.default_rng(7))
     points[0] = 0.5
     residuals = problem.residuals(points)
     order = np.argsort(np.einsum("km,km->k", residuals, residuals))
     chosen: list[Array] = [] if problem.free.start is None else [problem.free.start]
-    apart = 0.5 * number ** (-1.0 / n) if number else 0.0
-    wanted = len(chosen) + number
+    apart = 0.5 * starts ** (-1.0 / n) if starts else 0.0
+    most = len(chosen) + starts
     for point in points[order]:
-        if len(chosen) == wanted:
+        if len(chosen) == most:
             break
-        if all(np.abs(point - other).max() >= apart for other in chosen):
+        if all(np.abs(point - start).max() >= apart for start in chosen):
             chosen.append(point)
     return residuals, np.array(chosen)
 
@@ -132,9 +192,9 @@ def _starts(problem: LeastSquares, number: int, looked_at: int) -> tuple[Array, 
 def _chosen(minima: Minima) -> int:
     """The best minimum; of those that are as good, the one farthest from the bounds."""
     mean = minima.cost.min() / minima.residuals.shape[1]
-    good = np.flatnonzero(minima.cost <= minima.cost.min() + _AS_GOOD * mean)
+    good = np.flatnonzero(minima.cost <= minima.cost.min() + _EQUAL_COST_SHARE * mean)
     inside = np.minimum(minima.z[good], 1.0 - minima.z[good]).min(axis=1)
     apart = np.abs(minima.z[good] - minima.z[minima.cost.argmin()]).max(axis=1)
-    if apart.max() <= 1e-3:
+    if apart.max() <= _SAME_DISTANCE:
         return int(minima.cost.argmin())
     return int(good[np.argmax(inside)])

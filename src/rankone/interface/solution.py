@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from rankone.estimation.methods import EstimationFromData
+from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
 from rankone.outputs.solved import samples_of, with_outputs
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted

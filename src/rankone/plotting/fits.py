@@ -75,7 +75,7 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
     axes[-1].set_xlabel(label_of(solution, solution.metadata.time))
     if len(axes) > 1:
         _draw_residuals(axes[1], outputs)
-        unit = "[std]" if fit.observations.known else "[estimated std]"
+        unit = "[std]" if fit.observations.sigma_known else "[estimated std]"
         axes[1].set_ylabel("residual" if outputs[0].sigma is None else f"residual\n{unit}")
     return axes
 
@@ -112,7 +112,7 @@ def _output(fit: Fit, solution: Solution, number: int) -> _Output:
     observed = fit.observations
     name, here = observed.names[number], observed.owner == number
     times = observed.times[here]
-    unit = 1.0 if observed.known else fit.sigma
+    unit = 1.0 if observed.sigma_known else fit.sigma
     sigma = unit / observed.scale[here] if np.isfinite(unit) and unit > 0.0 else None
     fine = fine_times(solution, float(times.max(initial=solution.time[0])), _TIMES)
     curve = np.array([fine, solution[name](fine, fit.values), _half_widths(fit, name, fine)])

@@ -46,7 +46,7 @@ _MOST_GRID_DIMENSIONS = 3
 _GRID_STEPS = (1.0, 0.75, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625)
 """Steps of grids in normal numbers, finer and finer."""
 _MOST_GRID_POINTS = 2**17
-"""Most points of a grid: what takes about a second for a train of usual ranks."""
+"""Most points of a grid, to bound time and memory."""
 _EVEN_POINTS = 2**14
 """Evenly spread points, which are good to about 1e-3 of the standard deviation."""
 _LEAST_EIGENVALUE = 1e-10

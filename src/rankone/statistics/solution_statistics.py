@@ -22,9 +22,9 @@ __all__ = ["Certainty", "MainEffects", "Sobol", "Statistics"]
 _Moments = TypeVar("_Moments")
 
 _POINTS_AT_ONCE = 2**14
-"""Points that are evaluated at once: their products fit in the cache."""
+"""Points that are evaluated together, to bound memory."""
 _SLABS_REMEMBERED = 4
-"""Latest slabs whose moments may serve a slab that shares their cores; only neighbours do."""
+"""Latest slabs whose moments may serve a later slab that shares their cores."""
 _STILL = 1e-13
 """Standard deviation, relative to the size of a state, below which it is rounding."""
 _ROUNDING_ERROR = 1e-13

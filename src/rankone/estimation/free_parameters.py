@@ -14,11 +14,16 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 
-__all__ = ["Free", "free_parameters"]
+__all__ = ["Bounds", "FreeParameters", "ParameterValues", "free_parameters"]
+
+ParameterValues = Mapping[Any, float] | None
+"""Values by parameter, a name or a symbol."""
+Bounds = Mapping[Any, tuple[float, float]] | None
+"""Intervals by parameter, a name or a symbol."""
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameters:
     """The free parameters as coordinates z of a unit cube.
 
     Attributes
@@ -29,8 +34,8 @@ class Free:
     lower, upper : ndarray (n,)
         Bounds, in the unit of each parameter.
     fixed : dict of str to float
-    count : int
-        Number of all parameters.
+    order : tuple of str
+        Names of all parameters of the solution.
     start : ndarray (n,) or None
         Where the search starts, in z.
     """
@@ -64,13 +69,17 @@ class Free:
         """The free parameters at z (n,), by name."""
         return dict(zip(self.names, map(float, self.values(z)), strict=True))
 
+    def complete(self, free: Mapping[str, float]) -> dict[str, float]:
+        """All parameters by name, in their order, for values of the free ones."""
+        return {name: free[name] if name in free else self.fixed[name] for name in self.order}
+
 
 def free_parameters(
     solution: SolutionCore,
-    fixed: Mapping[Any, Any] | None = None,
-    bounds: Mapping[Any, Any] | None = None,
-    start: Mapping[Any, Any] | None = None,
-) -> Free:
+    fixed: ParameterValues = None,
+    bounds: Bounds = None,
+    start: ParameterValues = None,
+) -> FreeParameters:
     """Check what is fixed, the bounds and the start.
 
     Raises
@@ -81,82 +90,78 @@ def free_parameters(
     EvaluationError
         If a value or a bound is outside of the box.
     """
-    known = tuple(solution.parameters)
-    held = {name: _number(solution, name, v) for name, v in _by_name(known, "fixed", fixed)}
-    names = tuple(name for name in known if name not in held)
+    order = tuple(solution.parameters)
+    held = {name: _in_box(solution, name, x) for name, x in _by_name(order, "fixed", fixed)}
+    names = tuple(name for name in order if name not in held)
     if not names:
-        what = "all parameters are fixed" if known else "the solution has no parameters"
-        raise OptionError(what, term=fixed, remedy="leave one of them free")
+        reason = "all parameters are fixed" if order else "the solution has no parameters"
+        raise OptionError(reason, term=fixed, remedy="leave one of them free")
     box = {name: solution.parameters[name] for name in names}
-    for name, interval in _by_name(known, "bounds", bounds):
+    for name, interval in _by_name(order, "bounds", bounds):
         if name in held:
             raise OptionError(f"{quote(name)} is fixed, and has bounds", term=name)
         box[name] = _interval(solution, name, interval)
     lower, upper = np.array(list(box.values())).T
-    return Free(
+    return FreeParameters(
         names=names,
-        positions=tuple(known.index(name) for name in names),
+        positions=tuple(order.index(name) for name in names),
         lower=lower,
         upper=upper,
         fixed=held,
-        order=known,
-        start=_start(solution, known, held, box, start),
+        order=order,
+        start=None if start is None else _start(solution, held, box, start),
     )
 
 
 def _start(
     solution: SolutionCore,
-    known: tuple[str, ...],
     held: Mapping[str, float],
     box: Mapping[str, tuple[float, float]],
-    start: Mapping[Any, Any] | None,
-) -> Array | None:
+    start: ParameterValues,
+) -> Array:
     """Where to start in the unit cube; in the middle where nothing is said."""
-    if start is None:
-        return None
     z = dict.fromkeys(box, 0.5)
-    for name, value in _by_name(known, "start", start):
+    for name, given in _by_name(tuple(solution.parameters), "start", start):
         if name in held:
             raise OptionError(f"{quote(name)} is fixed, and has a start", term=name)
-        number, (lower, upper) = _number(solution, name, value), box[name]
-        if not lower <= number <= upper:
+        x, (lower, upper) = _in_box(solution, name, given), box[name]
+        if not lower <= x <= upper:
             raise OptionError(
-                f"the start {quote(name)} = {number:g} is outside of its bounds "
-                f"[{lower:g}, {upper:g}]",
-                term=value,
+                f"the start {quote(name)} = {x:g} is outside of its bounds [{lower:g}, {upper:g}]",
+                term=given,
                 remedy="start inside",
             )
-        z[name] = (number - lower) / (upper - lower)
+        z[name] = (x - lower) / (upper - lower)
     return np.array(list(z.values()))
 
 
-def _by_name(known: tuple[str, ...], what: str, given: Any) -> list[tuple[str, Any]]:
-    """What is given for parameters, by their names."""
+def _by_name(names: tuple[str, ...], option: str, given: object) -> list[tuple[str, Any]]:
+    """What an option gives for parameters, by their names."""
     if not isinstance(given, Mapping | None):
         raise OptionError(
-            f"{what}={given!r} is not a mapping from parameters",
+            f"{option}={given!r} is not a mapping from parameters",
             term=given,
-            remedy=f"give {what}={{name: ...}}",
+            remedy=f"give {option}={{name: ...}}",
         )
-    pairs = [(name_of(key), value) for key, value in (given or {}).items()]
+    pairs = [(name_of(key), entry) for key, entry in (given or {}).items()]
     for name, _ in pairs:
-        if name not in known:
+        if name not in names:
             raise OptionError(
-                f"{what}: there is no parameter {quote(name)}{did_you_mean(name, known)}",
+                f"{option}: there is no parameter {quote(name)}{did_you_mean(name, names)}",
                 term=name,
-                remedy=f"known are {listing(known)}" if known else "the solution has none",
+                remedy=f"known are {listing(names)}" if names else "the solution has none",
             )
     if len({name for name, _ in pairs}) < len(pairs):
-        raise OptionError(f"{what}: a parameter is given twice", term=given)
+        raise OptionError(f"{option}: a parameter is given twice", term=given)
     return pairs
 
 
-def _number(solution: SolutionCore, name: str, value: Any) -> float:
-    """One value inside of the box."""
+def _in_box(solution: SolutionCore, name: str, given: object) -> float:
+    """One value of a parameter inside of the box."""
     position = solution.metadata.parameters.index(name) + 1
-    array = solution._coordinates.checked(position, value)
+    array = solution._coordinates.checked(position, given)
     if array.ndim:
-        raise OptionError(f"{quote(name)} is {value!r}, not a number", term=value)
+        raise OptionError(f"{quote(name)} is {given!r}, not a number", term=given)
     return float(array)
 
 
@@ -168,7 +173,7 @@ def _interval(solution: SolutionCore, name: str, interval: Any) -> tuple[float, 
         raise OptionError(
             f"the bounds of {quote(name)} are {interval!r}, not a pair of numbers", term=interval
         ) from None
-    lower, upper = _number(solution, name, low), _number(solution, name, high)
+    lower, upper = _in_box(solution, name, low), _in_box(solution, name, high)
     if not lower < upper:
         raise OptionError(
             f"the bounds ({lower:g}, {upper:g}) of {quote(name)} do not ascend",

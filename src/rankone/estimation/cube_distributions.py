@@ -1,0 +1,388 @@
+"""Distributions in a unit cube: on cells that are halved, or as points of a Markov chain.
+
+Up to three parameters the density is known on cells, each with a tensor grid of Gauss-Legendre
+nodes. A cell is halved, in the direction in which the density varies most, until its integral is
+that of its halves.
+
+Beyond, walkers move by differences of others (ter Braak & Vrugt, "Differential evolution Markov
+chain with snooker updater", 2008), by emcee: ``pip install emcee``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Protocol
+
+import numpy as np
+import scipy.stats
+from numpy.polynomial.legendre import leggauss, legint, legval, legvander
+
+from rankone.support.arrays import Array
+from rankone.support.errors import RankoneError
+
+__all__ = ["Cells", "Chain", "CubeDistribution", "Density", "adapted", "chain"]
+
+Density = Callable[[Array], Array]
+"""A density, or its logarithm, at points (N, n) of the unit cube: shape (N,)."""
+
+_NODES = {1: 10, 2: 7, 3: 5}
+"""Gauss nodes of a cell in each direction, by dimension."""
+_TOLERANCE = {1: 1e-8, 2: 1e-5, 3: 3e-4}
+"""Sum of the errors of the integrals over all cells, in shares of the whole, by dimension."""
+_LEAST_SHARES = 50
+"""A cell may have this share of the tolerance, or that of all cells if they are more."""
+_MOST_POINTS = 2_000_000
+"""Points of the density after which no cell is halved any more: bounds time and memory."""
+_MOST_ROUNDS = 60
+"""Most halvings of a cell: below 2**-52 there are no numbers between its ends."""
+_FIRST_CELLS = {1: 16, 2: 8, 3: 4}
+"""Cells in each direction to begin with, by dimension."""
+_FIRST_DEVIATIONS = {1: 2.0, 2: 2.0, 3: 4.0}
+"""Widest first cells where the density is thought to be, in its standard deviations."""
+_MOST_FIRST_CELLS = 4000
+"""Cells after which the first ones are not cut any more."""
+_BISECTIONS = 60
+"""Bisections for a quantile: more than the digits of a number."""
+_CEILING_RATIO = 1.3
+"""Ceiling of the density on a cell, over its largest value at the nodes."""
+_WALKERS_EACH = 16
+"""Walkers for each parameter."""
+_LEAST_WALKERS = 32
+"""Least number of walkers, whatever the number of parameters."""
+_LONG_ENOUGH = 40.0
+"""Steps in autocorrelation times from which a chain is long enough: quantiles to a few percent."""
+_DISCARDED_TIMES = 5.0
+"""Autocorrelation times at the start of a chain that are discarded."""
+
+
+class CubeDistribution(Protocol):
+    """A distribution in the unit cube: nodes with masses, marginals and quantiles."""
+
+    @property
+    def nodes(self) -> Array: ...
+    @property
+    def masses(self) -> Array: ...
+    def marginal(self, j: int, z: Array) -> Array: ...
+    def quantile(self, j: int, shares: Array) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A density of total mass one on the unit cube, known on cells.
+
+    Attributes
+    ----------
+    lower, width : ndarray (c, n)
+    densities : ndarray (c, *nodes)
+        The density at the nodes of each cell.
+    error : float
+        Estimated error of integrals, relative.
+    points : int
+        Number of points at which the density was evaluated.
+    """
+
+    lower: Array
+    width: Array
+    densities: Array
+    error: float
+    points: int
+
+    @cached_property
+    def nodes(self) -> Array:
+        """All nodes (c * nodes, n)."""
+        return _nodes(self.lower, self.width).reshape(-1, self.lower.shape[1])
+
+    @cached_property
+    def masses(self) -> Array:
+        """Probability at each of the nodes (c * nodes,)."""
+        return (self.densities.reshape(len(self.densities), -1) * _weights(self.width)).ravel()
+
+    def marginal(self, j: int, z: Array) -> Array:
+        """Marginal density of coordinate j at z (k,)."""
+        return self._along(j, z, cumulative=False)
+
+    def cumulative(self, j: int, z: Array) -> Array:
+        """Probability that coordinate j is below z (k,)."""
+        return self._along(j, z, cumulative=True)
+
+    def quantile(self, j: int, shares: Array) -> Array:
+        """Values of coordinate j below which there are shares (k,) of the probability."""
+        low, high = np.zeros(shares.shape), np.ones(shares.shape)
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            below = self.cumulative(j, middle) < shares
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array:
+        """Points (count, n), by rejection on cells.
+
+        ``density`` is that of which the cells know the values, in the same unit.
+        """
+        flat = self.densities.reshape(len(self.densities), -1)
+        ceiling = _CEILING_RATIO * flat.max(axis=1)
+        share = ceiling * np.prod(self.width, axis=1)
+        share = share / share.sum()
+        blocks: list[Array] = []
+        missing = count
+        while missing > 0:
+            chosen = generator.choice(share.size, 2 * missing + 16, p=share)
+            inside = generator.random((chosen.size, self.lower.shape[1]))
+            points = self.lower[chosen] + self.width[chosen] * inside
+            kept = points[generator.random(chosen.size) * ceiling[chosen] < density(points)]
+            blocks.append(kept[:missing])
+            missing -= len(blocks[-1])
+        return np.concatenate(blocks) if blocks else np.zeros((0, self.lower.shape[1]))
+
+    def _along(self, j: int, z: Array, cumulative: bool) -> Array:
+        """Marginal density of coordinate j at z, or its integral from zero."""
+        lower, width = self.lower[:, j], self.width[:, j]
+        end = lower + width
+        coefficients, masses = self._polynomials[j]
+        marginal = np.zeros(z.shape)
+        for i, point in enumerate(z.ravel()):
+            inside = (lower <= point) & ((point < end) | (end >= 1.0))
+            if cumulative:
+                inside = (end > point) & (lower < point)
+            here = np.flatnonzero(inside)
+            xi = 2.0 * (point - lower[here]) / width[here] - 1.0
+            polynomials = coefficients[here].T
+            if cumulative:
+                mass = legval(xi, legint(polynomials, lbnd=-1), tensor=False) * 0.5 * width[here]
+                marginal.ravel()[i] = masses[end <= point].sum() + mass.sum()
+            else:
+                marginal.ravel()[i] = legval(xi, polynomials, tensor=False).sum()
+        return marginal
+
+    @cached_property
+    def _polynomials(self) -> list[tuple[Array, Array]]:
+        """For each coordinate the marginal density on each cell, in Legendre polynomials."""
+        n = self.lower.shape[1]
+        xi, weights = leggauss(_NODES[n])
+        degrees = np.arange(xi.size)
+        to_modes = (legvander(xi, xi.size - 1) * weights[:, None]).T * (degrees[:, None] + 0.5)
+        pairs = []
+        for j in range(n):
+            density = np.moveaxis(self.densities, 1 + j, 1)
+            widths = np.delete(self.width, j, axis=1)
+            for k in range(n - 1):
+                density = density @ (0.5 * weights)
+                density = density * widths[:, k].reshape(-1, *[1] * (density.ndim - 1))
+            coefficients = density @ to_modes.T
+            pairs.append((coefficients, coefficients[:, 0] * self.width[:, j]))
+        return pairs
+
+
+def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, float]:
+    """The cells of a density, and the logarithm of its integral.
+
+    Parameters
+    ----------
+    log_density : callable
+        Logarithm of the density, up to a summand, at points (N, n) of the unit cube: shape (N,).
+    likely : ndarray (k, n)
+        Where the density is large: cells there begin small.
+    spread : ndarray (n,)
+        How far the density extends there in each direction, the others held.
+    """
+    lower, width = _first(likely, spread)
+    logs = _evaluated(log_density, lower, width)
+    points, whole, error = logs.size, 0.0, 0.0
+    top = float(max(logs.max(), np.max(log_density(likely))))
+    done: list[tuple[Array, Array, Array]] = []
+    for turn in range(_MOST_ROUNDS):
+        halves = _halved(lower, width, np.exp(logs - top))
+        finer = _evaluated(log_density, *halves)
+        points += finer.size
+        higher = max(top, float(finer.max()))
+        whole, error = whole * np.exp(top - higher), error * np.exp(top - higher)
+        top = higher
+        fine = _integrals(halves[1], finer, top).reshape(2, -1).sum(axis=0)
+        errors = np.abs(_integrals(width, logs, top) - fine)
+        tolerance = _TOLERANCE[lower.shape[1]] * (whole + float(fine.sum()))
+        good = errors <= tolerance / max(len(errors), _LEAST_SHARES)
+        if points > _MOST_POINTS or turn == _MOST_ROUNDS - 1:
+            good[:] = True
+        whole, error = whole + float(fine[good].sum()), error + float(errors[good].sum())
+        both = np.tile(good, 2)
+        done.append((halves[0][both], halves[1][both], finer[both]))
+        lower, width, logs = halves[0][~both], halves[1][~both], finer[~both]
+        if not len(lower):
+            break
+    lower, width, logs = (np.concatenate(arrays) for arrays in zip(*done, strict=True))
+    densities = np.exp(logs - top) / whole
+    return Cells(lower, width, densities, error / whole, points), top + float(np.log(whole))
+
+
+def _integrals(width: Array, logs: Array, top: float) -> Array:
+    """Integrals over cells (c,) of densities given by logarithms."""
+    densities = np.exp(logs - top).reshape(len(logs), -1)
+    return np.asarray(np.sum(densities * _weights(width), axis=1))
+
+
+def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
+    """Cells to begin with: small where the density is likely to be large."""
+    n = likely.shape[1]
+    count = _FIRST_CELLS[n]
+    corners = np.array(list(itertools.product(range(count), repeat=n))) / count
+    lower, width = corners, np.full(corners.shape, 1.0 / count)
+    narrow = np.maximum(_FIRST_DEVIATIONS[n] * spread, 1e-12)
+    for _ in range(200):
+        wide = width > narrow
+        inside = np.zeros(len(lower), dtype=bool)
+        candidates = np.flatnonzero(wide.any(axis=1))
+        for k in candidates:
+            between = (likely >= lower[k]) & (likely <= lower[k] + width[k])
+            inside[k] = bool(between.all(axis=1).any())
+        if not inside.any() or len(lower) > _MOST_FIRST_CELLS:
+            break
+        ratio = width[inside] / narrow
+        cut_lower, cut_width = _cut(lower[inside], width[inside], np.argmax(ratio, axis=1))
+        lower = np.concatenate([lower[~inside], cut_lower])
+        width = np.concatenate([width[~inside], cut_width])
+    return lower, width
+
+
+def _halved(lower: Array, width: Array, densities: Array) -> tuple[Array, Array]:
+    """Both halves of each cell, first all lower ones, cut where the density varies most."""
+    n = lower.shape[1]
+    rough = np.empty(lower.shape)
+    for j in range(n):
+        along = np.moveaxis(densities, 1 + j, -1)
+        change = np.abs(np.diff(along, n=2, axis=-1))
+        rough[:, j] = change.reshape(len(densities), -1).sum(axis=1)
+    axis = np.where(rough.max(axis=1) > 0.0, rough.argmax(axis=1), width.argmax(axis=1))
+    return _cut(lower, width, axis)
+
+
+def _cut(lower: Array, width: Array, axis: Array) -> tuple[Array, Array]:
+    rows = np.arange(len(lower))
+    half = width.copy()
+    half[rows, axis] *= 0.5
+    upper = lower.copy()
+    upper[rows, axis] += half[rows, axis]
+    return np.concatenate([lower, upper]), np.concatenate([half, half])
+
+
+def _nodes(lower: Array, width: Array) -> Array:
+    """Nodes of cells, (c, nodes, n)."""
+    n = lower.shape[1]
+    xi, _ = leggauss(_NODES[n])
+    grid = np.stack(np.meshgrid(*[0.5 * (xi + 1.0)] * n, indexing="ij"), axis=-1).reshape(-1, n)
+    return np.asarray(lower[:, None, :] + width[:, None, :] * grid)
+
+
+def _weights(width: Array) -> Array:
+    """Weights of the nodes of cells, (c, nodes)."""
+    n = width.shape[1]
+    _, weights = leggauss(_NODES[n])
+    product = np.ones(1)
+    for _ in range(n):
+        product = np.multiply.outer(product, 0.5 * weights).ravel()
+    return np.asarray(np.prod(width, axis=1)[:, None] * product)
+
+
+def _evaluated(log_density: Density, lower: Array, width: Array) -> Array:
+    """Logarithms at the nodes of cells, (c, *nodes)."""
+    n = lower.shape[1]
+    points = _nodes(lower, width).reshape(-1, n)
+    blocks = np.array_split(points, len(points) // 65536 + 1)
+    logs = np.concatenate([log_density(block) for block in blocks])
+    return logs.reshape(len(lower), *[_NODES[n]] * n)
+
+
+# --- Markov chains -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Points of a chain after its start.
+
+    Attributes
+    ----------
+    nodes : ndarray (k, n)
+        In the unit cube.
+    autocorrelation : float
+        Steps after which walkers forget; the largest over the parameters.
+    length : int
+        Number of steps.
+    """
+
+    nodes: Array
+    autocorrelation: float
+    length: int
+
+    @property
+    def masses(self) -> Array:
+        """Probability of each point (k,)."""
+        return np.full(len(self.nodes), 1.0 / len(self.nodes))
+
+    @property
+    def success(self) -> bool:
+        """Whether the chain is many autocorrelation times long."""
+        return bool(self.length >= _LONG_ENOUGH * self.autocorrelation)
+
+    @property
+    def message(self) -> str:
+        """How long the chain is."""
+        time = f"{self.autocorrelation:.3g}"
+        text = f"the chain has {self.length} steps, its autocorrelation time is {time}"
+        return text if self.success else f"{text}: too short; remedy: steps={4 * self.length}"
+
+    def marginal(self, j: int, z: Array) -> Array:
+        """Marginal density of coordinate j at z (k,), by a Gaussian kernel."""
+        column = self.nodes[:, j]
+        mirrored = np.concatenate([column, -column, 2.0 - column])
+        kernel = scipy.stats.gaussian_kde(mirrored[:: max(1, mirrored.size // 30000)])
+        return np.asarray(3.0 * kernel(z))
+
+    def quantile(self, j: int, shares: Array) -> Array:
+        """Values of coordinate j below which there are shares (k,) of the points."""
+        return np.asarray(np.quantile(self.nodes[:, j], shares))
+
+
+def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
+    """A seeded chain for the logarithm of a density, from points where it is large (k, n).
+
+    Raises
+    ------
+    RankoneError
+        If emcee is not installed.
+    """
+    emcee = _emcee()
+    n = likely.shape[1]
+    count = max(_LEAST_WALKERS, _WALKERS_EACH * n)
+    generator = np.random.default_rng(seed)
+    chosen = likely[generator.integers(0, len(likely), count)]
+    start = np.clip(chosen + 1e-4 * generator.standard_normal(chosen.shape), 1e-9, 1.0 - 1e-9)
+
+    def inside_cube(z: Array) -> Array:
+        inside = ((z >= 0.0) & (z <= 1.0)).all(axis=1)
+        logs = np.full(len(z), -np.inf)
+        if inside.any():
+            logs[inside] = log_density(z[inside])
+        return logs
+
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    sampler = emcee.EnsembleSampler(count, n, inside_cube, moves=moves, vectorize=True)
+    state = np.random.RandomState(seed).get_state()
+    sampler.run_mcmc(emcee.State(start, random_state=state), steps)
+    time = float(np.max(sampler.get_autocorr_time(tol=0)))
+    time = time if np.isfinite(time) else float(steps)
+    burn = int(min(_DISCARDED_TIMES * time, 0.5 * steps))
+    return Chain(sampler.get_chain(discard=burn, flat=True), time, steps)
+
+
+def _emcee() -> ModuleType:
+    try:
+        return importlib.import_module("emcee")
+    except ImportError:
+        raise RankoneError(
+            "posteriors of more than three parameters need emcee",
+            remedy="pip install emcee, or fix parameters",
+        ) from None
