@@ -73,6 +73,7 @@ def _head(
         "",
         *textwrap.wrap(origin, WIDTH),
         TERMS,
+        "Below the line Runtime are modules of rankone as they stand in the library.",
         *about[3:],
         "",
         *_usage(metadata),
@@ -81,8 +82,6 @@ def _head(
 
 
 _IMPORTS = """
-# ruff: noqa: E501, RUF012, RUF100, UP037
-
 from __future__ import annotations
 
 import os
@@ -189,6 +188,7 @@ _RUNTIME = f"""
 #
 # A module is a function that runs once, in a namespace of its own: all its names are global there.
 # {"=" * (WIDTH - 3)}
+# ruff: noqa: E501, RUF012, RUF100, UP037
 # fmt: off
 """
 
