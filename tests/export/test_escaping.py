@@ -19,7 +19,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.codegen.text import commented, docstring, quoted
-from rankone.export.escaping import c_comment, c_string, js_comment, js_string
+from rankone.export.templates import c_comment, c_string, js_comment, js_string
 from rankone.interface.solution import Solution
 from rankone.ir.verdict import Remedy
 from tests.export.node import NODE, needs_node

@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.export.escaping import c_comment, c_string
 from rankone.export.packing import PackedModel
-from rankone.export.templates import LINE, TERMS, comment, filled, wrapped
+from rankone.export.templates import LINE, TERMS, c_comment, c_string, comment, filled, wrapped
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
 from rankone.support.version import __version__

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization.coordinates import round_off
-from rankone.export.escaping import js_comment, js_string
 from rankone.export.packing import PackedCore, PackedModel
-from rankone.export.templates import LINE, TERMS, comment, filled
+from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError
 from rankone.support.files import Content

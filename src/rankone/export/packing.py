@@ -2,32 +2,59 @@
 
 Every core of every slab is kept as Chebyshev coefficients on its elements, whatever the basis of
 the solve was, so that a model needs one recurrence and one contraction.
+
+A model that may differ from its solution is made smaller: ranks are cut first, then entries that do
+not matter. Both bound a root mean square, so the largest difference is measured at points, and the
+tolerance of the cut is adapted until that difference is small enough.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import math
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
-from rankone.export.rounding import Rounding, rounded_slabs
+import numpy as np
+
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.options import checked_number
 from rankone.support.units import with_unit
+from rankone.tensors.cross import rounded
 from rankone.tensors.evaluator import TrainEvaluator
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, sharing
+from rankone.tensors.train import thinned
+from rankone.verification.search import Climb, climbed
 
 __all__ = ["PackedCore", "PackedModel", "States", "check_states", "checked_rtol", "pack"]
 
 States = Literal["unknowns", "all"]
 """What a model evaluates: the unknowns, or every state."""
 
-_SMALLEST, _LARGEST = 1e-12, 0.1
-"""By how much a model may differ from the solution."""
+_SMALLEST_RTOL = 1e-12
+"""Smallest difference between model and solution that can be asked for: above rounding errors."""
+_LARGEST_RTOL = 0.1
+"""Largest difference that can be asked for: beyond it a model says little."""
+_RANDOM_POINTS = 4200
+"""Random points at which a smaller model is compared with the solution, a multiple of six."""
+_SHARES_AT_ENDS = (0.0, 0.5, 1.0)
+"""Share of the parameters that are at ends of their intervals, for each third of the points."""
+_MEASURED_MARGIN = 0.7
+"""Largest measured difference, over ``rtol``: points miss the largest one."""
+_GOOD_ENOUGH = 0.45
+"""Measured difference over ``rtol`` above which no larger tolerance is tried."""
+_MAX_LOOSENING = 4.0
+"""Largest tolerance of the cut over ``rtol``; the mean square can be that far below the maximum."""
+_MAX_ATTEMPTS = 9
+"""Cuts that are tried: doubling or reducing the tolerance, then bisecting."""
+_CLIMBERS = 24
+"""Points from which larger differences are looked for."""
+_DIFFERENCE_CLIMB = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, seed=1)
+"""How a point climbs to larger differences."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +129,11 @@ class PackedModel:
         cores: dict[Hashable, PackedCore] = {}
         keys: list[list[Hashable]] = []
         for slab in self.slabs:
-            own = [(c.lower, c.scale, c.edges, c.tensor.shape, c.tensor.tobytes()) for c in slab]
-            for key, core in zip(own, slab, strict=True):
+            keys.append(
+                [(c.lower, c.scale, c.edges, c.tensor.shape, c.tensor.tobytes()) for c in slab]
+            )
+            for key, core in zip(keys[-1], slab, strict=True):
                 cores.setdefault(key, core)
-            keys.append([*own])
         position = {key: k for k, key in enumerate(cores)}
         return (*cores.values(),), tuple(tuple(position[key] for key in slab) for slab in keys)
 
@@ -154,7 +182,7 @@ def pack(
         rounding = rounded_slabs(slabs, intervals, rtol)
         slabs = list(rounding.slabs)
         errors = [a + b for a, b in zip(errors, rounding.differences, strict=True)]
-        summary = (*summary, _said(rounding, rtol))
+        summary = (*summary, _difference_line(rounding, rtol))
     return PackedModel(
         unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
@@ -181,7 +209,9 @@ def check_states(states: States) -> None:
 
 def checked_rtol(rtol: float | None) -> float | None:
     """By how much a model may differ from the solution, or an OptionError."""
-    return None if rtol is None else checked_number("rtol", rtol, _SMALLEST, _LARGEST, float)
+    return (
+        None if rtol is None else checked_number("rtol", rtol, _SMALLEST_RTOL, _LARGEST_RTOL, float)
+    )
 
 
 def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:
@@ -189,8 +219,8 @@ def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:
     return replace(slab, cores=(slab.cores[0][rows], *slab.cores[1:]))
 
 
-def _said(rounding: Rounding, rtol: float) -> str:
-    """A line that says how far a model may be from the solution."""
+def _difference_line(rounding: Rounding, rtol: float) -> str:
+    """How far a model may be from the solution, as a line of the summary."""
     largest = max(rounding.differences)
     return (
         f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
@@ -215,3 +245,123 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
         "",
         f"Relative tolerance asked for: {solution.rtol:g}; {solution.message}.",
     )
+
+
+# --- smaller models ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Rounded trains, and how far they are from those before.
+
+    Attributes
+    ----------
+    slabs : tuple of SlabTrain
+        Slabs that shared the cores of their parameters go on sharing them.
+    differences : tuple of float
+        For each state the largest difference at the points and by climbing from the worst of
+        them, relative to its size: its largest value at the points.
+    points : int
+        Number of points.
+    """
+
+    slabs: tuple[SlabTrain, ...]
+    differences: tuple[float, ...]
+    points: int = _RANDOM_POINTS
+
+
+def rounded_slabs(
+    slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]], rtol: float
+) -> Rounding:
+    """Trains with fewer coefficients that differ by at most ``rtol`` of each state's size.
+
+    ``slabs`` are consecutive and of the same states, ``intervals`` those of time and of each
+    parameter. The slabs stay as they are if no smaller ones are within ``rtol``.
+    """
+    points = _points(slabs, intervals)
+    rows = slice(0, len(slabs[0].cores[0]))
+    states = TrainEvaluator(slabs).many(points, rows)
+    sizes = np.abs(states).max(axis=1)
+    sizes[sizes == 0.0] = 1.0
+    best = Rounding(tuple(slabs), (0.0,) * len(sizes))
+    low, high, tolerance = 0.0, 0.0, rtol
+    for _ in range(_MAX_ATTEMPTS):
+        smaller = tuple(slab for run in sharing(slabs) for slab in _smaller(run, sizes, tolerance))
+        differences = _differences(slabs, smaller, points, states, sizes, intervals)
+        largest = float(differences.max())
+        if largest <= _MEASURED_MARGIN * rtol:
+            best, low = Rounding(smaller, tuple(differences.tolist())), tolerance
+        else:
+            high = tolerance
+        loose = largest >= _GOOD_ENOUGH * rtol or tolerance >= _MAX_LOOSENING * rtol
+        if low == tolerance and loose:
+            break
+        tolerance = _next(low, high)
+    return best
+
+
+def _differences(
+    slabs: Sequence[SlabTrain],
+    smaller: Sequence[SlabTrain],
+    points: Array,
+    states: Array,
+    sizes: Array,
+    intervals: Sequence[tuple[float, float]],
+) -> Array:
+    """Largest difference of each state over its size: at points, and climbing from the worst."""
+    before, after = TrainEvaluator(slabs), TrainEvaluator(smaller)
+    rows = slice(0, len(sizes))
+    at_points = np.abs(after.many(points, rows) - states) / sizes[:, None]
+    largest = at_points.max(axis=1)
+
+    def difference(tried: Array) -> Array:
+        nonlocal largest
+        changes = np.abs(after.many(tried.T, rows) - before.many(tried.T, rows)) / sizes[:, None]
+        largest = np.maximum(largest, changes.max(axis=1))
+        return np.asarray(changes.max(axis=0))
+
+    worst = np.argsort(-at_points.max(axis=0))[:_CLIMBERS]
+    heights = at_points[:, worst].max(axis=0)
+    climbed(difference, points[:, worst].T, heights, np.array(intervals), _DIFFERENCE_CLIMB)
+    return np.asarray(largest)
+
+
+def _next(low: float, high: float) -> float:
+    """A tolerance between one that is small enough and one that is not, 0 if it is not known."""
+    if low and high:
+        return math.sqrt(low * high)
+    return 2.0 * low if low else 0.3 * high
+
+
+def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]) -> Array:
+    """Random points (coordinates, N), with many where trains differ most.
+
+    A third lies anywhere, a third on faces and edges of the box, a third at its corners; half of
+    all are at ends of slabs.
+    """
+    rng = np.random.default_rng(0)
+    ends = np.array(intervals)
+    shares = rng.random((len(ends), _RANDOM_POINTS))
+    at_ends = rng.random(shares.shape) < np.repeat(
+        _SHARES_AT_ENDS, _RANDOM_POINTS // len(_SHARES_AT_ENDS)
+    )
+    shares = np.where(at_ends, np.round(shares), shares)
+    points = np.clip(ends[:, :1] + shares * np.diff(ends), ends[:, :1], ends[:, 1:])
+    edges = np.clip([edge for slab in slabs for edge in (slab.start, slab.end)], *ends[0])
+    points[0, ::2] = rng.choice(edges, _RANDOM_POINTS // 2)
+    return points
+
+
+def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[SlabTrain]:
+    """Slabs that share the cores of their parameters, within a tolerance in the mean square.
+
+    They are one train, whose first core has the polynomials of all of them.
+    """
+    first = np.concatenate([slab.cores[0] for slab in run], axis=1) / sizes[:, None, None]
+    share = np.sqrt(0.5) * tolerance
+    cores = thinned(rounded([first, *run[0].cores[1:]], share), share)
+    counts = np.cumsum([slab.cores[0].shape[1] for slab in run])
+    firsts = np.split(cores[0] * sizes[:, None, None], counts[:-1], axis=1)
+    return [
+        replace(slab, cores=(first, *cores[1:])) for slab, first in zip(run, firsts, strict=True)
+    ]

@@ -1,42 +1,59 @@
-"""Templates of exported files."""
+"""Templates of exported files in C, JavaScript and HTML, and text that stays a comment or a string.
+
+What a comment may hold is decided for each language here and nowhere else. Whatever the text, it
+ends neither the line nor the comment and begins no other one; a string says the same text exactly.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
-from rankone.codegen.text import paragraph
+from rankone.codegen.text import one_line, paragraph
 
-__all__ = ["LINE", "TERMS", "comment", "filled", "wrapped"]
+__all__ = [
+    "LINE",
+    "TERMS",
+    "c_comment",
+    "c_string",
+    "comment",
+    "filled",
+    "js_comment",
+    "js_string",
+    "wrapped",
+]
 
 LINE = 96
 """Characters in a line of a file that is not in Python."""
 TERMS = "On rankone's part this file may be used, changed and passed on without restriction."
-"""What exported files say of the source of the library that is in them."""
-_PLACE = Path(__file__).parent
+"""What exported files say about the source of the library in them."""
+_FOLDER = Path(__file__).parent
 _CONDITION = re.compile(r"^@if (\w+)@\n(.*?)(?:^@else@\n(.*?))?^@end@\n", re.DOTALL | re.MULTILINE)
+_JOINING = ("\\", "*", "/")
+"""Characters that mean something else together with what follows a text."""
 
 
-def filled(template: str, values: Mapping[str, str]) -> str:
-    """A template with every ``@name@`` replaced.
+def filled(template: str, fields: Mapping[str, str]) -> str:
+    """A template with every ``@name@`` replaced by the field of that name.
 
-    Lines from ``@if name@`` to ``@end@`` are there only if that value is not empty; those after
+    Lines from ``@if name@`` to ``@end@`` stay only if the field is not empty, lines after
     ``@else@`` only if it is.
     """
-    text = (_PLACE / template).read_text(encoding="utf-8")
-    text = _CONDITION.sub(lambda match: match[2 if values[match[1]] else 3] or "", text)
-    return re.sub(r"@(\w+)@", lambda match: values[match.group(1)], text)
+    text = (_FOLDER / template).read_text(encoding="utf-8")
+    text = _CONDITION.sub(lambda match: match[2 if fields[match[1]] else 3] or "", text)
+    return re.sub(r"@(\w+)@", lambda match: fields[match.group(1)], text)
 
 
 def comment(paragraphs: Iterable[str], escaped: Callable[[str], str]) -> str:
     """The lines inside a block comment, each of them escaped."""
-    lines = (part for text in paragraphs for part in paragraph(text, LINE))
+    lines = (line for text in paragraphs for line in paragraph(text, LINE))
     return "\n".join(f" * {escaped(line)}".rstrip() for line in lines)
 
 
 def wrapped(items: Iterable[str], width: int, indent: int = 4) -> Iterator[str]:
-    """Items with commas, as many in a line as fit."""
+    """Lines of items separated by commas, as many in a line as fit."""
     line = " " * (indent - 1)
     for item in items:
         if len(line) + len(item) + 2 > width:
@@ -44,3 +61,33 @@ def wrapped(items: Iterable[str], width: int, indent: int = 4) -> Iterator[str]:
             line = " " * (indent - 1)
         line += f" {item},"
     yield line
+
+
+def c_comment(text: str) -> str:
+    """Text inside a block comment of C, on one line.
+
+    No trigraph stays, and no backslash at the end, which would join the line with the next one.
+    """
+    plain = one_line(text)
+    while "??" in plain:
+        plain = plain.replace("??", "? ?")
+    plain = plain.replace("*/", "* /").replace("/*", "/ *")
+    return f"{plain}_" if plain.rstrip().endswith(_JOINING) else plain
+
+
+def c_string(text: str) -> str:
+    """A string literal of C; anything but printable ASCII becomes bytes of UTF-8."""
+    if text.isascii() and text.isprintable():
+        return json.dumps(text).replace("?", "\\?")  # no trigraphs
+    return '"' + "".join(f"\\{byte:03o}" for byte in text.encode()) + '"'
+
+
+def js_comment(text: str) -> str:
+    """Text inside a block comment of JavaScript, on one line, also in a script of a page."""
+    return c_comment(text).replace("</", "< /").replace("<!", "< !").replace("-->", "-- >")
+
+
+def js_string(text: str) -> str:
+    """A string literal of JavaScript, also in a script of a page."""
+    quoted = json.dumps(text, ensure_ascii=not text.isprintable())
+    return quoted.replace("<", "\\u003c")

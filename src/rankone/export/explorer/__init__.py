@@ -3,10 +3,8 @@
 ==============  =======================================================================
 file            subject
 ==============  =======================================================================
-``content``     times, ranges, bands and sensitivities, as plain data
-``sentences``   what the solution holds for and how good it is, in words
+``content``     times, ranges, bands and sensitivities; what is said about the solution
 ``mathml``      names and equations, typeset
-``page``        everything put together
 ``page.html.in``, ``page.css``
                 structure and looks
 ``values.js``   numbers without a page: steps of sliders, links, tables
@@ -21,25 +19,50 @@ file            subject
 ``main.js``     the page is set up
 ==============  =======================================================================
 
-The plots are by uPlot, in ``export/vendor`` with its licence.
+The plots are by uPlot, in ``export/vendor`` with its licence. Scripts are written as modules that
+import each other. A page from a disk cannot import, so they are joined here: the model as one
+object, the others one after the other.
 """
 
 from __future__ import annotations
 
+import html
+import json
+import re
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rankone.export.explorer.content import content, with_derivatives
+from rankone.export.explorer.content import (
+    content,
+    lead,
+    place,
+    quality,
+    spread,
+    with_derivatives,
+)
 from rankone.export.explorer.mathml import Notation
-from rankone.export.explorer.page import page
-from rankone.export.explorer.sentences import place, quality
-from rankone.export.packing import pack
+from rankone.export.model_js import javascript_model
+from rankone.export.packing import PackedModel, pack
+from rankone.export.templates import filled
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.files import as_path, free_target, write_files
+from rankone.support.version import __version__
 from rankone.support.wording import is_text, shown
 
 __all__ = ["export_page", "page_target"]
+
+_PLACE = Path(__file__).parent
+_VENDOR = _PLACE.parent / "vendor"
+_SCRIPTS = (
+    *("values", "looks", "curves", "phase", "shares", "controls", "legend"),
+    *("state", "drawing", "actions", "main"),
+)
+"""In an order in which each one needs only those before it."""
+_IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
+_EXPORT = re.compile(r"^export (?=(?:async )?(?:const|let|function|class) )", re.M)
+_EXPORTED = re.compile(r"^export (?:const|function|class) (\w+)", re.M)
 
 
 def page_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
@@ -77,7 +100,7 @@ def export_page(
     every = with_derivatives(solution)
     model = pack(every, rtol=rtol, allow_failed=allow_failed)
     notation = Notation(solution.metadata)
-    text = page(
+    text = _page(
         model,
         content(every, model, notation),
         title=(title or "").strip() or solution.metadata.name or _title(target),
@@ -96,3 +119,105 @@ def _title(path: Path) -> str:
     """The name of a file as a title."""
     words = path.stem.replace("_", " ").replace("-", " ").strip() or "Explorer"
     return words[:1].upper() + words[1:]
+
+
+def _page(
+    model: PackedModel,
+    data: Mapping[str, Any],
+    *,
+    title: str,
+    equations: list[list[str]],
+    quality: list[str],
+    place: str,
+    asked: float | None,
+    smaller: float | None,
+    success: bool,
+) -> str:
+    """Text of the page.
+
+    Parameters
+    ----------
+    model : PackedModel
+    data : mapping
+        Of :func:`rankone.export.explorer.content.content`.
+    title : str
+    equations : list of list of str
+        Groups of elements of HTML.
+    quality : list of str
+        Sentences; the first is in the warning if there is no ``success``.
+    place : str
+        Where the error was measured.
+    asked : float, optional
+        The tolerance asked for; None if the error was not measured.
+    smaller : float, optional
+        By how much the curves may differ from the solution.
+    success : bool
+    """
+    known = [unknown["error"] for unknown in data["unknowns"] if unknown["error"] is not None]
+    values = {
+        "title": html.escape(title),
+        "lead": html.escape(lead(data)),
+        "version": __version__,
+        "success": "yes" if success else "",
+        "error": f"Measured error {_scientific(max(known))}" if known else "Error not measured",
+        "covers": _covers(place, asked, smaller),
+        "bands": spread(data),
+        "message": html.escape(quality[0]),
+        "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in quality),
+        "errors": "\n".join(map(_error_row, data["unknowns"])),
+        "equations": "\n".join(map(_list, equations)),
+        "parameters": "yes" if data["parameters"] else "",
+        "sobol": "yes" if data["sobol"] else "",
+        "phase": "yes" if len(data["unknowns"]) > 1 else "",
+        "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_PLACE / "page.css"),
+        "licence": _read(_VENDOR / "uPlot.LICENSE").replace("*/", "* /"),
+        "plots": _read(_VENDOR / "uPlot.iife.min.js"),
+        "data": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
+        "model": _as_object(model),
+        "script": "\n".join(map(_as_part, _SCRIPTS)),
+    }
+    return filled("explorer/page.html.in", values)
+
+
+def _covers(place: str, asked: float | None, smaller: float | None) -> str:
+    """Where the error was measured, and what it may be, in HTML."""
+    if asked is None:
+        return ""
+    text = f"asked for: {_scientific(asked)}"
+    if smaller is not None:
+        text += f", and made smaller to within {_scientific(smaller)}"
+    return f"{place} ({text})".strip()
+
+
+def _as_object(model: PackedModel) -> str:
+    """The model's module as an object with everything that it exports."""
+    file = Path("model.mjs")
+    text = javascript_model(model, file)[file]
+    assert isinstance(text, str)
+    names = ", ".join(_EXPORTED.findall(text))
+    return f"const model = (() => {{\n{_EXPORT.sub('', text)}\nreturn {{ {names} }};\n}})();"
+
+
+def _as_part(name: str) -> str:
+    """A script of the page without what makes it a module."""
+    return _EXPORT.sub("", _IMPORT.sub("", _read(_PLACE / f"{name}.js")))
+
+
+def _error_row(unknown: Mapping[str, Any]) -> str:
+    error = unknown["error"]
+    shown = "not measured" if error is None else _scientific(error)
+    return f"<tr><th scope='row'>{unknown['symbol']}</th><td>{shown}</td></tr>"
+
+
+def _list(items: list[str]) -> str:
+    return "<ul>\n" + "\n".join(f"<li>{item}</li>" for item in items) + "\n</ul>"
+
+
+def _scientific(value: float) -> str:
+    """A small number in HTML: ``6.9 · 10<sup>−4</sup>``."""
+    digits, power = f"{value:.1e}".split("e")
+    return f"{digits} · 10<sup>{int(power)}</sup>".replace("-", "−") if value else "0"
+
+
+def _read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
