@@ -52,15 +52,15 @@ _OUTSIDE = {"../CHANGELOG.md": "changelog.rst", "../CONTRIBUTING.md": "contribut
 
 def _navigation(text: str) -> str:
     """Hidden tables of contents: one for each section of a page, with the pages it links to."""
-    parts: list[str] = []
-    seen: set[str] = set()
+    tables: list[str] = []
+    listed: set[str] = set()
     for section in re.split(r"^## ", text, flags=re.M)[1:]:
         caption, _, body = section.partition("\n")
-        pages = [page for page in _LINK.findall(body) if page not in seen]
-        seen.update(pages)
+        pages = [page for page in _LINK.findall(body) if page not in listed]
+        listed.update(pages)
         entries = "\n".join(dict.fromkeys(pages))
-        parts.append(f"```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{entries}\n```")
-    return "\n\n".join(parts)
+        tables.append(f"```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{entries}\n```")
+    return "\n\n".join(tables)
 
 
 def _read(app: Any, page: str, source: list[str]) -> None:
@@ -71,6 +71,11 @@ def _read(app: Any, page: str, source: list[str]) -> None:
         source[0] += "\n" + _navigation(source[0])
 
 
+def _included(app: Any, path: Path, page: str, source: list[str]) -> None:
+    """Lead links of files beside the folder to pages in it."""
+    source[0] = source[0].replace("](docs/", "](")
+
+
 def _shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Escape the star of shapes such as ``(unknowns, *shape of the times)`` in docstrings."""
     lines[:] = [line if "``" in line else _STAR.sub(r"\1\\*", line) for line in lines]
@@ -78,4 +83,5 @@ def _shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: lis
 
 def setup(app: Any) -> None:
     app.connect("source-read", _read)
+    app.connect("include-read", _included)
     app.connect("autodoc-process-docstring", _shapes, priority=100)  # before numpydoc

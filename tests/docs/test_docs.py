@@ -10,6 +10,7 @@ the machine, not at all. ``...`` stands for anything.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import itertools
 import math
@@ -193,6 +194,26 @@ def test_the_reference_names_everything_public():
     text = (ROOT / "docs" / "reference.md").read_text()
     for name in rankone.__all__:
         assert name.startswith("__") or f"`{name}" in text, name
+
+
+def test_the_map_of_the_source_has_every_room_after_those_it_imports():
+    page = (ROOT / "docs" / "structure.md").read_text()
+    rooms = re.findall(r"^\| `(\w+)` \|", page.partition("## Two walks")[0], re.M)
+    source = Path(rankone.__file__).parent
+    assert sorted(rooms) == sorted(path.parent.name for path in source.glob("*/__init__.py"))
+    for order, room in enumerate(rooms):
+        text = "".join(path.read_text() for path in (source / room).rglob("*.py"))
+        imported = set(re.findall(r"^\s*(?:from|import) rankone\.(\w+)", text, re.M))
+        assert imported <= set(rooms[: order + 1]), room
+
+
+def test_the_walks_lead_to_functions_that_exist():
+    text = (ROOT / "docs" / "structure.md").read_text()
+    steps = re.findall(r"^\d+\. `([\w/]+\.py)`: `(\w+)(?:\.(\w+))?`", text, re.M)
+    assert len(steps) >= 10
+    for path, name, member in steps:
+        module = importlib.import_module(f"rankone.{path[:-3].replace('/', '.')}")
+        assert hasattr(getattr(module, name), member or "__name__"), f"{path}: {name}.{member}"
 
 
 def test_the_site_has_the_docstrings_of_everything_public():
