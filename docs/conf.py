@@ -46,7 +46,7 @@ html_css_files = ["site.css"]
 
 _LINK = re.compile(r"\]\(([^)#\s]+\.(?:md|rst))(?:#[^)]*)?\)")
 _STAR = re.compile(r"([(,] ?)\*(?=\w)")
-_OUTSIDE = {"../CHANGELOG.md": "changelog.rst", "../CONTRIBUTING.md": "contributing.rst"}
+_OUTSIDE = {"../CHANGELOG.md": "changelog.rst", "../CONTRIBUTING.md": "contributing.md"}
 """Files beside the folder that are pages of the site, by the page that includes them."""
 
 
@@ -71,11 +71,6 @@ def _read(app: Any, page: str, source: list[str]) -> None:
         source[0] += "\n" + _navigation(source[0])
 
 
-def _included(app: Any, path: Path, page: str, source: list[str]) -> None:
-    """Lead links of files beside the folder to pages in it."""
-    source[0] = source[0].replace("](docs/", "](")
-
-
 def _shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Escape the star of shapes such as ``(unknowns, *shape of the times)`` in docstrings."""
     lines[:] = [line if "``" in line else _STAR.sub(r"\1\\*", line) for line in lines]
@@ -83,5 +78,4 @@ def _shapes(app: Any, what: str, name: str, thing: Any, options: Any, lines: lis
 
 def setup(app: Any) -> None:
     app.connect("source-read", _read)
-    app.connect("include-read", _included)
     app.connect("autodoc-process-docstring", _shapes, priority=100)  # before numpydoc
