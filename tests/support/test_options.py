@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +16,6 @@ from rankone.support.options import Options, choice, integer, integers, number
 
 @dataclass(frozen=True)
 class Some(Options):
-    renamed: ClassVar[Mapping[str, str]] = {"amount": "count"}
-
     count: int = integer(3)
     few: int | None = integer(None, 2, 5)
     part: float = number(0.5, 0.0, 1.0)
@@ -38,7 +35,6 @@ class Some(Options):
         ({"nodes": (2, 1)}, "nodes=1"),
         ({"colour": "blue"}, "colour='blue' is unknown; remedy: choose one of red, green"),
         ({"colour": ["red"]}, "colour="),
-        ({"amount": 2}, "option 'amount' is now called 'count'"),
         (
             {"cuont": 2},
             r"unknown option 'cuont' \(did you mean `count`\?\); remedy: choose from co",

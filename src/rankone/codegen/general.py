@@ -176,7 +176,7 @@ class _Writer:
         try:
             numpy_text(real, {})
         except SeparationError as error:
-            message = str(error).split("; remedy: ")[0]
+            message = error.message
             raise ProblemError(
                 f"{what}: {message} or SciPy",
                 equation=origin,
@@ -204,7 +204,7 @@ class _Writer:
                 try:
                     slope = derivative(f)
                 except ProblemError as error:
-                    message = str(error).split("; remedy: ")[0]
+                    message = error.message
                     origin = self.system.origins[i]
                     raise ProblemError(
                         message, equation=origin, term=error.term, remedy=error.remedy

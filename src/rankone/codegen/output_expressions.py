@@ -167,7 +167,7 @@ def _gaps(
     try:
         check_gaps([("an output", None, part.xreplace(names)) for part in parts], coordinates)
     except ProblemError as error:
-        raise OptionError(str(error), term=error.term) from error
+        raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
     return [
         (gap_text("an output", function.xreplace(names), region.xreplace(names)), region)
         for part in parts
@@ -249,7 +249,7 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
         try:
             return parse_expression(value, names, where=where, further=further)
         except ProblemError as error:
-            text = str(error).removesuffix(f"; remedy: {error.remedy}")
+            text = error.message
             known = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
             remedy = known if "declare" in (error.remedy or "declare") else error.remedy
             raise OptionError(text, term=value, remedy=remedy) from None

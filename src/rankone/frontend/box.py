@@ -112,7 +112,7 @@ def check_correlation(correlation: Any, box: Box) -> dict[tuple[str, str], float
     try:
         copula = copula_of(names, correlation)
     except (OptionError, EvaluationError) as error:
-        raise ProblemError(str(error), term=correlation) from None
+        raise ProblemError(error.message, term=correlation, remedy=error.remedy) from None
     if copula is None:
         return {}
     return {

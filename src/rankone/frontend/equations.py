@@ -107,8 +107,7 @@ def _residual(equation: Any, index: int, time: sp.Symbol) -> sp.Expr:
     try:
         return exact(residual)
     except ProblemError as out_of_range:
-        subject = str(out_of_range).removesuffix(f"; remedy: {out_of_range.remedy}")
-        raise error(subject, out_of_range.term, str(out_of_range.remedy)) from None
+        raise error(out_of_range.message, out_of_range.term, str(out_of_range.remedy)) from None
 
 
 def _carry_out_derivatives(

@@ -301,7 +301,10 @@ class CompiledProblem:
         )
         solution = self._solved(request, engines, form, progress)
         if on_failure == "raise" and not solution.success:
-            raise ConvergenceError(solution.message, solution=solution)
+            verdict = solution.outcome.verdict
+            raise ConvergenceError(
+                str(verdict.without_remedy()), solution=solution, remedy=verdict.remedy
+            )
         return solution
 
     def _solved(
@@ -343,7 +346,7 @@ class CompiledProblem:
         try:
             check_gaps(self.first_order.piecewise(), moved)
         except ProblemError as error:
-            raise OptionError(str(error), term=error.term) from error
+            raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
 
     def export(
         self,

@@ -7,7 +7,7 @@ sentence: nothing else writes what users read of the end of a solve.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import ClassVar
 
@@ -114,6 +114,16 @@ class Verdict:
     status: Status
     cause: Cause | None = None
     notes: tuple[Note, ...] = ()
+
+    @property
+    def remedy(self) -> str | None:
+        """What to do about it."""
+        remedies = [note.text for note in self.notes if isinstance(note, Remedy)]
+        return "; ".join(remedies) or None
+
+    def without_remedy(self) -> Verdict:
+        """The same but for what to do about it."""
+        return replace(self, notes=tuple(n for n in self.notes if not isinstance(n, Remedy)))
 
     def __str__(self) -> str:
         first = self.status.value if self.cause is None else self.cause.sentence(self.status)

@@ -41,12 +41,15 @@ class RankoneError(Exception):
     term : object, optional
         The term, symbol or value concerned, as the user wrote it.
     remedy : str, optional
-        What to do about it; appended to the message.
+        What to do about it; ``str`` puts it behind the message.
     """
 
     def __init__(self, message: str, *, term: object = None, remedy: str | None = None) -> None:
-        self.term, self.remedy = term, remedy
-        super().__init__(message if remedy is None else f"{message}; remedy: {remedy}")
+        super().__init__(message)
+        self.message, self.term, self.remedy = message, term, remedy
+
+    def __str__(self) -> str:
+        return self.message if self.remedy is None else f"{self.message}; remedy: {self.remedy}"
 
 
 class ProblemError(RankoneError, ValueError):

@@ -104,8 +104,6 @@ def _declared(default: Any, check: Callable[[str, Any], Any]) -> Any:
 class Options:
     """Options of an engine, checked; None is possible where it is the default."""
 
-    renamed: ClassVar[Mapping[str, str]] = {}
-    """New names of options by old ones."""
     usual_attempts: ClassVar[int] = 10
     """Attempts of a solve, unless ``max_attempts`` is given; more are made while they pay."""
 
@@ -134,8 +132,6 @@ class Options:
         """
         known = cls.names()
         for name in sorted(changes.keys() - known):
-            if name in cls.renamed:
-                raise OptionError(f"option {name!r} is now called {cls.renamed[name]!r}")
             beside = f"; solve itself takes {', '.join(keywords)}" if keywords else ""
             raise OptionError(
                 f"unknown option {name!r}{did_you_mean(name, [*known, *keywords])}",

@@ -184,7 +184,7 @@ def check_moved(
             check_known(first_order, moved_all)
             check_start(first_order, system, moved_all)
     except ProblemError as error:
-        raise OptionError(str(error), term=error.term) from error
+        raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
     for dimension, moved in enumerate(moved_all):
         for factor in form.factors[dimension]:
             wrong = located_defect(factor.expression, moved, dimension)

@@ -72,7 +72,6 @@ class GreedyOptions(Options):
     """
 
     usual_attempts: ClassVar[int] = 4
-    renamed: ClassVar[Mapping[str, str]] = {"weak_form": "formulation"}
 
     formulation: str = choice("volterra", ("derivative", "volterra"))
     projection: str = choice("galerkin", ("galerkin", "minimal-residual"))
