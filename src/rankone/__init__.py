@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rankone.solvers.greedy import GreedyOptions
     from rankone.solvers.train import TrainOptions
     from rankone.statistics.solution_statistics import Sobol
+    from rankone.support import __version__
     from rankone.support.errors import (
         BlowUpError,
         ConvergenceError,
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
         SeparationError,
         StorageError,
     )
-    from rankone.support.version import __version__
     from rankone.symbolic import FirstOrderSystem, WeakForm, first_order, separate, weak_form
 
 __all__ = [
@@ -117,7 +117,7 @@ _HOMES = {
     "StorageError": ("support.errors", "StorageError"),
     "TrainOptions": ("solvers.train", "TrainOptions"),
     "WeakForm": ("symbolic", "WeakForm"),
-    "__version__": ("support.version", "__version__"),
+    "__version__": ("support", "__version__"),
     "compile": ("interface.compiled", "compile_problem"),
     "duration": ("ir.functions", "duration"),
     "first_crossing": ("ir.functions", "first_crossing"),

@@ -7,8 +7,8 @@ import sympy as sp
 
 import rankone as ro
 from rankone.frontend.problem_files import load_problem
+from rankone.ir.metadata import per
 from rankone.support.errors import ProblemError
-from rankone.support.units import per
 
 t, k, m = sp.symbols("t k m")
 x = sp.Function("x")(t)

@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 
 import rankone.ir.forms
-import rankone.support.display
+import rankone.support.wording
 from rankone.frontend.problem import Problem
 from rankone.symbolic import separate
 
@@ -60,7 +60,7 @@ def test_latex(reference):
     )
 
 
-@pytest.mark.parametrize("module", [rankone.support.display, rankone.ir.forms])
+@pytest.mark.parametrize("module", [rankone.support.wording, rankone.ir.forms])
 def test_no_import_of_sympy_at_runtime(module):
     source = Path(module.__file__).read_text(encoding="utf-8")
     assert not re.search(r"^(import|from) (sympy|rankone\.symbolic)", source, re.MULTILINE)

@@ -21,9 +21,8 @@ from rankone.codegen.text import quoted, table
 from rankone.codegen.variables import Variables
 from rankone.expressions.admissible import gaps
 from rankone.ir.forms import Coordinate, Jump, State
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, spread
 from rankone.support.errors import ProblemError
-from rankone.support.spread import spread
 from rankone.support.wording import number, quote
 
 __all__ = ["REMEDY", "Named", "check_gaps", "gap_functions", "gap_tables", "gap_text"]

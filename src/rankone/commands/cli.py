@@ -85,7 +85,7 @@ class _Version(argparse.Action):
     """Look the version up only when it is asked for."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from rankone.support.version import __version__
+        from rankone.support import __version__
 
         print(f"rankone {__version__}")
         parser.exit()

@@ -19,10 +19,9 @@ from rankone.estimation.search import fit
 from rankone.solution.core import SolutionCore
 from rankone.statistics.distributions import Measure, from_text
 from rankone.statistics.joint_distribution import Distributions, measures_of
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_count, checked_number
-from rankone.support.spread import spread
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.calculus import fixed as with_fixed
 

@@ -17,11 +17,10 @@ from rankone.estimation.identification import identify
 from rankone.estimation.least_squares import LeastSquares, Minima, TrainModel
 from rankone.estimation.observations import Measurements, Observations, observed
 from rankone.solution.core import SolutionCore
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
-from rankone.support.spread import spread
 from rankone.support.wording import count, listing
 
 __all__ = ["fit"]

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from rankone.export.packing import PackedModel
-from rankone.support.version import __version__
+from rankone.support import __version__
 
 __all__ = ["FMI", "Description", "build_description", "model_description", "start_values"]
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from rankone.export.packing import PackedModel
 from rankone.export.templates import LINE, TERMS, c_comment, c_string, comment, filled, wrapped
+from rankone.support import __version__
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
-from rankone.support.version import __version__
 
 __all__ = ["c_identifier", "c_model"]
 

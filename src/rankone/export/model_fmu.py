@@ -33,9 +33,9 @@ from rankone.export.fmu_description import (
 from rankone.export.model_c import c_identifier, c_model
 from rankone.export.packing import PackedModel
 from rankone.export.templates import TERMS, filled
+from rankone.support import __version__
 from rankone.support.errors import ExportError, OptionError, warn
 from rankone.support.files import Content
-from rankone.support.version import __version__
 from rankone.support.wording import shown
 
 __all__ = ["FMI", "checked_fmi", "fmu_model"]

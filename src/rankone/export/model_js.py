@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from rankone.discretization.coordinates import round_off
 from rankone.export.packing import PackedCore, PackedModel
 from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string
+from rankone.support import __version__
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
-from rankone.support.version import __version__
 
 __all__ = ["javascript_model"]
 

@@ -16,8 +16,8 @@ from rankone.discretization.coordinates import round_off
 from rankone.export.bundler import banner, source_text
 from rankone.export.packing import PackedCore, PackedModel
 from rankone.export.templates import TERMS
+from rankone.support import __version__
 from rankone.support.files import Content, npz
-from rankone.support.version import __version__
 
 __all__ = ["python_model"]
 

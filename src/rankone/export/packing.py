@@ -19,11 +19,11 @@ from typing import Literal
 
 import numpy as np
 
+from rankone.ir.metadata import with_unit
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.options import checked_number
-from rankone.support.units import with_unit
 from rankone.tensors.cross import rounded
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing

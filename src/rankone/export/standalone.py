@@ -19,8 +19,7 @@ from rankone.export.templates import TERMS
 from rankone.ir.metadata import SolutionMetadata
 from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
-from rankone.support import errors
-from rankone.support.version import __version__
+from rankone.support import __version__, errors
 
 __all__ = ["standalone_source"]
 

@@ -13,12 +13,11 @@ import sympy as sp
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.numbers import check_size
 from rankone.ir.domain import LEAST_WIDTH
+from rankone.ir.metadata import per
 from rankone.statistics.distributions import as_text, from_text, interval_of
 from rankone.statistics.joint_distribution import copula_of
 from rankone.support.errors import EvaluationError, OptionError, ProblemError
-from rankone.support.naming import is_line
-from rankone.support.units import per
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.wording import did_you_mean, is_line, listing, quote, shown
 
 __all__ = [
     "Box",

@@ -11,8 +11,7 @@ from sympy.core.function import AppliedUndef
 from rankone.expressions.numbers import exact
 from rankone.frontend.box import Time
 from rankone.support.errors import ProblemError
-from rankone.support.naming import name_defect
-from rankone.support.wording import count, did_you_mean, listing, quote
+from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
 
 __all__ = [
     "as_expression",

@@ -29,11 +29,17 @@ from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_j
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
-from rankone.support.display import aligned_equations
+from rankone.ir.metadata import with_unit
 from rankone.support.errors import ProblemError, bounded_depth, warn
-from rankone.support.naming import is_line
-from rankone.support.units import with_unit
-from rankone.support.wording import count, did_you_mean, listing, quote, shown
+from rankone.support.wording import (
+    aligned_equations,
+    count,
+    did_you_mean,
+    is_line,
+    listing,
+    quote,
+    shown,
+)
 
 __all__ = ["Problem"]
 

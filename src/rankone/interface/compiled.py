@@ -57,6 +57,7 @@ from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up
 from rankone.solvers.engine import Engine, solve_with
 from rankone.solvers.registry import AUTO, ENGINES, engines_for
+from rankone.support import __version__
 from rankone.support.budget import preparing
 from rankone.support.errors import (
     ConvergenceError,
@@ -68,7 +69,6 @@ from rankone.support.errors import (
 )
 from rankone.support.options import refuse_positional
 from rankone.support.progress import Report, resolve_progress
-from rankone.support.version import __version__
 from rankone.support.wording import count, quote
 from rankone.symbolic import (
     FirstOrderSystem,

@@ -21,9 +21,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rankone.ir.metadata import Role
-from rankone.support.display import aligned_equations, html_table, latex, latex_number, text_table
 from rankone.support.errors import SeparationError
-from rankone.support.wording import count, number
+from rankone.support.wording import (
+    aligned_equations,
+    count,
+    html_table,
+    latex,
+    latex_number,
+    number,
+    text_table,
+)
 
 if TYPE_CHECKING:
     import sympy as sp

@@ -13,8 +13,7 @@ from rankone.ir.domain import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solvers.cross.time_grid import TimeGrid
-from rankone.support.arrays import Array
-from rankone.support.spread import corners, spread
+from rankone.support.arrays import Array, corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.search import Climb, bisected, climbed
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from rankone.discretization.coordinates import name_of, round_off
-from rankone.ir.metadata import SolutionMetadata
+from rankone.ir.metadata import SolutionMetadata, of_derivatives
 from rankone.ir.outcome import Outcome
 from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
 from rankone.support.errors import OptionError
-from rankone.support.units import of_derivatives
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.calculus import at_one_time, differentiated, fixed, restricted
 

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable
 from typing import Any
 
-from rankone.support.units import with_unit
+from rankone.ir.metadata import with_unit
 from rankone.support.wording import listing
 
 __all__ = ["summary_html", "summary_text"]

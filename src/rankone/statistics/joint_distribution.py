@@ -20,9 +20,8 @@ from scipy.special import ndtr, ndtri
 
 from rankone.discretization.coordinates import name_of
 from rankone.statistics.distributions import Distribution, Measure
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
-from rankone.support.spread import spread
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
 __all__ = [

@@ -29,9 +29,8 @@ from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.verdict import Status
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
-from rankone.support.naming import is_line, name_defect
 from rankone.support.plain_data import plain, rebuilt
-from rankone.support.wording import quote
+from rankone.support.wording import is_line, name_defect, quote
 from rankone.tensors.slab import SlabTrain
 
 __all__ = [

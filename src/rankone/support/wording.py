@@ -1,27 +1,49 @@
-"""How names, symbols and expressions are quoted in messages."""
+"""Text for people: quotes and lists in messages, names, tables and equations."""
 
 from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterable
+import html
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from typing import Protocol
 
 __all__ = [
+    "aligned_equations",
     "clip",
     "count",
     "did_you_mean",
+    "html_table",
+    "is_line",
     "is_text",
+    "latex",
+    "latex_number",
     "listing",
+    "name_defect",
     "number",
     "quote",
     "shown",
+    "text_table",
     "written",
 ]
 
 _LONGEST_QUOTE = 160
+"""Characters of a quote: about two lines of a terminal."""
 _LONGEST_FRACTION = 24
 """Characters above which a fraction is written as a decimal number."""
+_MOST_ROWS = 40
+"""Rows of a table that fit on one screen."""
+_WIDEST_CELL = 32
+"""Characters of a cell, so that a row of three stays on one line."""
+_RIGHT = "coefficient"
+"""The column that is aligned on the right."""
+
+
+class HasLatex(Protocol):
+    """An expression that knows its own LaTeX."""
+
+    def _repr_latex_(self) -> str: ...
 
 
 written = functools.singledispatch(str)
@@ -86,3 +108,93 @@ def number(value: Fraction | float) -> str:
         exact = f"{value.numerator}/{value.denominator}"
         text = exact if len(exact) <= _LONGEST_FRACTION else text
     return text
+
+
+# --- names -------------------------------------------------------------------------------------
+
+
+def is_line(value: object) -> bool:
+    """Whether a value is text that can be printed in one line and written to a file."""
+    return is_text(value) and str.isprintable(str(value))
+
+
+def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
+    """The first name that cannot be printed or is there twice, and what is wrong with it.
+
+    Parameters
+    ----------
+    named : iterable of (str, str)
+        Each name, and whose it is: ``("k", "parameter `k`")``.
+    """
+    taken: dict[str, str] = {}
+    for name, what in named:
+        if not is_line(name) or not name.strip():
+            return name, f"the name {name!r} is no text that can be printed in one line"
+        if name in taken:
+            return name, f"the name {quote(name)} belongs both to {taken[name]} and to {what}"
+        taken[name] = what
+    return None
+
+
+# --- tables and equations ----------------------------------------------------------------------
+
+
+def text_table(summary: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table with aligned columns under a line of summary; many rows are cut in the middle."""
+    shown = [[_cut(cell) for cell in row] for row in rows]
+    hidden = len(shown) - _MOST_ROWS
+    if hidden > 1:
+        shown[_MOST_ROWS // 2 : -(_MOST_ROWS // 2)] = []
+    widths = [max(map(len, column)) for column in zip(header, *shown, strict=True)]
+    right = header.index(_RIGHT)
+    lines = [_aligned(row, widths, right) for row in [header, *shown]]
+    if hidden > 1:
+        lines.insert(1 + _MOST_ROWS // 2, f"... {hidden} more ...")
+    return "\n".join([summary, *lines])
+
+
+def html_table(summary: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """The same as an HTML table, in full."""
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    body = "\n".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return (
+        f"<table>\n<caption>{html.escape(summary)}</caption>\n"
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+    )
+
+
+def _cut(cell: str) -> str:
+    return cell if len(cell) <= _WIDEST_CELL else cell[: _WIDEST_CELL - 3] + "..."
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int], right: int) -> str:
+    cells = [
+        cell.rjust(width) if i == right else cell.ljust(width)
+        for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+    ]
+    return "  ".join(cells).rstrip()
+
+
+def aligned_equations(lines: Iterable[str]) -> str:
+    """Displayed LaTeX of equations with ``&=``."""
+    body = " \\\\\n".join(lines)
+    return f"$$\\begin{{aligned}}\n{body}\n\\end{{aligned}}$$"
+
+
+def latex(expression: HasLatex) -> str:
+    """LaTeX of an expression, without dollar signs."""
+    text: str = expression._repr_latex_()
+    return text.removeprefix("$").removesuffix("$").removeprefix(r"\displaystyle ")
+
+
+def latex_number(value: Fraction | float) -> str:
+    """LaTeX of a nonnegative number to six digits; fractions as they are."""
+    size = f"{float(value):.6g}"
+    if isinstance(value, Fraction) and Fraction(size) != value:
+        return rf"\frac{{{value.numerator}}}{{{value.denominator}}}"
+    if "e" in size:
+        mantissa, exponent = size.split("e")
+        return rf"{mantissa} \cdot 10^{{{int(exponent)}}}"
+    return size

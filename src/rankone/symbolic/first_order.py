@@ -20,9 +20,8 @@ from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jump
 from rankone.frontend.mass import MassForm
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Coordinate, Jump, Role, State
-from rankone.support.display import aligned_equations
 from rankone.support.errors import check_kind
-from rankone.support.wording import count, number, quote
+from rankone.support.wording import aligned_equations, count, number, quote
 
 __all__ = [
     "FirstOrderSystem",

@@ -12,11 +12,10 @@ import scipy.integrate
 
 from rankone.ir.outcome import Measured
 from rankone.ir.system import System, refuse_gap
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, corners, spread
 from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
-from rankone.support.spread import corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.chatter import switching_state
 from rankone.trajectories.integration import NUMBERS_LEFT, Stack, quickest

@@ -240,11 +240,6 @@ def test_wrong_options(wrong: dict[str, Any]) -> None:
         GreedyOptions.of(**wrong)
 
 
-def test_the_option_of_before_is_named() -> None:
-    with pytest.raises(OptionError, match="'weak_form' is now called 'formulation'"):
-        GreedyOptions.of(weak_form="volterra")
-
-
 def test_numbers_of_other_kinds() -> None:
     options = GreedyOptions.of(
         max_modes=np.int64(7), tolerance=np.float32(0.5), parameter_nodes=[3]

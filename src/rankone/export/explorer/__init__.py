@@ -46,9 +46,9 @@ from rankone.export.explorer.mathml import Notation
 from rankone.export.model_js import javascript_model
 from rankone.export.packing import PackedModel, pack
 from rankone.export.templates import filled
+from rankone.support import __version__
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.files import as_path, free_target, write_files
-from rankone.support.version import __version__
 from rankone.support.wording import is_text, shown
 
 __all__ = ["export_page", "page_target"]
