@@ -31,6 +31,7 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome
 from rankone.ir.verdict import Status
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from tests.problems import EXAMPLES
 
 
@@ -53,12 +54,14 @@ def random_solution(
         SlabTrain(
             i / slabs,
             (i + 1) / slabs,
-            (
-                rng.standard_normal((states, time_modes, ranks[0])),
-                *(
-                    rng.standard_normal((left, basis.size, right))
-                    for left, basis, right in zip(ranks, bases, (*ranks[1:], 1), strict=True)
-                ),
+            Train(
+                (
+                    rng.standard_normal((states, time_modes, ranks[0])),
+                    *(
+                        rng.standard_normal((left, basis.size, right))
+                        for left, basis, right in zip(ranks, bases, (*ranks[1:], 1), strict=True)
+                    ),
+                )
             ),
             bases,
         )

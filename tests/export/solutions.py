@@ -13,6 +13,7 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome
 from rankone.ir.verdict import Status
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from tests.problems import EXAMPLES
 
 __all__ = [
@@ -96,7 +97,7 @@ def _random(bases_of_slabs: Sequence[tuple[Basis1D, ...]], status: Status) -> ro
         cores = tuple(
             rng.standard_normal((ranks[j], sizes[j], ranks[j + 1])) for j in range(len(sizes))
         )
-        slabs.append(SlabTrain(start, end, cores, bases))
+        slabs.append(SlabTrain(start, end, Train(cores), bases))
     metadata = SolutionMetadata(
         states=("x", "int", "x_t"),
         roles=("unknown", "unknown", "derivative"),

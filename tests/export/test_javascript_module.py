@@ -134,7 +134,7 @@ def thinned_out():
         first = slab.cores[0].copy()
         first[:, 3:, 2:] = 0.0
         first[:, :, 4:] = 0.0
-        slabs.append(replace(slab, cores=(first, *slab.cores[1:])))
+        slabs.append(slab.with_first(first))
     return ro.Solution(replace(solution.outcome, slabs=tuple(slabs)), solution.metadata)
 
 

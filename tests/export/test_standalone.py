@@ -25,6 +25,7 @@ from rankone.export.standalone import standalone_source
 from rankone.ir import metadata as ir_metadata
 from rankone.solvers.greedy import ENGINE
 from rankone.support.errors import ExportError, OptionError
+from rankone.tensors.train import Train
 from tests.export.solutions import compiled, points, solved
 from tests.problems import EXAMPLES
 
@@ -374,7 +375,7 @@ def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
         values = first.modal_values(basis.nodes) * np.sqrt(basis.weights)[:, None]
         core = np.matmul(basis.to_modal @ values, slab.cores[1])
         cores = (slab.cores[0], core, *slab.cores[2:])
-        slabs.append(replace(slab, cores=cores, bases=(basis, *rest)))
+        slabs.append(replace(slab, train=Train(cores), bases=(basis, *rest)))
     outcome = replace(solved_before.outcome, slabs=tuple(slabs))
     solution = ro.Solution(outcome, solved_before.metadata)
     where = points(solution, 200)
@@ -628,8 +629,8 @@ def test_files_that_would_hide_modules_are_refused(name, tmp_path):
 
 
 def test_only_what_runs_counts_as_needed():
-    modules = needed_modules(["rankone.tensors.truncation"])
-    assert modules[-1] == "rankone.tensors.truncation"
+    modules = needed_modules(["rankone.tensors.train"])
+    assert modules[-1] == "rankone.tensors.train"
     assert "rankone.support.arrays" in modules
     assert not [name for name in modules if name.startswith("rankone.solvers")]
 

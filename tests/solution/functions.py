@@ -15,6 +15,7 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome, SlabRecord
 from rankone.ir.verdict import Status
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]
@@ -44,7 +45,7 @@ def slab_train(
             core[k, :, k] = coefficients(basis, term[j])
         cores.append(core)
     cores[-1] = cores[-1].sum(axis=2, keepdims=True)
-    return SlabTrain(start, end, tuple(cores), tuple(bases))
+    return SlabTrain(start, end, Train(tuple(cores)), tuple(bases))
 
 
 @dataclass(frozen=True)

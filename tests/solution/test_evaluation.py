@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rankone.discretization.coordinates import Coordinates
 from rankone.interface.solution import Solution
 from rankone.support.errors import EvaluationError
+from rankone.tensors.train import Train
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
 t, s, x0, y0, k = sp.symbols("t s x0 y0 k")
@@ -78,7 +79,7 @@ def sharing(solution: Solution) -> Solution:
     """The same, but all slabs share the cores of their parameters, as after ``cross``."""
     first, *others = solution.outcome.slabs
     cores, bases = first.cores[1:], first.bases
-    slabs = [replace(slab, cores=(slab.cores[0], *cores), bases=bases) for slab in others]
+    slabs = [replace(slab, train=Train((slab.cores[0], *cores)), bases=bases) for slab in others]
     return Solution(replace(solution.outcome, slabs=(first, *slabs)), solution.metadata)
 
 

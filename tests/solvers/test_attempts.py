@@ -19,6 +19,7 @@ from rankone.support.errors import RankoneError
 from rankone.support.options import Options, integer
 from rankone.support.progress import Report, quiet
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
 
@@ -42,7 +43,7 @@ class Fake:
     def march(self, index: int, report: Report) -> MarchResult:
         factor = 1.0 + self.errors[index]
         slabs = [
-            SlabTrain(s.start, s.end, (factor * s.cores[0], *s.cores[1:]), s.bases)
+            SlabTrain(s.start, s.end, Train((factor * s.cores[0], *s.cores[1:])), s.bases)
             for s in self.slabs
         ]
         record = SlabRecord(index, 0.0, 2.0, True, factor, (), (), ())

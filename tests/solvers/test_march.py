@@ -9,6 +9,7 @@ from rankone.ir.verdict import Status
 from rankone.solvers.march import March, Span, Trial
 from rankone.support.progress import ProgressEvent
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 
 class Halving:
@@ -39,7 +40,7 @@ class Picky:
         return Trial(record, set() if good else {Status.RANK_LIMIT})
 
     def accept(self, span: Span, trial: Trial) -> list[SlabTrain]:
-        return [SlabTrain(span.start, span.end, (np.ones((1, 2, 1)),), ())]
+        return [SlabTrain(span.start, span.end, Train((np.ones((1, 2, 1)),)), ())]
 
 
 def test_rejected_slabs_are_tried_again_shorter() -> None:

@@ -54,6 +54,7 @@ from rankone.storage.netcdf import sealed
 from rankone.support.errors import StorageError
 from rankone.support.files import write_files
 from rankone.support.plain_data import Tagged
+from rankone.tensors.train import Train
 from tests.problems import REFERENCE
 from tests.solution.functions import Known, decay, oscillator, two_unknowns
 
@@ -518,7 +519,7 @@ def with_breaks() -> Solution:
         )
         cores = [slab.cores[0], *(rng.standard_normal((3, b.size, 3)) for b in bases)]
         cores[-1] = cores[-1][:, :, :1]
-        slabs.append(replace(slab, cores=tuple(cores), bases=bases))
+        slabs.append(replace(slab, train=Train(tuple(cores)), bases=bases))
     outcome = replace(SOLUTION.outcome, slabs=(*slabs,))
     return Solution(outcome, SOLUTION.metadata)
 

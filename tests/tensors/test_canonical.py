@@ -11,6 +11,7 @@ from rankone.discretization import ChebyshevBasis, LegendreBasis
 from rankone.support.errors import OptionError, RankoneWarning
 from rankone.tensors.canonical import CanonicalForm, canonical_form
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from tests.solution.functions import TIME_MODES, Array, Known, known, one, slab_train, two_unknowns
 
 
@@ -38,7 +39,7 @@ def interpolated(slabs: int, degree: int) -> list[SlabTrain]:
         u, s, vt = np.linalg.svd(values.reshape(TIME_MODES, -1), full_matrices=False)
         middle = (s[:, None] * vt).reshape(-1, degree, degree)
         last = np.eye(degree)[:, :, None]
-        result.append(SlabTrain(float(start), start + 1.0, (u[None], middle, last), bases))
+        result.append(SlabTrain(float(start), start + 1.0, Train((u[None], middle, last)), bases))
     return result
 
 
@@ -93,7 +94,7 @@ def test_slabs_of_different_breaks() -> None:
         )
         shapes = [(1, 5, 2), (2, bases[0].size, 2), (2, bases[1].size, 1)]
         cores = tuple(rng.standard_normal(shape) for shape in shapes)
-        slabs.append(SlabTrain(float(k), k + 1.0, cores, bases))
+        slabs.append(SlabTrain(float(k), k + 1.0, Train(cores), bases))
     form = canonical_form(slabs, ("t", "p", "q"), 0, "u", rtol=1e-11)
     assert form.success
     np.testing.assert_allclose(form.axes[1].breaks, [-1.0, -0.3, 0.3, 1.0])

@@ -9,6 +9,7 @@ from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
 from rankone.tensors import evaluator as module
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 BASES = {
     "equal": (ChebyshevBasis(-2.0, 3.0, 6, 3), LegendreBasis(0.1, 0.7, 5)),
@@ -24,7 +25,7 @@ def random_slab(bases: tuple[Basis1D, ...], rng: np.random.Generator | None = No
     rng = rng or np.random.default_rng(1)
     ranks, sizes = (2, 3, 4, 1), (7, *(basis.size for basis in bases))
     cores = tuple(rng.standard_normal((ranks[j], sizes[j], ranks[j + 1])) for j in range(3))
-    return SlabTrain(0.0, 1.5, cores, bases)
+    return SlabTrain(0.0, 1.5, Train(cores), bases)
 
 
 def assert_all_agree(slab: SlabTrain, points: np.ndarray) -> None:
@@ -76,7 +77,7 @@ def jumping_slabs(shared: str) -> list[SlabTrain]:
         made.setdefault(letter, random_slab(bases, rng).cores[1:])
         modes = 7 if letter == letter.lower() else 4
         first = rng.standard_normal((2, modes, 3))
-        slabs.append(SlabTrain(start, end, (first, *made[letter]), bases))
+        slabs.append(SlabTrain(start, end, Train((first, *made[letter])), bases))
     return slabs
 
 
@@ -100,7 +101,8 @@ def test_curves_of_slabs_that_share_cores_or_not(
     slabs = jumping_slabs(shared)
     if shared == "aaAAa":  # the time cores of two slabs are shorter than the others'
         slabs = [
-            SlabTrain(s.start, s.end, (s.cores[0], *slabs[0].cores[1:]), s.bases) for s in slabs
+            SlabTrain(s.start, s.end, Train((s.cores[0], *slabs[0].cores[1:])), s.bases)
+            for s in slabs
         ]
     evaluator, rows = TrainEvaluator(slabs), slice(None)
     assert len(evaluator.trains) == len({"abbba": "abc", "aaAAa": "aAa"}.get(shared, {*shared}))

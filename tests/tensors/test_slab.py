@@ -6,20 +6,21 @@ import numpy as np
 
 from rankone.discretization import ChebyshevBasis
 from rankone.tensors.slab import SlabTrain, sharing
+from rankone.tensors.train import Train
 
 
 def test_on_a_grid_as_at_pairs():
     generator = np.random.default_rng(1)
     bases = (ChebyshevBasis(0.0, 1.0, 4), ChebyshevBasis(-1.0, 2.0, 5))
     cores = tuple(generator.standard_normal(s) for s in ((2, 3, 4), (4, 4, 3), (3, 5, 1)))
-    slab = SlabTrain(0.5, 1.5, cores, bases)
+    slab = SlabTrain(0.5, 1.5, Train(cores), bases)
     times, points = np.array([0.5, 0.9, 1.4]), generator.random((2, 7))
     found = slab.on_grid(times, slab.over_parameters(points))
     for i, time in enumerate(times):
         np.testing.assert_allclose(found[..., i], slab(np.full(7, time), points), rtol=1e-12)
-    later = SlabTrain(1.5, 2.0, (generator.standard_normal((2, 3, 4)), *cores[1:]), bases)
+    later = SlabTrain(1.5, 2.0, Train((generator.standard_normal((2, 3, 4)), *cores[1:])), bases)
     assert later.shares_parameters(slab)
-    loaded = SlabTrain(2.0, 3.0, tuple(map(np.copy, cores)), bases)
+    loaded = SlabTrain(2.0, 3.0, Train(tuple(map(np.copy, cores))), bases)
     assert not loaded.shares_parameters(slab)
-    other = SlabTrain(3.0, 4.0, tuple(2.0 * core for core in cores), bases)
+    other = SlabTrain(3.0, 4.0, Train(tuple(2.0 * core for core in cores)), bases)
     assert [len(run) for run in sharing([slab, later, loaded, other])] == [3, 1]

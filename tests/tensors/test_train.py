@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rankone.tensors.train import right_orthonormal, thinned
+from rankone.tensors.train import Train
 
 
-def dense(cores):
+def dense(train):
     """All entries of a train."""
-    full = cores[0]
-    for core in cores[1:]:
+    full = train.first
+    for core in train.cores[1:]:
         full = np.tensordot(full, core, 1)
     return full[..., 0]
 
@@ -23,34 +23,70 @@ def smooth(ranks=(9, 7, 4)):
     for left, size, right in zip((3, *ranks), (8, 7, 6, 5), (*ranks, 1)):
         falling = 10.0 ** -(np.arange(size)[:, None] + 0.5 * np.arange(right))
         cores.append(rng.standard_normal((left, size, right)) * falling)
-    return cores
+    return Train(tuple(cores))
 
 
 def test_orthonormal_rows_of_the_same_train():
-    cores = right_orthonormal(smooth())
-    np.testing.assert_allclose(dense(cores), dense(smooth()), atol=1e-13)
-    for core in cores[1:]:
+    train = smooth().right_orthonormal()
+    np.testing.assert_allclose(dense(train), dense(smooth()), atol=1e-13)
+    for core in train.cores[1:]:
         rows = core.reshape(len(core), -1)
         np.testing.assert_allclose(rows @ rows.T, np.eye(len(core)), atol=1e-13)
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-8])
 def test_thinned_is_the_same_within_the_tolerance(tolerance):
-    cores = thinned(smooth(), tolerance)
-    change = np.linalg.norm(dense(cores) - dense(smooth()))
+    train = smooth().thinned(tolerance)
+    change = np.linalg.norm(dense(train) - dense(smooth()))
     assert 0.005 * tolerance <= change <= tolerance
-    assert all(a.shape[0] <= b.shape[0] for a, b in zip(cores, smooth()))
+    assert all(a <= b for a, b in zip(train.ranks, smooth().ranks))
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-8])
+def test_truncated_and_rounded_are_the_same_within_the_tolerance(tolerance):
+    exact = smooth()
+    truncated, change = exact.right_orthonormal().truncated(tolerance)
+    rounded = exact.rounded(tolerance)
+    assert change <= tolerance
+    distance = np.linalg.norm(dense(truncated) - dense(exact))
+    assert change == pytest.approx(distance, rel=1e-3, abs=1e-13)
+    np.testing.assert_allclose(dense(rounded), dense(truncated), atol=1e-12)
+    assert rounded.ranks == truncated.ranks <= exact.ranks
+    for core in rounded.cores[1:]:
+        rows = core.reshape(len(core), -1)
+        np.testing.assert_allclose(rows @ rows.T, np.eye(len(core)), atol=1e-13)
+
+
+def test_a_wider_frame_keeps_the_train():
+    rng = np.random.default_rng(7)
+    probes = [0.1 * rng.standard_normal(shape) for shape in ((2, 7, 2), (2, 6, 2), (2, 5, 1))]
+    train = smooth().widened(probes)
+    np.testing.assert_allclose(dense(train), dense(smooth()), atol=1e-6)
+    assert train.ranks > smooth().right_orthonormal().ranks
+
+
+def test_entries_at_indices_and_norms_of_modes():
+    train = smooth().right_orthonormal()
+    indices = np.array([[0, 1, 2], [6, 5, 4]])
+    exact = dense(train)[..., indices[:, 0], indices[:, 1], indices[:, 2]]
+    np.testing.assert_allclose(train.first @ train.at_indices(indices), exact, atol=1e-13)
+    norms = train.with_first(train.first.reshape(-1, train.ranks[0])).mode_norms()
+    for j, axis in enumerate((2, 3, 4)):
+        others = tuple(k for k in range(5) if k != axis)
+        np.testing.assert_allclose(norms[j], np.sqrt((dense(train) ** 2).sum(axis=others)))
 
 
 def test_thinned_keeps_fewer_entries_the_coarser():
-    entries = [sum(map(np.count_nonzero, thinned(smooth(), 10.0**-k))) for k in (2, 5, 8)]
-    full = sum(core.size for core in smooth())
+    entries = [sum(map(np.count_nonzero, smooth().thinned(10.0**-k).cores)) for k in (2, 5, 8)]
+    full = sum(core.size for core in smooth().cores)
     assert entries[0] < entries[1] < entries[2] < 0.8 * full
 
 
 def test_thinned_trains_without_parameters_or_values():
     core = np.array([[[1.0], [1e-3]], [[2.0], [0.0]]])
-    np.testing.assert_array_equal(thinned([core], 0.0)[0], core)
-    np.testing.assert_array_equal(thinned([core], 1e-2)[0], [[[1.0], [0.0]], [[2.0], [0.0]]])
-    zeros = [np.zeros((2, 3, 2)), np.zeros((2, 4, 1))]
-    np.testing.assert_array_equal(dense(thinned(zeros, 1e-3)), 0.0)
+    np.testing.assert_array_equal(Train((core,)).thinned(0.0).first, core)
+    np.testing.assert_array_equal(
+        Train((core,)).thinned(1e-2).first, [[[1.0], [0.0]], [[2.0], [0.0]]]
+    )
+    zeros = Train((np.zeros((2, 3, 2)), np.zeros((2, 4, 1))))
+    np.testing.assert_array_equal(dense(zeros.thinned(1e-3)), 0.0)

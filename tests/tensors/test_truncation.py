@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.tensors.truncation import truncated_svd
+from rankone.tensors.train import truncated_svd
 
 
 def decaying(m, n, rate, seed=0):

@@ -8,6 +8,7 @@ import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.ir.domain import Domain
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 from rankone.verification.points import active_points, candidate_points
 
 
@@ -33,7 +34,7 @@ def slab(nodes: int, parameters: int = 1) -> SlabTrain:
     bases = tuple(ChebyshevBasis(0.0, 1.0, nodes) for _ in range(parameters))
     cores = [np.ones((1, 1, 1)), np.zeros((1, nodes, 1)), *[np.eye(1, nodes)[..., None]] * 9]
     cores[1][0, 1] = 1.0
-    return SlabTrain(0.0, 1.0, tuple(cores[: 1 + parameters]), bases)
+    return SlabTrain(0.0, 1.0, Train(tuple(cores[: 1 + parameters])), bases)
 
 
 def test_smooth_solutions_of_few_parameters_are_not_looked_at():

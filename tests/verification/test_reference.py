@@ -86,9 +86,7 @@ def test_the_error_measure_sees_an_error_put_in_by_hand():
     assert max(good.interior) < 1e-7
     core = slabs[-1].cores[0].copy()
     core[0, 0] *= 1.0 + 1e-3
-    spoiled = type(slabs[-1])(
-        slabs[-1].start, slabs[-1].end, (core, *slabs[-1].cores[1:]), slabs[-1].bases
-    )
+    spoiled = slabs[-1].with_first(core)
     assert max(measure([*slabs[:-1], spoiled], reference, np.ones(1), 2, True).interior) > 1e-5
 
 

@@ -18,7 +18,6 @@ from rankone.estimation.free_parameters import FreeParameters
 from rankone.estimation.observations import Observations
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import right_orthonormal, truncated
 
 __all__ = ["LeastSquares", "Minima", "TrainModel"]
 
@@ -78,10 +77,10 @@ class TrainModel:
         for slab, group in self._groups:
             places = np.concatenate([here for here, _ in group])
             first = np.concatenate([in_time for _, in_time in group]) * scale[places, None]
-            cores = right_orthonormal([first, *slab.cores[1:]])
-            cores, _ = truncated(cores, tolerance / np.sqrt(len(self._groups)))
-            smaller = replace(slab, cores=(slab.cores[0], *cores[1:]))
-            thinned._groups.append((smaller, [(places, cores[0] / scale[places, None])]))
+            train = slab.train.with_first(first).right_orthonormal()
+            train, _ = train.truncated(tolerance / np.sqrt(len(self._groups)))
+            smaller = replace(slab, train=train.with_first(slab.cores[0]))
+            thinned._groups.append((smaller, [(places, train.first / scale[places, None])]))
         return thinned
 
     def values(self, points: Array) -> Array:

@@ -23,7 +23,7 @@ from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import did_you_mean, listing, quote
-from rankone.tensors.calculus import fixed as with_fixed
+from rankone.tensors.slab import fixed as with_fixed
 
 __all__ = ["Posterior", "posterior"]
 

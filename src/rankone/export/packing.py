@@ -24,10 +24,8 @@ from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.options import checked_number
-from rankone.tensors.cross import rounded
 from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
-from rankone.tensors.train import thinned
 from rankone.verification.search import Climb, climbed
 
 __all__ = ["PackedCore", "PackedModel", "States", "check_states", "checked_rtol", "pack"]
@@ -216,7 +214,7 @@ def checked_rtol(rtol: float | None) -> float | None:
 
 def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:
     """A slab of some of the states."""
-    return replace(slab, cores=(slab.cores[0][rows], *slab.cores[1:]))
+    return slab.with_first(slab.cores[0][rows])
 
 
 def _difference_line(rounding: Rounding, rtol: float) -> str:
@@ -359,9 +357,10 @@ def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[S
     """
     first = np.concatenate([slab.cores[0] for slab in run], axis=1) / sizes[:, None, None]
     share = np.sqrt(0.5) * tolerance
-    cores = thinned(rounded([first, *run[0].cores[1:]], share), share)
+    train = run[0].train.with_first(first).rounded(share).thinned(share)
     counts = np.cumsum([slab.cores[0].shape[1] for slab in run])
-    firsts = np.split(cores[0] * sizes[:, None, None], counts[:-1], axis=1)
+    firsts = np.split(train.first * sizes[:, None, None], counts[:-1], axis=1)
     return [
-        replace(slab, cores=(first, *cores[1:])) for slab, first in zip(run, firsts, strict=True)
+        replace(slab, train=train.with_first(first))
+        for slab, first in zip(run, firsts, strict=True)
     ]

@@ -31,11 +31,10 @@ from rankone.support.budget import (
     work_left,
 )
 from rankone.support.errors import ConvergenceError
-from rankone.tensors.cross import interpolate, left_points, rounded, with_points
-from rankone.tensors.growing_basis import GrowingBasis
-from rankone.tensors.samples import Samples
+from rankone.tensors.cross import interpolate, left_points, with_points
+from rankone.tensors.samples import GrowingBasis, Samples
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import apply_to_modes, mode_norms
+from rankone.tensors.train import Train
 
 __all__ = ["solved_quantities"]
 
@@ -267,15 +266,15 @@ def _one(
             left = with_points(left, [basis.nodes for basis in bases], doubtful)
         tolerance = _SHARE * level / np.sqrt(len(bases))
         samples = Samples(function, bases)
-        cores = interpolate(samples, bases, left, tolerance, options.max_rank).cores
-        cores = rounded(cores, _SHARE * level)
+        train, _ = interpolate(samples, bases, left, tolerance, options.max_rank)
+        train = train.rounded(_SHARE * level)
     else:
-        cores = [function(np.zeros((1, 0)))]
-    modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
-    first, grid = function.values(cores[0]), function.sampler.grid
+        train = Train((function(np.zeros((1, 0))),))
+    modal = train.apply_to_modes([basis.to_modal for basis in bases])
+    first, grid = function.values(train.first), function.sampler.grid
     if function.sampler.quantities.timeless:
         grid = TimeGrid((grid.breaks[0], grid.breaks[-1]), 1)
-    return tuple(grid.trains(first, modal[1:], bases)), mode_norms(modal)
+    return tuple(grid.trains(modal.with_first(first), bases)), modal.mode_norms()
 
 
 def _outcome(

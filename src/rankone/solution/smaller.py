@@ -14,7 +14,7 @@ from rankone.ir.outcome import Outcome
 from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
-from rankone.tensors.calculus import at_one_time, differentiated, fixed, restricted
+from rankone.tensors.slab import at_one_time, differentiated, fixed, restricted
 
 __all__ = ["at_time", "derived", "merged", "with_fixed", "with_restricted"]
 

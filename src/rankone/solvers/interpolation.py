@@ -15,7 +15,7 @@ import numpy as np
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.tensors.cross import Nodes, interpolate, left_points
-from rankone.tensors.samples import Integers
+from rankone.tensors.train import Integers, Train
 
 logger = logging.getLogger("rankone")
 
@@ -45,7 +45,7 @@ class PlainNodes:
 
 def interpolated(
     values: Callable[[Integers], Array], nodes: Sequence[Nodes], tolerance: float
-) -> list[Array]:
+) -> Train:
     """A train through values at nodes of each parameter.
 
     Parameters
@@ -58,12 +58,12 @@ def interpolated(
 
     Returns
     -------
-    list of ndarray
+    Train
         Core 0 (n, r_1), core j (r_j, N_j, r_{j+1}), scaled by the roots of the weights and
         right-orthonormal.
     """
     if not nodes:
-        return [values(np.zeros((1, 0), dtype=np.int64))]
+        return Train((values(np.zeros((1, 0), dtype=np.int64)),))
     generator = np.random.default_rng(20140)
     some = np.stack([generator.integers(0, x.size, _NODES_TRIED) for x in nodes], axis=1)
     exact = values(some)
@@ -72,9 +72,9 @@ def interpolated(
     counts = [x.size for x in nodes]
     left = left_points(counts, _LEFT, 20140)
     for number in range(1, _ATTEMPTS + 1):
-        found = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
-        first, *cores = found.cores
-        missed = np.abs(first @ _at(cores, nodes, some) - exact / sizes).max(axis=0)
+        train, _ = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
+        unscaled = train.unscaled([x.weights for x in nodes])
+        missed = np.abs(train.first @ unscaled.at_indices(some) - exact / sizes).max(axis=0)
         full = math.prod(counts[:-1]) <= len(left[-1])
         if full or missed.max() <= _LOST_THERE * tolerance:
             break
@@ -84,21 +84,11 @@ def interpolated(
             np.unique(np.concatenate([points, worst[:, : points.shape[1]]]), axis=0)
             for points in more
         ]
-    ranks = tuple(len(core) for core in cores)
-    logger.info("interpolated over the parameters: ranks %s, error %.1e", ranks, missed.max())
-    return [first * sizes, *cores]
+    logger.info("interpolated over the parameters: ranks %s, error %.1e", train.ranks, missed.max())
+    return train.with_first(train.first * sizes)
 
 
-def _at(cores: Sequence[Array], nodes: Sequence[Nodes], indices: Integers) -> Array:
-    """Product of the cores at indices (m, d) of nodes: (r_1, m)."""
-    carry = np.ones((1, len(indices)))
-    for core, basis, column in zip(reversed(cores), nodes[::-1], indices.T[::-1], strict=True):
-        scaled = core[:, column] / np.sqrt(basis.weights[column])[:, None]
-        carry = np.einsum("rms,sm->rm", scaled, carry)
-    return carry
-
-
-def interpolated_initial(system: System, nodes: Sequence[Array]) -> list[Array]:
+def interpolated_initial(system: System, nodes: Sequence[Array]) -> Train:
     """Initial values at the nodes (N_j,) of each parameter, to rounding, as a train.
 
     Core 0 has the shape (n, r_1), core j the shape (r_j, N_j, r_{j+1}).

@@ -16,7 +16,7 @@ from rankone.statistics.distributions import Measure
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
-from rankone.tensors.train import right_orthonormal, truncated
+from rankone.tensors.train import Train
 
 __all__ = ["HigherMoments"]
 
@@ -73,7 +73,8 @@ class HigherMoments:
         weighted = zip(nodal, self.weights, strict=True)
         scaled = [core * np.sqrt(weight)[:, None] for core, weight in weighted]
         if scaled:
-            self.root, *self.cores = right_orthonormal([np.eye(len(scaled[0])), *scaled])
+            train = Train((np.eye(len(scaled[0])), *scaled))
+            self.root, *self.cores = train.right_orthonormal().cores
         else:
             self.root, self.cores = np.array([[0.0], [0.0]] if central else [[1.0]]), []
 
@@ -110,19 +111,20 @@ class HigherMoments:
         if not self.cores:
             return np.stack([rows[:, 0] ** 3, rows[:, 0] ** 4])
         tolerance = self.tolerance
-        (first, *cores), _ = truncated([rows, *self.cores], tolerance)
-        if len(rows) > 1 and max(map(len, cores)) > _LARGEST_COMMON_RANK:
+        train, _ = Train((rows, *self.cores)).truncated(tolerance)
+        if len(rows) > 1 and max(train.ranks) > _LARGEST_COMMON_RANK:
             half = len(rows) // 2
             return np.hstack([self._normed(rows[:half]), self._normed(rows[half:])])
-        while max(map(len, cores)) > _LARGEST_RANK and tolerance < _LARGEST_TOLERANCE:
+        while max(train.ranks) > _LARGEST_RANK and tolerance < _LARGEST_TOLERANCE:
             tolerance *= 3.0
-            (first, *cores), _ = truncated([rows, *self.cores], tolerance)
+            train, _ = Train((rows, *self.cores)).truncated(tolerance)
         if tolerance > max(_WARNED_TOLERANCE, self.tolerance):
             warn(
                 f"the train minus its mean is truncated to {tolerance:.0e} of its standard "
                 "deviation, since its ranks are high; third and fourth moments are good to a few "
                 "times that; remedy: fix some parameters first, or take moments of samples"
             )
+        first, *cores = train.cores
         third, fourth = self._contracted(cores)
         pairs = _pairs(first)
         return np.stack(

@@ -32,6 +32,7 @@ from rankone.support.files import as_path
 from rankone.support.plain_data import plain, rebuilt
 from rankone.support.wording import is_line, name_defect, quote
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 __all__ = [
     "FORMAT",
@@ -222,7 +223,9 @@ def _slab(
             raise ValueError(f"the cores of slab {index} do not fit together")
     if any(core.shape[1] != basis.size for core, basis in zip(cores[1:], bases, strict=True)):
         raise ValueError(f"the cores of slab {index} do not fit their bases")
-    return SlabTrain(rebuilt(float, fields["start"]), rebuilt(float, fields["end"]), cores, bases)
+    return SlabTrain(
+        rebuilt(float, fields["start"]), rebuilt(float, fields["end"]), Train(cores), bases
+    )
 
 
 def _check_digest(arrays: Mapping[str, Any]) -> None:

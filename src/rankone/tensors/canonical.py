@@ -34,12 +34,9 @@ from rankone.support.errors import EvaluationError, warn
 from rankone.support.options import checked_number
 from rankone.support.wording import did_you_mean, listing
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import block_diagonal, right_orthonormal, truncated
+from rankone.tensors.train import Train, block_diagonal
 
 __all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
-
-Train = list[Array]
-"""Cores (r_j, n_j, r_{j+1}) of scaled values; the first and the last rank are 1."""
 
 _ROUNDING_SHARE = 0.1
 """Share of the tolerance spent on rounding the train of the horizon."""
@@ -339,42 +336,43 @@ def _slab_train(slab: SlabTrain, state: int, axes: Sequence[Axis]) -> Train:
     xi, weights = leggauss(len(first))
     width = (slab.end - slab.start) / (axes[0].breaks[-1] - axes[0].breaks[0])
     values = legendre_values(xi, len(first)) * np.sqrt(0.5 * width * weights)[:, None]
-    train = [(values @ first)[None]]
+    cores = [(values @ first)[None]]
     for core, basis, axis in zip(slab.cores[1:], slab.bases, axes[1:], strict=True):
         values = basis.modal_values(axis.nodes) * np.sqrt(axis.weights)[:, None]
-        train.append(np.matmul(values, core))
-    return train
+        cores.append(np.matmul(values, core))
+    return Train(tuple(cores))
 
 
 def _horizon_train(
     slabs: Sequence[SlabTrain], state: int, axes: Sequence[Axis], rtol: float
 ) -> tuple[Train, float, float]:
     """Add the slabs up pairwise, rounding every sum: train, norm and relative error bound."""
-    trains = [right_orthonormal(_slab_train(slab, state, axes), 0.0) for slab in slabs]
-    norm = math.hypot(*(float(np.linalg.norm(train[0])) for train in trains))
+    trains = [_slab_train(slab, state, axes).right_orthonormal(0.0) for slab in slabs]
+    norm = math.hypot(*(float(np.linalg.norm(train.first)) for train in trains))
     levels = 1 + math.ceil(math.log2(len(trains)))
     # errors on different slabs are orthogonal, those of successive sums are not
     error = 0.0
     while True:
         share = rtol * norm / levels / math.sqrt(len(trains))
-        rounded = [truncated(train, share) for train in trains]
-        trains = [right_orthonormal(train, 0.0) for train, _ in rounded]
+        rounded = [train.truncated(share) for train in trains]
+        trains = [train.right_orthonormal(0.0) for train, _ in rounded]
         error += math.hypot(*(lost for _, lost in rounded))
         if len(trains) == 1:
             return trains[0], norm, error / norm if norm else 0.0
         trains = [
-            right_orthonormal(_joined(*pair), 0.0) if len(pair) == 2 else pair[0]
+            _joined(*pair).right_orthonormal(0.0) if len(pair) == 2 else pair[0]
             for pair in (trains[i : i + 2] for i in range(0, len(trains), 2))
         ]
 
 
 def _joined(a: Train, b: Train) -> Train:
     """Two trains on successive pieces of the time axis as one."""
-    if len(a) == 1:
-        return [np.concatenate([a[0], b[0]], axis=1)]
-    first = block_diagonal(a[0].transpose(1, 0, 2), b[0].transpose(1, 0, 2)).transpose(1, 0, 2)
-    pairs = zip(a[1:-1], b[1:-1], strict=True)
-    return [first, *(block_diagonal(*pair) for pair in pairs), np.concatenate([a[-1], b[-1]])]
+    if len(a.cores) == 1:
+        return Train((np.concatenate([a.first, b.first], axis=1),))
+    first = block_diagonal(a.first.transpose(1, 0, 2), b.first.transpose(1, 0, 2))
+    middle = map(block_diagonal, a.cores[1:-1], b.cores[1:-1])
+    last = np.concatenate([a.cores[-1], b.cores[-1]])
+    return Train((first.transpose(1, 0, 2), *middle, last))
 
 
 # --- from the train to products ----------------------------------------------------------------
@@ -386,7 +384,7 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
     Each branch holds the modes of the dimensions it has passed and a vector into the next core;
     as the remaining cores have orthonormal rows, its amplitude is its norm.
     """
-    total = float(np.linalg.norm(train[0])) ** 2
+    total = float(np.linalg.norm(train.first)) ** 2
     ticket = itertools.count()
     heap: list[tuple[float, int, tuple[Array, ...], Array]] = [
         (-math.sqrt(total), next(ticket), (), np.ones(1))
@@ -395,7 +393,7 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
     found: list[tuple[float, tuple[Array, ...]]] = []
     while heap and len(found) < most:
         negative, _, modes, vector = heapq.heappop(heap)
-        if len(modes) == len(train):
+        if len(modes) == len(train.cores):
             found.append((-negative, modes))
             rest -= negative**2
             # the running difference loses digits, the sum of what is left does not
@@ -403,7 +401,7 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
             if nearly and math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
                 break
             continue
-        core = np.tensordot(vector, train[len(modes)], 1)
+        core = np.tensordot(vector, train.cores[len(modes)], 1)
         scale = -negative if modes else 1.0
         u, s, vt = np.linalg.svd(core, full_matrices=False)
         for k in range(s.size):
@@ -411,7 +409,7 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
                 heapq.heappush(heap, (-scale * s[k], next(ticket), (*modes, u[:, k]), vt[k]))
     amplitudes = np.array([amplitude for amplitude, _ in found])
     return amplitudes, [
-        np.stack([modes[j] for _, modes in found], axis=1) for j in range(len(train))
+        np.stack([modes[j] for _, modes in found], axis=1) for j in range(len(train.cores))
     ]
 
 
@@ -446,17 +444,17 @@ def _least_squares(
     Convergence is linear; it is given up when its rate will not lead to the tolerance in time.
     """
     modes = list(modes)
-    dimensions = range(len(train))
+    dimensions = range(len(train.cores))
     grams = [mode.T @ mode for mode in modes]
     previous = math.inf
     most = max(min(_MOST_SWEEPS, _TERM_SWEEPS // len(amplitudes)), 10)
     for sweep in range(most):
         rights = [np.ones((1, len(amplitudes)))]
         for j in reversed(dimensions[1:]):
-            rights.append(_absorb(train[j].transpose(2, 1, 0), rights[-1], modes[j]))
+            rights.append(_absorb(train.cores[j].transpose(2, 1, 0), rights[-1], modes[j]))
         left = np.ones((1, len(amplitudes)))
         for j in dimensions:
-            spread = np.tensordot(left, train[j], ([0], [0]))
+            spread = np.tensordot(left, train.cores[j], ([0], [0]))
             target = np.einsum("inb,bi->ni", spread, rights[-1 - j])
             gram = np.ones_like(grams[0])
             for k in dimensions:
@@ -469,7 +467,7 @@ def _least_squares(
             amplitudes = np.linalg.norm(scaled, axis=0)
             modes[j] = scaled / np.where(amplitudes > 0.0, amplitudes, 1.0)
             grams[j] = modes[j].T @ modes[j]
-            left = _absorb(train[j], left, modes[j])
+            left = _absorb(train.cores[j], left, modes[j])
         square = norm**2 - 2.0 * float(np.sum(target * scaled))
         square += float(amplitudes @ (gram * grams[-1]) @ amplitudes)
         error = math.sqrt(max(square, 0.0))
@@ -494,13 +492,13 @@ def _distance(train: Train, amplitudes: Array, modes: Sequence[Array]) -> float:
     """
     left = np.ones((1, 1))
     products = -amplitudes[None]
-    for core, mode in zip(train[:-1], modes[:-1], strict=True):
+    for core, mode in zip(train.cores[:-1], modes[:-1], strict=True):
         a = np.tensordot(left, core, 1)
         b = products[:, None, :] * mode
         block = np.concatenate([a, b], axis=2)
         r = np.asarray(np.linalg.qr(block.reshape(-1, block.shape[2]), mode="r"))
         left, products = r[:, : core.shape[2]], r[:, core.shape[2] :]
-    return float(np.linalg.norm(left @ train[-1][:, :, 0] + products @ modes[-1].T))
+    return float(np.linalg.norm(left @ train.cores[-1][:, :, 0] + products @ modes[-1].T))
 
 
 def _standard(amplitudes: Array, modes: Sequence[Array]) -> tuple[Array, list[Array]]:

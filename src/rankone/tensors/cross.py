@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,29 +17,31 @@ import scipy.linalg
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import product, qr, svd
-from rankone.tensors.samples import Integers
-from rankone.tensors.train import right_orthonormal
-from rankone.tensors.truncation import truncated_svd
+from rankone.support.costs import product, qr
+from rankone.tensors.train import Integers, Train, truncated_svd
 
-__all__ = ["Interpolation", "interpolate", "left_points", "with_points"]
+__all__ = ["Nodes", "interpolate", "left_points", "with_points"]
 
-_FULL_GRID = 1600
-"""Number of nodes of the grid up to which all of them are sampled."""
-_EXCHANGES, _VOLUME = 100, 1.1
-"""Most exchanges of columns of a skeleton, and the factor on its volume that is worth one."""
-_EXCHANGE = 3.0
-"""Operations of an exchange for each coefficient."""
-_CORNERS = 0.45
+_FULL_GRID_NODES = 1600
+"""Grids of at most so many nodes are sampled completely: adapting would save nothing."""
+_CORNER_RATIO = 0.45
 """Corners among the left points, over the random ones."""
 _CORNER_WEIGHT = 0.5
-"""Their weight: what is missed there alone may be larger."""
-_EXTRA = 16
-"""Expected rank of a bond: twice that of the next one, and so many more."""
+"""Weight of corners in what a row space may miss: an error there alone may be larger."""
+_EXTRA_RANK = 16
+"""The rank of a bond is expected to be at most twice that of the next one plus this."""
+_MAX_EXCHANGES = 100
+"""Most exchanges of columns of a skeleton; Goreinov et al. report a few per rank."""
+_VOLUME_GAIN = 1.1
+"""Factor on the volume of a skeleton that is worth an exchange."""
+_EXCHANGE_COST = 3.0
+"""Operations of an exchange for each coefficient."""
+_SEED = 20140
+"""Seed of the random directions of a sweep."""
 
 
 class Nodes(Protocol):
-    """What counts of a basis here."""
+    """The nodes of a basis and their weights."""
 
     @property
     def size(self) -> int:
@@ -51,23 +52,6 @@ class Nodes(Protocol):
         """Weights of the nodes."""
 
 
-@dataclass(frozen=True)
-class Interpolation:
-    """A train whose first core is in the basis of the trajectories.
-
-    Attributes
-    ----------
-    cores : list of ndarray
-        Core 0 (basis, r_1); cores j (r_j, n_j, r_{j+1}), scaled by the roots of the weights and
-        right-orthonormal.
-    limited : bool
-        Whether a rank was cut.
-    """
-
-    cores: list[Array]
-    limited: bool
-
-
 def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     """For each bond the left points: node indices of the parameters before it, (m, b).
 
@@ -76,13 +60,13 @@ def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     """
     generator = np.random.default_rng(seed)
     points = [np.zeros((1, 0), dtype=np.int64)]
-    full = math.prod(sizes) <= _FULL_GRID
+    full = math.prod(sizes) <= _FULL_GRID_NODES
     for b in range(1, len(sizes)):
         total = math.prod(sizes[:b])
         if full or total <= count:
             columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
         else:
-            corners = _corners(b, round(_CORNERS * count), generator)
+            corners = _corners(b, round(_CORNER_RATIO * count), generator)
             columns = [
                 np.concatenate([generator.integers(0, size, count), (size - 1) * corner])
                 for size, corner in zip(sizes[:b], corners.T, strict=True)
@@ -97,7 +81,8 @@ def with_points(left: Sequence[Integers], nodes: Sequence[Array], points: Array)
         [np.abs(x[None, :] - points[:, [j]]).argmin(axis=1) for j, x in enumerate(nodes)], axis=1
     )
     return [
-        np.unique(np.concatenate([known, nearest[:, : known.shape[1]]]), axis=0) for known in left
+        np.unique(np.concatenate([indices, nearest[:, : indices.shape[1]]]), axis=0)
+        for indices in left
     ]
 
 
@@ -124,8 +109,8 @@ def interpolate(
     tolerance: float,
     max_rank: int,
     begun: Callable[[int, int, int], None] | None = None,
-) -> Interpolation:
-    """One sweep from the last parameter to the first.
+) -> tuple[Train, bool]:
+    """Cross interpolation in one sweep from the last parameter to the first.
 
     Parameters
     ----------
@@ -140,8 +125,16 @@ def interpolate(
     max_rank : int
     begun : callable, optional
         Called when a bond is begun: how many were done, of how many, and the rank.
+
+    Returns
+    -------
+    train : Train
+        Core 0 holds sampled columns (rows, r_1); cores j >= 1 are scaled by the roots of the
+        weights.
+    limited : bool
+        Whether a rank was cut.
     """
-    generator = np.random.default_rng(20140)
+    generator = np.random.default_rng(_SEED)
     right = np.zeros((1, 0), dtype=np.int64)
     cores: list[Array] = []
     limited = False
@@ -154,14 +147,16 @@ def interpolate(
         weights = _weights(left[b], [basis.size for basis in bases[:b]])
         matrix = (block * weights[:, None]).reshape(-1, len(columns))
         allowed = tolerance * math.sqrt(np.sum(weights**2) * len(columns))
-        guess = generator.standard_normal((2 * len(right) + _EXTRA, len(columns)))
+        guess = generator.standard_normal((2 * len(right) + _EXTRA_RANK, len(columns)))
         charge(20.0 * guess.size + 4.0 * matrix.size)
-        _, values, rows = truncated_svd(matrix, allowed, max_rank, guess)
-        limited |= values.size == max_rank
+        _, weights, rows = truncated_svd(matrix, allowed, max_rank, guess)
+        limited |= weights.size == max_rank
         skeleton, core = _skeleton(rows)
         cores.insert(0, core.reshape(len(rows), size, len(right)))
         right = columns[skeleton]
-    return Interpolation([samples(right), *_scaled(cores, bases)], limited)
+    roots = [np.sqrt(basis.weights)[:, None] for basis in bases]
+    scaled = (core * root for core, root in zip(cores, roots, strict=True))
+    return Train((samples(right), *scaled)), limited
 
 
 def _skeleton(rows: Array) -> tuple[Integers, Array]:
@@ -186,11 +181,11 @@ def _skeleton(rows: Array) -> tuple[Integers, Array]:
     _, _, pivots = scipy.linalg.qr(rows, mode="economic", pivoting=True, check_finite=False)
     skeleton = pivots[:rank].astype(np.int64)
     coefficients = np.asarray(np.linalg.solve(rows[:, skeleton], rows))
-    for _ in range(_EXCHANGES):
+    for _ in range(_MAX_EXCHANGES):
         i, j = np.unravel_index(np.argmax(np.abs(coefficients)), coefficients.shape)
-        if abs(coefficients[i, j]) < _VOLUME:
+        if abs(coefficients[i, j]) < _VOLUME_GAIN:
             break
-        charge(_EXCHANGE * coefficients.size)
+        charge(_EXCHANGE_COST * coefficients.size)
         change = coefficients[:, j].copy()
         change[i] -= 1.0
         coefficients -= np.outer(change / coefficients[i, j], coefficients[i])
@@ -203,27 +198,3 @@ def _product(left: Integers, right: Integers) -> Integers:
     return np.concatenate(
         [np.repeat(left, len(right), axis=0), np.tile(right, (len(left), 1))], axis=1
     )
-
-
-def _scaled(cores: Sequence[Array], bases: Sequence[Nodes]) -> list[Array]:
-    """Values at the nodes times the roots of the weights."""
-    pairs = zip(cores, bases, strict=True)
-    return [core * np.sqrt(basis.weights)[:, None] for core, basis in pairs]
-
-
-def rounded(cores: Sequence[Array], tolerance: float) -> list[Array]:
-    """The same train with the ranks that a tolerance needs, right-orthonormal."""
-    result = right_orthonormal(cores)
-    share = tolerance / math.sqrt(max(len(result) - 1, 1))
-    for j in range(len(result) - 1):
-        core = result[j]
-        charge(svd(core.size / core.shape[-1], core.shape[-1]))
-        left, values, right = scipy.linalg.svd(
-            core.reshape(-1, core.shape[-1]), full_matrices=False, check_finite=False
-        )
-        tails = np.sqrt(np.cumsum(values[::-1] ** 2)[::-1])
-        keep = max(int(np.count_nonzero(tails > share)), 1)
-        result[j] = left[:, :keep].reshape(*core.shape[:-1], keep)
-        carry = values[:keep, None] * right[:keep]
-        result[j + 1] = np.tensordot(carry, result[j + 1], 1)
-    return right_orthonormal(result)

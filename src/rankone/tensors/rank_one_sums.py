@@ -3,7 +3,8 @@
     X[n_0, ..., n_d] = sum_r F_0[n_0, r] F_1[n_1, r] ... F_d[n_d, r]
 
 Addition joins columns, a pointwise product pairs them; both raise the rank, and the classic method
-lowers it again by solving with the identity.
+lowers it again by solving with the identity. A solved sum becomes tensor trains, which solutions
+evaluate.
 """
 
 from __future__ import annotations
@@ -13,20 +14,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rankone.discretization.finite_elements import LagrangeElements
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import product, qr
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Integers, Train
 
-__all__ = ["RankOneSum"]
+__all__ = ["RankOneSum", "element_trains"]
 
-_STABLE = 120
-"""Largest rank whose norm is found by orthogonalisation if there are more than two dimensions."""
-_BLOCK = 4_000_000
-"""Inner products of products that are formed at once."""
-_ROUNDING = 1e-15
-"""Relative size of what cancels in squared norms."""
+_ORTHOGONALISED_RANK = 120
+"""Largest rank whose norm in three dimensions or more is found by orthogonalisation: the cost grows
+with the cube of the rank."""
+_GRAM_ENTRIES = 4_000_000
+"""Inner products of products formed at once: 32 MB."""
+_CANCELLED = 1e-15
+"""Relative size of rounding in squared norms."""
 
 
 @dataclass(frozen=True)
@@ -90,15 +94,15 @@ class RankOneSum:
 
         ``square`` is the squared norm of this tensor, if it is known.
         """
-        if self.rank + other.rank <= _STABLE or len(self.factors) <= 2:
+        if self.rank + other.rank <= _ORTHOGONALISED_RANK or len(self.factors) <= 2:
             return (self - other).norm()
         square = self.inner(self) if square is None else square
-        rest = square - 2.0 * self.inner(other) + other.inner(other)
-        return math.sqrt(max(rest, _ROUNDING * square))
+        difference = square - 2.0 * self.inner(other) + other.inner(other)
+        return math.sqrt(max(difference, _CANCELLED * square))
 
     def _grams(self, other: RankOneSum) -> Iterator[Array]:
         """Inner products of the products, (R, R of the other), a block of columns at a time."""
-        step = max(_BLOCK // max(self.rank, 1), 1)
+        step = max(_GRAM_ENTRIES // max(self.rank, 1), 1)
         for first in range(0, other.rank, step):
             width = min(step, other.rank - first)
             charge(sum(product(self.rank, len(factor), width) for factor in self.factors))
@@ -110,26 +114,26 @@ class RankOneSum:
     def norm(self) -> float:
         """Euclidean norm.
 
-        Of a difference all digits are kept up to rank 120, and in one and two dimensions at any
-        rank; otherwise the result is at least what rounding may have cancelled.
+        The norm of a difference keeps all digits up to rank 120, and in one and two dimensions at
+        any rank; otherwise it is at least what rounding may have cancelled.
         """
         if self.rank == 0:
             return 0.0
-        if self.rank > _STABLE and len(self.factors) > 2:
+        if self.rank > _ORTHOGONALISED_RANK and len(self.factors) > 2:
             square = size = 0.0
             for gram in self._grams(self):
                 square, size = square + float(gram.sum()), size + float(np.abs(gram).sum())
-            return math.sqrt(max(square, _ROUNDING * size))
-        carry = np.ones((1, self.rank))
+            return math.sqrt(max(square, _CANCELLED * size))
+        products = np.ones((1, self.rank))
         for factor in self.factors[:-1]:
-            block = (carry[:, None, :] * factor).reshape(-1, self.rank)
+            block = (products[:, None, :] * factor).reshape(-1, self.rank)
             charge(qr(*block.shape))
             if len(block) > self.rank:
                 block = np.asarray(np.linalg.qr(block, mode="r"))
-            carry = block
-        return float(np.linalg.norm(carry @ self.factors[-1].T))
+            products = block
+        return float(np.linalg.norm(products @ self.factors[-1].T))
 
-    def at(self, indices: NDArray[np.int64]) -> Array:
+    def at(self, indices: Integers) -> Array:
         """Entries of a tensor with one row in its first dimension, at indices (m, d): (m,)."""
         products = np.broadcast_to(self.factors[0], (len(indices), self.rank))
         for factor, rows in zip(self.factors[1:], indices.T, strict=True):
@@ -165,4 +169,107 @@ class RankOneSum:
         if not tensors:
             return RankOneSum.zero(sizes)
         columns = zip(*(tensor.factors for tensor in tensors), strict=True)
-        return RankOneSum(tuple(np.concatenate(parts, axis=1) for parts in columns))
+        return RankOneSum(tuple(np.concatenate(factors, axis=1) for factors in columns))
+
+
+# --- from sums to trains ------------------------------------------------------------------------
+
+
+def element_trains(
+    bases: Sequence[LagrangeElements],
+    start: Sequence[RankOneSum],
+    modes: Sequence[RankOneSum],
+    tolerance: Array,
+) -> tuple[list[SlabTrain], Array]:
+    """One train for each element in time, all states together.
+
+    The products of all states form a train with diagonal cores. It is orthogonalised once for the
+    slab; on one element in time the polynomials span few directions, and singular values below
+    the tolerance are left out.
+
+    Parameters
+    ----------
+    bases : sequence of LagrangeElements
+        Time, then the parameters.
+    start : sequence of RankOneSum
+        For each state its value at the start, nodal in the parameters, with one row of time.
+    modes : sequence of RankOneSum
+        For each state what is added to it, nodal, without the first node in time.
+    tolerance : ndarray (n,)
+        Root mean square, for each state, of what may be left out on an element.
+
+    Returns
+    -------
+    trains : list of SlabTrain
+    tails : ndarray (n, 1 + d)
+        For each state and dimension the root mean square of the two highest modes.
+    """
+    time, *parameters = bases
+    sums = [
+        RankOneSum((np.repeat(initial.factors[0], time.size, axis=0), *initial.factors[1:]))
+        + RankOneSum((np.vstack([np.zeros((1, mode.rank)), mode.factors[0]]), *mode.factors[1:]))
+        for initial, mode in zip(start, modes, strict=True)
+    ]
+    if not any(total.rank for total in sums):
+        sums[0] = RankOneSum(tuple(np.zeros((len(factor), 1)) for factor in sums[0].factors))
+    n, rank = len(sums), sum(total.rank for total in sums)
+    first = np.zeros((n, time.elements, time.order + 1, rank))
+    begin = 0
+    for state, total in enumerate(sums):
+        first[state, :, :, begin : begin + total.rank] = time.to_modes(total.factors[0])
+        begin += total.rank
+    first /= tolerance[:, None, None, None]
+    cores: list[Array] = [first.reshape(-1, rank)]
+    for j, basis in enumerate(parameters, start=1):
+        nodal = np.concatenate([total.factors[j] for total in sums], axis=1)
+        coefficients = basis.to_modes(nodal).reshape(-1, rank) / np.sqrt(basis.elements)
+        core = np.zeros((rank, len(coefficients), rank))
+        index = np.arange(rank)
+        core[index, :, index] = coefficients.T
+        cores.append(core)
+    if parameters:
+        cores[-1] = cores[-1].sum(axis=2, keepdims=True)
+    else:
+        cores = [cores[0].sum(axis=1, keepdims=True)]
+    train = Train(tuple(cores)).rounded(1.0)
+    first = train.first.reshape(n, time.elements, time.order + 1, -1)
+    tails = _tails(first, train.cores[1:], bases) * tolerance[:, None]
+    trains = []
+    for e in range(time.elements):
+        local = first[:, e].reshape(n * (time.order + 1), -1)
+        following = train.cores[1:]
+        if following and local.shape[1] > len(local):
+            # no more directions than coefficients in time: rotate them into the next core
+            q, r = np.linalg.qr(local.T)
+            local = r.T
+            following = (np.tensordot(q.T, following[0], 1), *following[1:])
+        block = local.reshape(n, time.order + 1, -1) * tolerance[:, None, None]
+        lower = time.lower + e * time.width
+        upper = time.upper if e == time.elements - 1 else time.lower + (e + 1) * time.width
+        modes_of_parameters = tuple(basis.modes for basis in parameters)
+        trains.append(SlabTrain(lower, upper, Train((block, *following)), modes_of_parameters))
+    return trains, tails
+
+
+def _tails(first: Array, cores: Sequence[Array], bases: Sequence[LagrangeElements]) -> Array:
+    """Norms of the two highest modes of each element, by state and dimension.
+
+    ``first`` is (n, elements, order + 1, r) and the other cores are right-orthonormal.
+    """
+    n, elements = first.shape[:2]
+    tails = np.zeros((n, len(bases)))
+    tails[:, 0] = np.sqrt(np.sum(first[:, :, -2:] ** 2, axis=(1, 2, 3)) / elements)
+    gram = np.einsum("nepr,neps->nrs", first, first, optimize=True) / elements
+    for j, (core, basis) in enumerate(zip(cores, bases[1:], strict=True), start=1):
+        split = core.reshape(len(core), basis.elements, basis.order + 1, -1)[:, :, -2:]
+        flat = split.reshape(len(core), -1)
+        tails[:, j] = np.sqrt(np.maximum(np.einsum("nrs,rs->n", gram, flat @ flat.T), 0.0))
+        gram = np.stack([_carried(g, core) for g in gram])
+    return tails
+
+
+def _carried(gram: Array, core: Array) -> Array:
+    """Gram matrix of the next bond, (s, s)."""
+    r, size, s = core.shape
+    half = (gram @ core.reshape(r, size * s)).reshape(r * size, s)
+    return half.T @ core.reshape(r * size, s)

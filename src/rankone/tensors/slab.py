@@ -1,8 +1,12 @@
-"""A solved time slab: one tensor train of polynomial coefficients over time and parameters."""
+"""A solved time slab: a tensor train of polynomial coefficients over time and parameters.
+
+The calculus at the end (smaller solutions, derivatives) is exact; slabs that share the cores of
+their parameters go on sharing them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +15,14 @@ from rankone.discretization import Basis1D, legendre_derivative, legendre_values
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, product
+from rankone.tensors.train import Train
 
-__all__ = ["SlabTrain", "sharing"]
+__all__ = ["SlabTrain", "at_one_time", "differentiated", "fixed", "restricted", "sharing"]
 
-_CORE, _MODE = Cost(10.0 * CALL, 0.1), 15.0
-"""Operations for each core, for each of its numbers at a point, and for the value of a mode."""
+_CORE_COST = Cost(10.0 * CALL, 0.1)
+"""Operations of multiplying a core: once, and for each of its entries at a point."""
+_MODE_COST = 15.0
+"""Operations of evaluating a mode at a point."""
 
 
 @dataclass(frozen=True)
@@ -26,23 +33,28 @@ class SlabTrain:
     ----------
     start, end : float
         The time slab.
-    cores : tuple of ndarray
+    train : Train
         Core 0 has the shape (states, time modes, r_1): coefficients of the Legendre polynomials
         orthonormal on [start, end]. Core j >= 1 has the shape (r_j, modes, r_{j+1}): coefficients
-        of the modes of ``bases[j - 1]``. The last rank is 1.
+        of the modes of ``bases[j - 1]``.
     bases : tuple of Basis1D
         One per parameter.
     """
 
     start: float
     end: float
-    cores: tuple[Array, ...]
+    train: Train
     bases: tuple[Basis1D, ...]
+
+    @property
+    def cores(self) -> tuple[Array, ...]:
+        """The cores of the train."""
+        return self.train.cores
 
     @property
     def ranks(self) -> tuple[int, ...]:
         """The ranks r_1, ..., r_d between the cores."""
-        return tuple(core.shape[0] for core in self.cores[1:])
+        return self.train.ranks
 
     def __call__(self, times: Array, points: Array) -> Array:
         """Evaluate at paired times (M,) and parameter points (d, M): shape (states, M).
@@ -50,54 +62,57 @@ class SlabTrain:
         The plain way, without any preparation; :class:`~rankone.tensors.evaluator.TrainEvaluator`
         serves many calls.
         """
-        values = self._time_values(times)
-        products = np.multiply(values.T[:, None], self.over_parameters(points))
+        modes = self._time_modes(times)
+        products = np.multiply(modes.T[:, None], self.over_parameters(points))
         core = self.cores[0]
         return np.asarray(core.reshape(len(core), -1) @ products.reshape(-1, times.size))
 
     def over_parameters(self, points: Array) -> Array:
         """Product of the cores of the parameters at points (d, M): shape (r_1, M)."""
-        charge(sum(_CORE(points.shape[1] * core.size) for core in self.cores[1:]))
-        charge(_MODE * points.shape[1] * sum(core.shape[1] for core in self.cores[1:]))
+        charge(sum(_CORE_COST(points.shape[1] * core.size) for core in self.cores[1:]))
+        charge(_MODE_COST * points.shape[1] * sum(core.shape[1] for core in self.cores[1:]))
         modes = [basis.modal_values(row) for basis, row in zip(self.bases, points, strict=True)]
-        carry = np.ones((1, points.shape[1]))
-        for core, values in zip(reversed(self.cores[1:]), reversed(modes), strict=True):
-            products = np.multiply(values.T[:, None], carry).reshape(-1, points.shape[1])
-            carry = core.reshape(len(core), -1) @ products
-        return carry
+        columns = np.ones((1, points.shape[1]))
+        for core, at_points in zip(reversed(self.cores[1:]), reversed(modes), strict=True):
+            products = np.multiply(at_points.T[:, None], columns).reshape(-1, points.shape[1])
+            columns = core.reshape(len(core), -1) @ products
+        return columns
 
-    def on_grid(self, times: Array, carry: Array) -> Array:
+    def on_grid(self, times: Array, columns: Array) -> Array:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
-        states, rank = len(self.cores[0]), len(carry)
-        charge(50.0 * CALL + product(states * times.size, rank, carry.shape[1]))
-        return np.asarray(np.einsum("ntr,rm->nmt", self.in_time(times), carry, optimize=True))
+        states, rank = len(self.cores[0]), len(columns)
+        charge(50.0 * CALL + product(states * times.size, rank, columns.shape[1]))
+        return np.asarray(np.einsum("ntr,rm->nmt", self.in_time(times), columns, optimize=True))
 
     def in_time(self, times: Array) -> Array:
         """The first core at times (T,): (states, T, r_1)."""
-        return np.asarray(np.matmul(self._time_values(times), self.cores[0]))
+        return np.asarray(np.matmul(self._time_modes(times), self.cores[0]))
+
+    def with_first(self, first: Array) -> SlabTrain:
+        """The same slab with another first core."""
+        return replace(self, train=self.train.with_first(first))
 
     def first_states(self, count: int) -> SlabTrain:
         """The first states alone."""
-        return replace(self, cores=(self.cores[0][:count], *self.cores[1:]))
+        return self.with_first(self.cores[0][:count])
 
     def derivative(self) -> SlabTrain:
         """The derivatives of the states with respect to time."""
-        first, count = self.cores[0], self.cores[0].shape[1]
-        slopes = legendre_derivative(count) * (2.0 / (self.end - self.start))
-        return replace(self, cores=(slopes @ first, *self.cores[1:]))
+        slopes = legendre_derivative(self.cores[0].shape[1]) * (2.0 / (self.end - self.start))
+        return self.with_first(slopes @ self.cores[0])
 
     def shares_parameters(self, other: SlabTrain) -> bool:
-        """Whether all but the first core are those of another slab."""
+        """Whether all but the first core are the very cores of another slab."""
         pairs = zip(self.cores[1:], other.cores[1:], strict=True)
         return self.bases == other.bases and all(one is two for one, two in pairs)
 
-    def _time_values(self, times: Array) -> Array:
+    def _time_modes(self, times: Array) -> Array:
         xi = (2.0 * times - (self.start + self.end)) / (self.end - self.start)
         return legendre_values(xi, self.cores[0].shape[1])
 
 
 def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
-    """Slabs after each other that share the cores of their parameters, or hold equal ones."""
+    """Runs of consecutive slabs that share the cores of their parameters, or hold equal ones."""
     run = [slabs[0]]
     for slab in slabs[1:]:
         pairs = zip(slab.cores[1:], run[0].cores[1:], strict=True)
@@ -107,3 +122,72 @@ def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
             run = []
         run.append(slab)
     yield run
+
+
+# --- calculus ------------------------------------------------------------------------------------
+
+
+def at_one_time(slabs: Sequence[SlabTrain], time: float, horizon: tuple[float, float]) -> SlabTrain:
+    """The states at one time as constants over a horizon."""
+    starts = np.array([slab.start for slab in slabs[1:]])
+    slab = slabs[int(starts.searchsorted(time, side="right"))]
+    first = slab.in_time(np.array([time]))
+    return SlabTrain(*horizon, slab.train.with_first(first), slab.bases)
+
+
+def differentiated(slabs: Sequence[SlabTrain], parameter: int) -> tuple[SlabTrain, ...]:
+    """The derivatives of the states with respect to one parameter, by its position."""
+
+    def change(core: Array, basis: Basis1D) -> tuple[Array, Basis1D]:
+        return np.matmul(basis.derivative, core), basis
+
+    return _changed(slabs, parameter, change)
+
+
+def restricted(
+    slabs: Sequence[SlabTrain], parameter: int, interval: tuple[float, float]
+) -> tuple[SlabTrain, ...]:
+    """The states for a smaller interval of one parameter."""
+
+    def change(core: Array, basis: Basis1D) -> tuple[Array, Basis1D]:
+        smaller = basis.restricted(*interval)
+        at_nodes = np.sqrt(smaller.weights)[:, None] * basis.modal_values(smaller.nodes)
+        return np.matmul(smaller.to_modal @ at_nodes, core), smaller
+
+    return _changed(slabs, parameter, change)
+
+
+def fixed(slabs: Sequence[SlabTrain], parameter: int, value: float) -> tuple[SlabTrain, ...]:
+    """The states for one value of a parameter, which is no coordinate any more."""
+    merged: dict[tuple[int, int], Array] = {}
+    smaller = []
+    for slab in slabs:
+        before, core = slab.cores[parameter], slab.cores[parameter + 1]
+        key = id(before), id(core)
+        if key not in merged:
+            modes = slab.bases[parameter].modal_values(np.array([value]))[0]
+            merged[key] = before @ np.einsum("rms,m->rs", core, modes)
+        cores = (*slab.cores[:parameter], merged[key], *slab.cores[parameter + 2 :])
+        bases = (*slab.bases[:parameter], *slab.bases[parameter + 1 :])
+        smaller.append(replace(slab, train=Train(cores), bases=bases))
+    return tuple(smaller)
+
+
+def _changed(
+    slabs: Sequence[SlabTrain],
+    parameter: int,
+    change: Callable[[Array, Basis1D], tuple[Array, Basis1D]],
+) -> tuple[SlabTrain, ...]:
+    """Slabs with another core and basis of one parameter."""
+    pairs: dict[tuple[int, Basis1D], tuple[Array, Basis1D]] = {}
+    changed = []
+    for slab in slabs:
+        core, basis = slab.cores[parameter + 1], slab.bases[parameter]
+        key = id(core), basis
+        if key not in pairs:
+            pairs[key] = change(core, basis)
+        core, basis = pairs[key]
+        cores = (*slab.cores[: parameter + 1], core, *slab.cores[parameter + 2 :])
+        bases = (*slab.bases[:parameter], basis, *slab.bases[parameter + 1 :])
+        changed.append(replace(slab, train=Train(cores), bases=bases))
+    return tuple(changed)

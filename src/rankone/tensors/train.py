@@ -1,146 +1,295 @@
-"""Operations on tensor trains held as lists of cores."""
+"""Tensor trains, and the truncated decompositions of matrices that they are made with.
+
+U[..., i_1, ..., i_d] = C_0[..., :] C_1[:, i_1, :] ... C_d[:, i_d, :]
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.tensors.truncation import independent
+from rankone.support.budget import charge
+from rankone.support.costs import product, qr, svd
 
-__all__ = [
-    "apply_to_modes",
-    "block_diagonal",
-    "mode_norms",
-    "right_orthonormal",
-    "thinned",
-    "truncated",
-    "widened",
-]
+__all__ = ["Integers", "Train", "block_diagonal", "independent", "truncated_svd"]
+
+Integers = NDArray[np.int64]
+
+_DIRECT_SIDE = 48
+"""A matrix with a smaller side is decomposed directly: projecting it first costs more."""
+_RANDOM_DIRECTIONS = 12
+"""Random directions added to the expected row space, as Halko et al. advise (5 to 10, or more)."""
+_NEGLIGIBLE_ROW = 1e-13
+"""Rows whose new direction is smaller than this, relative to the largest, are rounding."""
+_NEGLIGIBLE_PROBE = 1e-6
+"""The same for directions that only widen a frame: they need not be kept to the last digit."""
 
 
-def right_orthonormal(cores: Sequence[Array], negligible: float = 1e-13) -> list[Array]:
-    """Equivalent train whose cores 1, ..., d have orthonormal rows; core 0 takes the rest.
+@dataclass(frozen=True, eq=False)
+class Train:
+    """A tensor train.
 
-    Parameters
+    Attributes
     ----------
-    cores : sequence of ndarray
-        Core 0 has any shape (..., r_1); core j >= 1 has the shape (r_j, n_j, r_{j+1}).
-    negligible : float
-        Rows in which no more is new, relative to the largest, are left out.
+    cores : tuple of ndarray
+        Core 0 has any shape (..., r_1), core j >= 1 the shape (r_j, n_j, r_{j+1}). The last rank
+        is 1.
     """
-    result = list(cores)
-    for j in range(len(result) - 1, 0, -1):
-        q, r = independent(result[j].reshape(len(result[j]), -1).T, negligible)
-        result[j] = np.ascontiguousarray(q.T).reshape(-1, *result[j].shape[1:])
-        result[j - 1] = result[j - 1] @ r.T
-    return result
 
+    cores: tuple[Array, ...]
 
-def apply_to_modes(cores: Sequence[Array], matrices: Sequence[Array]) -> list[Array]:
-    """Apply one matrix to the middle index of each core j >= 1; core 0 is kept."""
-    changed = [np.matmul(matrix, core) for matrix, core in zip(matrices, cores[1:], strict=True)]
-    return [cores[0], *changed]
+    @property
+    def first(self) -> Array:
+        """Core 0."""
+        return self.cores[0]
 
+    @property
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes of all cores."""
+        return tuple(core.shape for core in self.cores)
 
-def mode_norms(cores: Sequence[Array]) -> list[Array]:
-    """For each parameter the norms of the modes of its core, weighted by what is to its left.
+    @property
+    def ranks(self) -> tuple[int, ...]:
+        """The ranks r_1, ..., r_d between the cores."""
+        return tuple(core.shape[0] for core in self.cores[1:])
 
-    Cores j >= 1 (r_j, modes, r_{j+1}) have orthonormal rows.
-    """
-    weight = np.asarray(np.linalg.qr(cores[0], mode="r"))
-    norms = []
-    for core in cores[1:]:
-        weighted = np.tensordot(weight, core, 1)
-        norms.append(np.sqrt(np.sum(weighted**2, axis=(0, 2))))
-        weight = np.asarray(np.linalg.qr(weighted.reshape(-1, core.shape[2]), mode="r"))
-    return norms
+    def with_first(self, first: Array) -> Train:
+        """The same train with another core 0."""
+        return Train((first, *self.cores[1:]))
 
+    def apply_to_modes(self, matrices: Sequence[Array]) -> Train:
+        """Apply one matrix to the middle index of each core j >= 1; core 0 is kept."""
+        pairs = zip(matrices, self.cores[1:], strict=True)
+        return Train((self.cores[0], *(np.matmul(matrix, core) for matrix, core in pairs)))
 
-def widened(cores: Sequence[Array], extra: Sequence[Array]) -> list[Array]:
-    """The same train in a larger frame: the span of its cores and of those of another train.
+    def unscaled(self, weights: Sequence[Array]) -> Train:
+        """Values at nodes from values scaled by the roots of the weights of each parameter."""
+        pairs = zip(self.cores[1:], weights, strict=True)
+        return Train((self.first, *(core / np.sqrt(weight)[:, None] for core, weight in pairs)))
 
-    Parameters
-    ----------
-    cores : sequence of ndarray
-        Core 0 (..., r_1), cores j >= 1 (r_j, n_j, r_{j+1}) with orthonormal rows.
-    extra : sequence of ndarray
-        Cores 1, ..., d of the other train, (k, n_j, k), the last (k, n_d, 1). From each core on
-        its rows have norms below one, so that they come after those that are there.
+    def at_indices(self, indices: Integers) -> Array:
+        """Product of the cores j >= 1 at indices (m, d) of their modes: (r_1, m)."""
+        columns = np.ones((1, len(indices)))
+        for core, index in zip(self.cores[:0:-1], indices.T[::-1], strict=True):
+            columns = np.einsum("rms,sm->rm", core[:, index], columns)
+        return columns
 
-    Returns
-    -------
-    list of ndarray
-        Ranks up to r_j + k, cores j >= 1 with orthonormal rows.
-    """
-    first, count = cores[0], extra[0].shape[0]
-    result = [np.concatenate([first, np.zeros((*first.shape[:-1], count))], axis=-1)]
-    for j, (core, other) in enumerate(zip(cores[1:], extra, strict=True)):
-        last = j == len(extra) - 1
-        result.append(np.concatenate([core, other]) if last else block_diagonal(core, other))
-    return right_orthonormal(result, 1e-6)
+    def mode_norms(self) -> list[Array]:
+        """Norms of the modes of each core j >= 1; right-orthonormal trains with core 0 (n, r_1)."""
+        weight = np.asarray(np.linalg.qr(self.cores[0], mode="r"))
+        norms = []
+        for core in self.cores[1:]:
+            weighted = np.tensordot(weight, core, 1)
+            norms.append(np.sqrt(np.sum(weighted**2, axis=(0, 2))))
+            weight = np.asarray(np.linalg.qr(weighted.reshape(-1, core.shape[2]), mode="r"))
+        return norms
+
+    def right_orthonormal(self, negligible: float = _NEGLIGIBLE_ROW) -> Train:
+        """The same train with cores 1, ..., d of orthonormal rows; core 0 takes the factors.
+
+        Rows that add no direction larger than ``negligible``, relative to the largest, are left
+        out.
+        """
+        cores = list(self.cores)
+        for j in range(len(cores) - 1, 0, -1):
+            q, r = independent(cores[j].reshape(len(cores[j]), -1).T, negligible)
+            cores[j] = np.ascontiguousarray(q.T).reshape(-1, *cores[j].shape[1:])
+            cores[j - 1] = cores[j - 1] @ r.T
+        return Train(tuple(cores))
+
+    def truncated(self, tolerance: float) -> tuple[Train, float]:
+        """Truncate a right-orthonormal train within a tolerance; also the norm of the change.
+
+        All cores but the last are left-orthonormal afterwards.
+        """
+        cores = list(self.cores)
+        share = tolerance / math.sqrt(max(len(cores) - 1, 1))
+        change = 0.0
+        for j in range(len(cores) - 1):
+            shape = cores[j].shape
+            charge(svd(cores[j].size / shape[-1], shape[-1]))
+            u, s, vt = scipy.linalg.svd(
+                cores[j].reshape(-1, shape[-1]), full_matrices=False, check_finite=False
+            )
+            tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
+            rank = max(int(np.count_nonzero(tails > share)), 1)
+            change = math.hypot(change, *tails[rank : rank + 1])
+            cores[j] = u[:, :rank].reshape(*shape[:-1], rank)
+            cores[j + 1] = np.tensordot(s[:rank, None] * vt[:rank], cores[j + 1], 1)
+        return Train(tuple(cores)), change
+
+    def rounded(self, tolerance: float) -> Train:
+        """The train with the ranks that a tolerance needs, right-orthonormal."""
+        return self.right_orthonormal().truncated(tolerance)[0].right_orthonormal()
+
+    def thinned(self, tolerance: float) -> Train:
+        """The train within a tolerance, with zeros for all entries that do not matter.
+
+        Both sides of a core are made orthonormal and turned to their singular vectors. An entry,
+        times the singular value on its left, is then its share in the norm of the train, and the
+        shares fall along both ranks and, for smooth functions, with the degree: the remaining
+        entries are few and stand together. No rank grows.
+
+        Parameters
+        ----------
+        tolerance : float
+            Largest norm of the change: a root mean square, not a largest value.
+        """
+        cores = list(self.right_orthonormal().cores)
+        weights = np.ones(len(cores[0]))
+        for j, core in enumerate(cores):
+            shares = weights[:, None, None] * core
+            if j + 1 < len(cores):
+                rows = shares.reshape(-1, core.shape[2])
+                _, weights, turn = np.linalg.svd(rows, full_matrices=False)
+                core, shares = core @ turn.T, shares @ turn.T
+                cores[j + 1] = np.tensordot(turn, cores[j + 1], 1)
+            squares = np.sort(shares**2, axis=None)
+            dropped = np.count_nonzero(np.cumsum(squares[:-1]) <= (tolerance / len(cores)) ** 2)
+            cores[j] = np.where(shares**2 < squares[dropped], 0.0, core)
+        return Train(tuple(cores))
+
+    def widened(self, probes: Sequence[Array]) -> Train:
+        """The same train in a frame that also holds the span of a second train.
+
+        Parameters
+        ----------
+        probes : sequence of ndarray
+            Cores 1, ..., d of the second train, (k, n_j, k), the last (k, n_d, 1). From each core
+            on its rows have norms below one, so that they come after the rows of this train.
+
+        Returns
+        -------
+        Train
+            Ranks up to r_j + k; cores j >= 1 have orthonormal rows.
+        """
+        first, count = self.cores[0], probes[0].shape[0]
+        cores = [np.concatenate([first, np.zeros((*first.shape[:-1], count))], axis=-1)]
+        cores += map(block_diagonal, self.cores[1:-1], probes[:-1])
+        cores.append(np.concatenate([self.cores[-1], probes[-1]]))
+        return Train(tuple(cores)).right_orthonormal(_NEGLIGIBLE_PROBE)
 
 
 def block_diagonal(a: Array, b: Array) -> Array:
-    """The core (r, n, s) whose matrices have those of two cores on their diagonals."""
+    """The core (r, n, s) whose matrices hold the matrices of two cores on their diagonals."""
     block = np.zeros((len(a) + len(b), a.shape[1], a.shape[2] + b.shape[2]))
     block[: len(a), :, : a.shape[2]] = a
     block[len(a) :, :, a.shape[2] :] = b
     return block
 
 
-def truncated(cores: Sequence[Array], tolerance: float) -> tuple[list[Array], float]:
-    """Truncate a right-orthonormal train within a tolerance; also returns the norm of the change.
+# --- truncated decompositions of matrices --------------------------------------------------------
 
-    Core 0 may have any shape (..., r_1). Afterwards all cores but the last are orthonormal the
-    other way.
+
+def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
+    """Orthonormal basis q of columns (m, n), and r: the columns are q r up to ``negligible``.
+
+    A column that adds no direction larger than ``negligible``, relative to the largest, gives
+    none: it would be one of rounding, and no two machines round alike. With ``negligible`` zero
+    all are kept.
     """
-    result = list(cores)
-    share = tolerance / math.sqrt(max(len(result) - 1, 1))
-    lost = 0.0
-    for j in range(len(result) - 1):
-        shape = result[j].shape
-        u, s, vt = np.linalg.svd(result[j].reshape(-1, shape[-1]), full_matrices=False)
-        tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
-        keep = max(int(np.count_nonzero(tails > share)), 1)
-        lost = math.hypot(lost, *tails[keep : keep + 1])
-        result[j] = u[:, :keep].reshape(*shape[:-1], keep)
-        result[j + 1] = np.tensordot(s[:keep, None] * vt[:keep], result[j + 1], 1)
-    return result, lost
+    charge(qr(*columns.shape))
+    if not negligible:
+        return np.linalg.qr(columns)
+    q, r, order = scipy.linalg.qr(columns, mode="economic", pivoting=True, check_finite=False)
+    sizes = np.abs(np.diag(r))
+    rank = max(int(np.count_nonzero(sizes > negligible * sizes[0])), 1)
+    return np.ascontiguousarray(q[:, :rank]), r[:rank, np.argsort(order)]
 
 
-def thinned(cores: Sequence[Array], tolerance: float) -> list[Array]:
-    """The same train within a tolerance, with zeros for all entries that do not matter.
+def truncated_svd(
+    matrix: Array, tolerance: float, max_rank: int, rows: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Left vectors, singular values and right vectors, truncated within a tolerance.
 
-    Both sides of a core are made orthonormal and turned to their singular vectors. An entry, times
-    the singular value on its left, is then its share in the norm of the train, and the shares
-    fall along both ranks and, for smooth functions, with the degree: the entries left are few and
-    stand together.
+    A large matrix of small numerical rank is first projected on a range found from ``rows`` and
+    a few random directions (Halko, Martinsson & Tropp, SIAM Review 53 (2011), algorithm 4.2); the
+    projection is accepted only if what it misses is measured to be below half the tolerance.
 
     Parameters
     ----------
-    cores : sequence of ndarray
-        Core 0 (n, K, r_1), cores j >= 1 (r_j, n_j, r_{j+1}).
+    matrix : ndarray (m, n)
     tolerance : float
-        Largest norm of the change: a root mean square, not a largest value.
+        Largest Frobenius norm of what is dropped.
+    max_rank : int
+        Largest number of singular values kept, whatever the tolerance.
+    rows : ndarray (k, n), optional
+        Vectors expected to span most of the row space.
 
     Returns
     -------
-    list of ndarray
-        The ranks are not larger.
+    left (m, r), singular values (r,), right (r, n)
+        Orthonormal columns and rows; at least one singular value is kept.
     """
-    result = right_orthonormal(cores)
-    weights = np.ones(len(result[0]))
-    for j, core in enumerate(result):
-        shares = weights[:, None, None] * core
-        if j + 1 < len(result):
-            rows = shares.reshape(-1, core.shape[2])
-            _, weights, turn = np.linalg.svd(rows, full_matrices=False)
-            core, shares = core @ turn.T, shares @ turn.T
-            result[j + 1] = np.tensordot(turn, result[j + 1], 1)
-        squares = np.sort(shares**2, axis=None)
-        dropped = np.count_nonzero(np.cumsum(squares[:-1]) <= (tolerance / len(result)) ** 2)
-        result[j] = np.where(shares**2 < squares[dropped], 0.0, core)
-    return result
+    missed = 0.0
+    basis = None
+    smaller = min(matrix.shape)
+    if (
+        rows is not None
+        and smaller > _DIRECT_SIDE
+        and 2 * (rows.shape[0] + _RANDOM_DIRECTIONS) < smaller
+    ):
+        basis, reduced, missed = _range(matrix, rows, 0.5 * tolerance)
+    left, weights, right = _svd(matrix if basis is None else reduced)
+    tails = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1] + missed**2)
+    rank = int(np.count_nonzero(tails > tolerance))
+    rank = min(max(rank, 1), max_rank, weights.size)
+    left = left[:, :rank] if basis is None else basis @ left[:, :rank]
+    return left, weights[:rank], right[:rank]
+
+
+def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, Array, float]:
+    """Orthonormal basis of the numerical range, the projected matrix and what it misses.
+
+    The basis is None when the range is not small.
+    """
+    generator = np.random.default_rng(matrix.shape[1])
+    basis = np.zeros((len(matrix), 0))
+    directions = generator.standard_normal((matrix.shape[1], _RANDOM_DIRECTIONS))
+    sample = matrix @ np.hstack([rows.T, directions])
+    while True:
+        width = sample.shape[1]
+        charge(4.0 * product(len(matrix), matrix.shape[1], width) + 2.0 * qr(len(matrix), width))
+        for _ in range(2 if basis.size else 1):  # once more against cancellation
+            sample, _ = np.linalg.qr(sample - basis @ (basis.T @ sample))
+        basis = np.hstack([basis, sample])
+        reduced = basis.T @ matrix
+        remainder = matrix - basis @ reduced
+        missed = float(np.linalg.norm(remainder))
+        if missed <= tolerance:
+            return basis, reduced, missed
+        grow = max(2 * _RANDOM_DIRECTIONS, basis.shape[1] // 4)
+        if 2 * (basis.shape[1] + grow) > min(matrix.shape):
+            return None, reduced, 0.0
+        sample = remainder @ generator.standard_normal((matrix.shape[1], grow))
+
+
+def _svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """Thin SVD; a QR first where the matrix is far from square."""
+    m, n = matrix.shape
+    if n > 2 * m:
+        charge(qr(n, m))
+        q, r = np.linalg.qr(matrix.T)
+        left, weights, right = _svd(r.T)
+        return left, weights, right @ q.T
+    if m > 2 * n:
+        charge(qr(m, n))
+        q, r = np.linalg.qr(matrix)
+        left, weights, right = _svd(r)
+        return q @ left, weights, right
+    charge(svd(m, n))
+    try:
+        left, weights, right = scipy.linalg.svd(
+            matrix, full_matrices=False, check_finite=False, lapack_driver="gesdd"
+        )
+    except np.linalg.LinAlgError:
+        left, weights, right = scipy.linalg.svd(
+            matrix, full_matrices=False, check_finite=False, lapack_driver="gesvd"
+        )
+    return left, weights, right

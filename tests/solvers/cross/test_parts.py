@@ -12,7 +12,7 @@ from rankone.ir.request import Check, SolveRequest
 from rankone.solvers.cross.nodes import needed
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import Trajectories
-from rankone.tensors.cross import _skeleton, interpolate, left_points, rounded
+from rankone.tensors.cross import _skeleton, interpolate, left_points
 from rankone.tensors.samples import Samples
 from rankone.trajectories.integration import Stack
 from rankone.verification.measure import ReferenceSet
@@ -99,16 +99,15 @@ class Separable:
 @pytest.mark.parametrize("sizes", [(5, 6, 4), (20, 20, 20), (9, 9, 9, 9, 9)])
 def test_a_tensor_of_low_rank_is_found_exactly(sizes):
     samples, bases = Separable(sizes), [ChebyshevBasis(0.0, 1.0, size) for size in sizes]
-    found = interpolate(samples, bases, left_points(sizes, 9, 0), 1e-12, 50)
-    assert not found.limited
-    cores = rounded(found.cores, 1e-10)
-    assert [len(core) for core in cores[1:]] == [3] * len(sizes)
+    train, limited = interpolate(samples, bases, left_points(sizes, 9, 0), 1e-12, 50)
+    assert not limited
+    train = train.rounded(1e-10)
+    assert train.ranks == (3,) * len(sizes)
+    unscaled = train.unscaled([basis.weights for basis in bases])
     indices = np.stack([np.random.default_rng(3).integers(0, n, 30) for n in sizes], axis=1)
-    for point in indices:
-        value = np.ones(1)
-        for core, basis, i in zip(cores[:0:-1], bases[::-1], point[::-1]):
-            value = core[:, i] @ value / np.sqrt(basis.weights[i])
-        np.testing.assert_allclose(cores[0] @ value, samples(point[None])[:, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        train.first @ unscaled.at_indices(indices), samples(indices), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.8])

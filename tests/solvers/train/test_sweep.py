@@ -8,7 +8,7 @@ import rankone as ro
 from rankone.discretization import ChebyshevBasis, LegendreBasis, RadauCollocation
 from rankone.solvers.train.slab import ParameterOperators, SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
-from rankone.tensors.train import right_orthonormal
+from rankone.tensors.train import Train
 
 t, p, q, r = sp.symbols("t p q r")
 x, y = sp.Function("x")(t), sp.Function("y")(t)
@@ -42,12 +42,17 @@ def setting(module, kind=ChebyshevBasis, seed=0):
 
     def cores(first):
         shapes = [(3, 3, 4), (4, 4, 2), (2, 5, 1)]
-        return right_orthonormal([first, *(rng.standard_normal(s) for s in shapes)])
+        return Train((first, *(rng.standard_normal(s) for s in shapes))).right_orthonormal()
 
     train = cores(rng.standard_normal((n, 4, ranks[0])))
     source = cores(rng.standard_normal((module.n_differential, ranks[0])))
     sweeper = Sweeper(
-        operator, term_groups(module), ParameterOperators(module, bases), train, source, 100
+        operator,
+        term_groups(module),
+        ParameterOperators(module, bases),
+        list(train.cores),
+        source,
+        100,
     )
     return sweeper, bases
 
@@ -86,7 +91,7 @@ def fixed_point(module, sweeper, bases, train):
     rest = f - np.einsum("abk,bkxyz->akxyz", operator.jacobian, dense(train))
     grid = rest.shape[2:]
     solved = (operator.solution_operator @ rest.reshape(n * count, -1)).reshape(n, count, *grid)
-    source = dense(sweeper.source).reshape(m, -1)
+    source = dense(sweeper.source.cores).reshape(m, -1)
     start = (operator.propagator @ source).reshape(n, count, *grid) / np.sqrt(count)
     return solved + start
 

@@ -26,15 +26,9 @@ from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, unlimited
 from rankone.support.progress import ProgressEvent
-from rankone.tensors.cross import (
-    Interpolation,
-    interpolate,
-    left_points,
-    rounded,
-    with_points,
-)
+from rankone.tensors.cross import interpolate, left_points, with_points
 from rankone.tensors.samples import Samples
-from rankone.tensors.train import apply_to_modes, mode_norms
+from rankone.tensors.train import Train
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points, steepest_point
@@ -130,18 +124,18 @@ class CrossMarcher:
     ) -> MarchResult:
         """The interpolation of trajectories, and what it came to."""
         result, grid = MarchResult(), trajectories.grid
-        found, bases = self._interpolated(trajectories, level, pace)
+        train, limited, bases = self._interpolated(trajectories, level, pace)
         self.bases = bases
-        if found.limited:
+        if limited:
             result.limits.add(Status.RANK_LIMIT)
         if any(basis.size >= self.options.max_nodes for basis in bases):
             result.limits.add(Status.NODE_LIMIT)
-        cores = rounded(found.cores, _ROUNDING * level)
-        modal = apply_to_modes(cores, [basis.to_modal for basis in bases])
-        self.spectra = mode_norms(modal)
-        result.slabs = grid.trains(trajectories.states(cores[0]), modal[1:], bases)
+        modal = train.rounded(_ROUNDING * level).apply_to_modes([b.to_modal for b in bases])
+        self.spectra = modal.mode_norms()
+        states = trajectories.states(modal.first)
+        result.slabs = grid.trains(modal.with_first(states), bases)
         result.points = candidate_points(result.slabs, trajectories.sizes, number, self.rtol)
-        ranks = tuple(core.shape[0] for core in modal[1:])
+        ranks = modal.ranks
         tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
         sizes = tuple(basis.size for basis in bases)
         start, end = grid.breaks[0], grid.breaks[-1]
@@ -158,8 +152,8 @@ class CrossMarcher:
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
             centre = reference_set.reference(grid.times)[:, 0, :, None]
-        modal = apply_to_modes([centre, *constant], [basis.to_modal for basis in bases])
-        return MarchResult(grid.trains(centre, modal[1:], bases), stopped=status, whole=True)
+        train = Train((centre, *constant)).apply_to_modes([basis.to_modal for basis in bases])
+        return MarchResult(grid.trains(train, bases), stopped=status, whole=True)
 
     def _grid(self, level: float) -> TimeGrid | None:
         """Slabs that resolve the reference, or None if there are too many."""
@@ -180,10 +174,10 @@ class CrossMarcher:
 
     def _interpolated(
         self, trajectories: Trajectories, level: float, pace: Pace
-    ) -> tuple[Interpolation, tuple[Basis1D, ...]]:
+    ) -> tuple[Train, bool, tuple[Basis1D, ...]]:
         domain = self.reference_set.domain
         if not domain.box:
-            return Interpolation([trajectories(np.zeros((1, 0)))], False), ()
+            return Train((trajectories(np.zeros((1, 0))),)), False, ()
         if self.bases is None:
             bases = first_bases(trajectories, domain, level, self.options)
         else:
@@ -198,7 +192,7 @@ class CrossMarcher:
         samples = Samples(trajectories, bases)
         tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
         most = self.options.max_rank
-        return interpolate(samples, bases, left, tolerance, most, pace.bond), bases
+        return *interpolate(samples, bases, left, tolerance, most, pace.bond), bases
 
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """More nodes where the highest modes are not small, more points, or more accuracy."""

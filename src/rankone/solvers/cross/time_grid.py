@@ -13,6 +13,7 @@ from numpy.polynomial.legendre import leggauss
 from rankone.discretization import Basis1D, legendre_values
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Train
 
 __all__ = ["TimeGrid", "resolving_breaks"]
 
@@ -63,15 +64,13 @@ class TimeGrid:
         local = values.reshape(len(values), self.slabs, self.count, -1)
         return np.asarray(np.abs(to_modal[-2:] @ local).max(axis=(0, 2, 3), initial=0.0))
 
-    def trains(
-        self, first: Array, cores: Sequence[Array], bases: Sequence[Basis1D]
-    ) -> list[SlabTrain]:
-        """One train for each slab, from the states at the nodes, (n, T, r), and the other cores."""
+    def trains(self, train: Train, bases: Sequence[Basis1D]) -> list[SlabTrain]:
+        """One train for each slab, from a train whose core 0 has states at the nodes, (n, T, r)."""
         _, to_modal = _nodes(self.count)
         trains = []
         for k, (a, b) in enumerate(itertools.pairwise(self.breaks)):
-            local = to_modal @ first[:, k * self.count : (k + 1) * self.count]
-            trains.append(SlabTrain(a, b, (local, *cores), tuple(bases)))
+            local = to_modal @ train.first[:, k * self.count : (k + 1) * self.count]
+            trains.append(SlabTrain(a, b, train.with_first(local), tuple(bases)))
         return trains
 
 

@@ -13,7 +13,7 @@ from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, work_done
 from rankone.support.costs import Cost
-from rankone.tensors.growing_basis import GrowingBasis
+from rankone.tensors.samples import GrowingBasis
 from rankone.trajectories.integration import Stack, quickest
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet

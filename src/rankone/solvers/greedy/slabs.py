@@ -41,10 +41,9 @@ from rankone.solvers.interpolation import (
 )
 from rankone.solvers.march import Span, Trial
 from rankone.support.arrays import Array
-from rankone.tensors.conversion import element_trains
-from rankone.tensors.rank_one_sums import RankOneSum
-from rankone.tensors.samples import Integers
+from rankone.tensors.rank_one_sums import RankOneSum, element_trains
 from rankone.tensors.slab import SlabTrain
+from rankone.tensors.train import Integers, Train
 
 __all__ = ["Coupling", "GreedyTrial", "LaggedSlab", "LaggedSlabs", "SlabResult", "compressed"]
 
@@ -332,8 +331,8 @@ class LaggedSlabs:
         """Initial values at the parameter nodes; the factor of time is one row of amplitudes."""
         system = self.coupling.system
         if not system.initial_separates:
-            cores = interpolated_initial(system, [b.nodes for b in self.parameters])
-            return self._of_train(cores, self.tolerance(self.domain.horizon[0]))
+            train = interpolated_initial(system, [b.nodes for b in self.parameters])
+            return self._of_train(train, self.tolerance(self.domain.horizon[0]))
         rows = [system.parameter_factors(j, basis.nodes) for j, basis in enumerate(self.parameters)]
         sizes = (1, *(basis.size for basis in self.parameters))
         terms: list[list[RankOneSum]] = [[] for _ in range(system.n_differential)]
@@ -342,9 +341,9 @@ class LaggedSlabs:
             terms[state].append(RankOneSum((np.full((1, 1), coefficient), *columns)))
         return [RankOneSum.joined(products, sizes) for products in terms]
 
-    def _of_train(self, cores: Sequence[Array], tolerance: float) -> list[RankOneSum]:
+    def _of_train(self, train: Train, tolerance: float) -> list[RankOneSum]:
         """The states of a train (n, r_1), ... with values at the nodes, in few products."""
-        first, *parameters = cores
+        first, *parameters = train.cores
         if not parameters:
             return [RankOneSum((row[None, :],)) for row in first]
         states = (RankOneSum.of_train(row, parameters) for row in first)

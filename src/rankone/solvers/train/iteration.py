@@ -28,7 +28,7 @@ from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import apply_to_modes, right_orthonormal, thinned, widened
+from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
 
 __all__ = ["Convergence", "SlabIteration"]
@@ -154,32 +154,32 @@ class SlabIteration:
     def accept(self, span: TrainSpan, trial: TrainTrial) -> list[SlabTrain]:
         """The slab as polynomial coefficients; the next begins at its end."""
         sweeper, bases = trial.sweeper, self.nodes.bases
-        cores = [trial.time_modes, *sweeper.cores[1:]]
-        cores = apply_to_modes(cores, [basis.to_modal for basis in bases])
+        train = sweeper.train.with_first(trial.time_modes)
+        train = train.apply_to_modes([basis.to_modal for basis in bases])
         if len(bases) > FEW_PARAMETERS:
-            cores = thinned(cores, THINNING_SHARE * self.accuracy.resolution)
-        cores[0] = cores[0] * self.scale[: len(cores[0]), None, None]
-        self.guesses.append(Guess(span.start, span.length, tuple(sweeper.cores), bases))
+            train = train.thinned(THINNING_SHARE * self.accuracy.resolution)
+        units = self.scale[: len(train.first)]
+        self.guesses.append(Guess(span.start, span.length, sweeper.train, bases))
         self._source = self._at_end(trial)
         kind = self.reference_set.system.jumps.kind_at(span.end)
         if kind is not None and span.end < self.reference_set.end:
-            units = self.scale[: len(cores[0])]
             tolerance = JUMP_SHARE * trial.record.tolerance
             self._source = after_jump(kind, self.nodes, self._source, units, tolerance)
-        return [SlabTrain(span.start, span.end, tuple(cores), bases)]
+        train = train.with_first(train.first * units[:, None, None])
+        return [SlabTrain(span.start, span.end, train, bases)]
 
     def _started(self, span: TrainSpan) -> Sweeper:
         """A sweeper with a first guess in a widened frame."""
         operator, guess, bases = self._operator(span), span.guess, self.nodes.bases
         if guess is None:
-            cores = [operator.initial(self._source[0]), *self._source[1:]]
+            train = self._source.with_first(operator.initial(self._source.first))
         else:
             maps = [b.transfer(basis) for b, basis in zip(guess.bases, bases, strict=True)]
-            cores = right_orthonormal(apply_to_modes(guess.cores, maps))
+            train = guess.train.apply_to_modes(maps).right_orthonormal()
         if bases:
             count = min(self.scale.size, MAX_PROBES)
-            cores = widened(cores, self.nodes.probe(count, seed=self._trials))
-        return self._sweeper(operator, cores)
+            train = train.widened(self.nodes.probe(count, seed=self._trials))
+        return self._sweeper(operator, train)
 
     def _operator(self, span: TrainSpan) -> SlabOperator:
         """The operator with the Jacobian along the trajectory at the centre of the box."""
@@ -192,9 +192,9 @@ class SlabIteration:
         place = span.start, span.length
         return SlabOperator(system, self.collocation, *place, self.scale, jacobian)
 
-    def _sweeper(self, operator: SlabOperator, cores: list[Array]) -> Sweeper:
-        groups, operators, source = self._groups, self.nodes.operators, self._source
-        return Sweeper(operator, groups, operators, cores, source, self.options.max_rank)
+    def _sweeper(self, operator: SlabOperator, train: Train) -> Sweeper:
+        groups, operators, cores = self._groups, self.nodes.operators, list(train.cores)
+        return Sweeper(operator, groups, operators, cores, self._source, self.options.max_rank)
 
     def _swept(
         self, sweeper: Sweeper, convergence: Convergence, limits: set[Status]
@@ -230,15 +230,15 @@ class SlabIteration:
     def _rebased(self, sweeper: Sweeper, bases: tuple[Basis1D, ...]) -> Sweeper:
         """The sweeper on other parameter nodes; the start of the slab moves along."""
         maps = self.nodes.take(bases)
-        self._source = right_orthonormal(apply_to_modes(self._source, maps))
-        cores = right_orthonormal(apply_to_modes(sweeper.cores, maps))
-        return self._sweeper(sweeper.operator, cores)
+        self._source = self._source.apply_to_modes(maps).right_orthonormal()
+        train = sweeper.train.apply_to_modes(maps).right_orthonormal()
+        return self._sweeper(sweeper.operator, train)
 
-    def _at_end(self, trial: TrainTrial) -> list[Array]:
+    def _at_end(self, trial: TrainTrial) -> Train:
         """The train at the end of the slab, on no more parameter nodes than it needs."""
         last = trial.sweeper.cores[0][: self.reference_set.system.n_differential, -1]
-        source = [last * np.sqrt(self.collocation.count), *trial.sweeper.cores[1:]]
+        source = trial.sweeper.train.with_first(last * np.sqrt(self.collocation.count))
         bases = self.nodes.coarsened(trial.spectra, COARSENING_SHARE * trial.record.tolerance)
         if bases is self.nodes.bases:
             return source
-        return right_orthonormal(apply_to_modes(source, self.nodes.take(bases)))
+        return source.apply_to_modes(self.nodes.take(bases)).right_orthonormal()

@@ -24,6 +24,7 @@ from rankone.solvers.train.constants import (
 )
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
+from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.reference import times_within
 
@@ -53,11 +54,11 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Guess:
-    """A slab of an earlier attempt, with its cores as a first guess."""
+    """A slab of an earlier attempt, with its train as a first guess."""
 
     start: float
     length: float
-    cores: tuple[Array, ...]
+    train: Train
     bases: tuple[Basis1D, ...]
 
 

@@ -22,8 +22,7 @@ from rankone.solvers.train.constants import (
 from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import ParameterOperators
 from rankone.support.arrays import Array
-from rankone.tensors.samples import Integers
-from rankone.tensors.train import apply_to_modes, mode_norms, right_orthonormal
+from rankone.tensors.train import Integers, Train
 
 __all__ = ["FEW_PARAMETERS", "ParameterNodes", "after_jump", "first_bases"]
 
@@ -84,14 +83,14 @@ class ParameterNodes:
             bases if any(fewer.size <= 0.75 * basis.size for fewer, basis in pairs) else self.bases
         )
 
-    def initial(self, scale: Array) -> list[Array]:
+    def initial(self, scale: Array) -> Train:
         """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
         if not self.system.initial_separates:
-            first, *cores = interpolated_initial(self.system, [b.nodes for b in self.bases])
+            first, *cores = interpolated_initial(self.system, [b.nodes for b in self.bases]).cores
             roots = [np.sqrt(basis.weights)[:, None] for basis in self.bases]
             weighted = [core * root for core, root in zip(cores, roots, strict=True)]
             units = scale[: self.system.n_differential, None]
-            return right_orthonormal([first / units, *weighted])
+            return Train((first / units, *weighted)).right_orthonormal()
         terms = self.system.initial_terms
         rank = max(len(terms), 1)
         first = np.zeros((self.system.n_differential, rank))
@@ -105,9 +104,9 @@ class ParameterNodes:
             for core, row, factor in zip(cores, rows, factors, strict=True):
                 core[k, :, k] = row[factor]
         if not cores:
-            return [first.sum(axis=1, keepdims=True)]
+            return Train((first.sum(axis=1, keepdims=True),))
         cores[-1] = cores[-1].sum(axis=2, keepdims=True)
-        return right_orthonormal([first, *cores])
+        return Train((first, *cores)).right_orthonormal()
 
     def probe(self, count: int, seed: int) -> list[Array]:
         """Random sums of low-degree functions of one parameter each, as cores 1, ..., d.
@@ -168,8 +167,8 @@ def _resolving_degree(
 
 
 def after_jump(
-    kind: int, nodes: ParameterNodes, source: Sequence[Array], units: Array, tolerance: float
-) -> list[Array]:
+    kind: int, nodes: ParameterNodes, source: Train, units: Array, tolerance: float
+) -> Train:
     """The train (n, r_1), ... right after a jump from the one right before it.
 
     The jump, which may be any function of states and parameters, acts at each node on its own.
@@ -180,19 +179,19 @@ def after_jump(
     kind : int
         Number of the jump in the system.
     nodes : ParameterNodes
-    source : sequence of ndarray
+    source : Train
         In units of the states (n,), scaled by the roots of the weights of the nodes.
     units : ndarray (n,)
     tolerance : float
         Largest interpolation error.
     """
-    cores, bases = list(source), nodes.bases
+    bases = nodes.bases
     for refinement in range(MAX_REFINEMENTS + 1):
         if bases != nodes.bases:
-            cores = right_orthonormal(apply_to_modes(cores, nodes.take(bases)))
-        jumped = interpolated(_Jumped(kind, nodes, cores, units), nodes.bases, tolerance)
-        modal = apply_to_modes(jumped, [basis.to_modal for basis in nodes.bases])
-        bases, _ = nodes.refined(mode_norms(modal), tolerance)
+            source = source.apply_to_modes(nodes.take(bases)).right_orthonormal()
+        jumped = interpolated(_Jumped(kind, nodes, source, units), nodes.bases, tolerance)
+        modal = jumped.apply_to_modes([basis.to_modal for basis in nodes.bases])
+        bases, _ = nodes.refined(modal.mode_norms(), tolerance)
         if bases == nodes.bases or refinement == MAX_REFINEMENTS:
             break
     return jumped
@@ -201,21 +200,14 @@ def after_jump(
 class _Jumped:
     """The states after a jump at nodes, in their units."""
 
-    def __init__(
-        self, kind: int, nodes: ParameterNodes, cores: Sequence[Array], units: Array
-    ) -> None:
+    def __init__(self, kind: int, nodes: ParameterNodes, source: Train, units: Array) -> None:
         self.kind, self.jumped, self.units = kind, nodes.system.jumps.jumped, units[:, None]
         self.nodes = [basis.nodes for basis in nodes.bases]
-        roots = [np.sqrt(basis.weights)[:, None] for basis in nodes.bases]
-        self.first = cores[0]
-        self.cores = [core / root for core, root in zip(cores[1:], roots, strict=True)]
+        self.source = source.unscaled([basis.weights for basis in nodes.bases])
 
     def __call__(self, indices: Integers) -> Array:
         """At indices (m, d) of nodes: (n, m)."""
-        carry = np.ones((1, len(indices)))
-        for core, column in zip(reversed(self.cores), indices.T[::-1], strict=True):
-            carry = np.einsum("rms,sm->rm", core[:, column], carry)
-        before = self.units * (self.first @ carry)
+        before = self.units * (self.source.first @ self.source.at_indices(indices))
         points = np.array([x[i] for x, i in zip(self.nodes, indices.T, strict=True)])
         after = self.jumped(self.kind, before, points.reshape(len(self.nodes), len(indices)))
         return np.asarray(after / self.units)

@@ -32,7 +32,7 @@ from rankone.solvers.train.slab import (
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, product
-from rankone.tensors.truncation import independent, truncated_svd
+from rankone.tensors.train import Train, independent, truncated_svd
 
 __all__ = ["Sweeper", "left_products", "multiplicity", "right_products", "unpack"]
 
@@ -155,7 +155,7 @@ class Sweeper:
         Diagonal parameter operators on the current bases.
     cores : list of ndarray
         Core 0 (n, K, r_1), the centre; cores j >= 1 (r_j, n_j, r_{j+1}), right-orthonormal.
-    source : list of ndarray
+    source : Train
         The train U_s at the start of the slab: core 0 (n_differential, r), the rest alike.
     max_rank : int
         Largest rank kept by the splits.
@@ -165,7 +165,7 @@ class Sweeper:
     groups: tuple[GroupKernels, ...]
     parameters: ParameterOperators
     cores: list[Array]
-    source: list[Array]
+    source: Train
     max_rank: int
 
     def __post_init__(self) -> None:
@@ -182,9 +182,14 @@ class Sweeper:
         self._source_left: list[Array] = [np.ones((1, 1)) for _ in range(d + 2)]
         for key in self._keys[d + 1]:
             self._right[d + 1][key] = None if key[0] == LINEAR else np.ones((1,) * (key[0] + 1))
-        self.initial = self.operator.initial(self.source[0])
+        self.initial = self.operator.initial(self.source.first)
         for b in range(d, 0, -1):
             self._contract_right(b)
+
+    @property
+    def train(self) -> Train:
+        """The present cores."""
+        return Train(tuple(self.cores))
 
     @property
     def ranks(self) -> tuple[int, ...]:
@@ -203,7 +208,7 @@ class Sweeper:
 
     def source_in_frame(self) -> Array:
         """Scaled states at the start of the slab in the present frame, (n_differential, r_1)."""
-        return self.source[0] @ self._source_right[1]
+        return self.source.first @ self._source_right[1]
 
     # -- the first core alone: cheap fixed-point steps in a frozen parameter frame ---------------
 
@@ -316,7 +321,7 @@ class Sweeper:
 
     def _source_right_half(self, b: int) -> Array:
         """Overlap of the source train with the frame, extended by the source core b."""
-        core = self.source[b]
+        core = self.source.cores[b]
         flat = core.reshape(-1, core.shape[2]) @ self._source_right[b + 1]
         return flat.reshape(core.shape[0], -1)
 
@@ -376,7 +381,7 @@ class Sweeper:
         self._source_left[b] = flat.T @ self._source_left_half(b - 1)
 
     def _source_left_half(self, b: int) -> Array:
-        core = self.source[b]
+        core = self.source.cores[b]
         half = self._source_left[b] @ core.reshape(core.shape[0], -1)
         return half.reshape(-1, core.shape[2])
 
