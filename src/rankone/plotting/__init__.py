@@ -8,13 +8,12 @@ shows it. All draw into the axes given as ``ax``, or into those of a new figure,
 :func:`plot_history` and :func:`plot_modes`, which have several panels, an array of them.
 """
 
-from rankone.plotting.bands import plot_bands
 from rankone.plotting.fits import plot_fit
 from rankone.plotting.loops import plot_history
 from rankone.plotting.modes import plot_modes
 from rankone.plotting.sensitivities import plot_main_effects, plot_sobol
 from rankone.plotting.surfaces import plot_surface
-from rankone.plotting.trajectories import plot_trajectories
+from rankone.plotting.trajectories import plot_bands, plot_trajectories
 
 __all__ = [
     "plot_bands",

@@ -4,26 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from rankone.estimation.fit import Fit
-from rankone.plotting.asked import fine_times, label_of, labels_of, needs_time
-from rankone.plotting.style import axes_for, colours_for, name_ends, stacked
+from rankone.plotting.arguments import fine_times, needs_time
+from rankone.plotting.style import (
+    axes_for,
+    colours_for,
+    label_of,
+    labels_of,
+    name_ends,
+    stacked,
+)
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from rankone.interface.solution import Solution
 
 __all__ = ["plot_fit"]
 
-_TIMES = 401
+_CURVE_TIMES = 401
+"""Times of a curve, about a pixel each."""
 
 
 def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
@@ -107,14 +116,14 @@ class _Output:
         return (self.data - self.fitted) / (1.0 if self.sigma is None else self.sigma)
 
 
-def _output(fit: Fit, solution: Solution, number: int) -> _Output:
+def _output(fit: Fit, solution: Solution, index: int) -> _Output:
     """One output of a fit."""
     observed = fit.observations
-    name, here = observed.names[number], observed.owner == number
+    name, here = observed.names[index], observed.owner == index
     times = observed.times[here]
     unit = 1.0 if observed.sigma_known else fit.sigma
     sigma = unit / observed.scale[here] if np.isfinite(unit) and unit > 0.0 else None
-    fine = fine_times(solution, float(times.max(initial=solution.time[0])), _TIMES)
+    fine = fine_times(solution, float(times.max(initial=solution.time[0])), _CURVE_TIMES)
     curve = np.array([fine, solution[name](fine, fit.values), _half_widths(fit, name, fine)])
     return _Output(
         name, times, observed.values[here], solution[name](times, fit.values), sigma, curve
@@ -127,16 +136,16 @@ def _half_widths(fit: Fit, name: str, times: Array) -> Array:
     slopes = {p: solution.diff(p)[name](times, fit.values) for p in fit.parameters}
 
     def ends(i: int) -> float:
-        def change(values: Mapping[str, float]) -> float:
-            return float(sum(slopes[p][i] * (values[p] - fit.x[p]) for p in slopes))
+        def change(at: Mapping[str, float]) -> float:
+            return float(sum(slopes[p][i] * (at[p] - fit.x[p]) for p in slopes))
 
         return fit.interval_of(change)[1]
 
-    found = np.array([ends(i) for i in range(times.size)])
-    return np.where(np.isfinite(found), found, np.nan)
+    widths = np.array([ends(i) for i in range(times.size)])
+    return np.where(np.isfinite(widths), widths, np.nan)
 
 
-def _axes(ax: Any) -> tuple[Axes, ...]:
+def _axes(ax: object) -> tuple[Axes, ...]:
     """One or two axes."""
     if ax is None:
         return stacked(0.9, 0.35)
@@ -180,7 +189,7 @@ def _legend(ax: Axes, colour: str, band: str | None) -> None:
     from matplotlib.patches import Patch
 
     points = Line2D([], [], color=colour, marker="o", markersize=4, markerfacecolor="white", ls="")
-    handles: dict[str, Any] = {"measured": points, "fitted": Line2D([], [], color=colour)}
+    handles: dict[str, Artist] = {"measured": points, "fitted": Line2D([], [], color=colour)}
     if band:
         handles[band] = Patch(color=colour, alpha=0.2, linewidth=0)
     ax.legend(
@@ -199,11 +208,11 @@ def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:
     """What is left of each measurement."""
     for output, colour in zip(outputs, colours_for(ax, len(outputs)), strict=True):
         ax.plot(output.times, output.residuals, "o", color=colour, markersize=4, label=output.name)
-    known = outputs[0].sigma is not None
-    if known:
+    scaled = outputs[0].sigma is not None
+    if scaled:
         ax.axhspan(-2.0, 2.0, color="0.93", zorder=0)
     ax.axhline(0.0, color="0.4", linewidth=1, zorder=1.5)
     largest = max(float(np.abs(output.residuals).max(initial=0.0)) for output in outputs)
-    limit = 1.15 * max(largest, 2.3 if known else 0.0)
+    limit = 1.15 * max(largest, 2.3 if scaled else 0.0)
     if limit > 0.0:
         ax.set_ylim(-limit, limit)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.ir.outcome import SlabRecord
-from rankone.plotting.asked import check_solution
-from rankone.plotting.style import several_axes
+from rankone.plotting.arguments import check_solution
+from rankone.plotting.style import MOST_NAMED, several_axes
 from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
 from rankone.support.errors import EvaluationError, OptionError
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from rankone.interface.solution import Solution
 
 __all__ = ["plot_history"]
-
-_MOST_NAMED = 8
-"""Lines up to which each one is named."""
 
 
 def plot_history(
@@ -69,34 +66,27 @@ def plot_history(
     if isinstance(chosen, GreedySlabRecord) and chosen.equations:
         over = f"slab [{chosen.start:.3g}, {chosen.end:.3g}]"
         title = f"{solution.metadata.method}, {over}; updates of all slabs"
-        axes = _titled(ax, 4, title)
+        axes, _ = several_axes(ax, 4, title)
         _plot_fixed_points(axes[0], chosen.equations)
         _plot_residuals(axes[1], chosen.equations, chosen.tolerance)
         _plot_amplitudes(axes[2], chosen.equations)
         _plot_changes(axes[3], records, "update of the lagged terms")
         return axes
-    axes = _titled(ax, 2, f"{solution.metadata.method}, {count(len(records), 'slab')}")
+    title = f"{solution.metadata.method}, {count(len(records), 'slab')}"
+    axes, _ = several_axes(ax, 2, title)
     _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
     _plot_ranks(axes[1], records)
     return axes
 
 
-def _titled(ax: Any, panels: int, title: str) -> NDArray[np.object_]:
-    """Axes of so many panels; a new figure gets a title."""
-    axes, new = several_axes(ax, panels)
-    if new:
-        axes[0].figure.suptitle(title)
-    return axes
-
-
-# --- parts of the history ----------------------------------------------------------------------
+# --- panels ------------------------------------------------------------------------------------
 
 
 def _plot_fixed_points(axes: Axes, equations: Sequence[EquationRecord]) -> None:
     """One line for each new mode; with lagged terms there are many, the later the darker."""
     runs = [mode.differences for record in equations for mode in record.modes]
-    for number, differences in enumerate(runs):
-        shade = 0.25 + 0.75 * (number + 1) / len(runs)
+    for i, differences in enumerate(runs):
+        shade = 0.25 + 0.75 * (i + 1) / len(runs)
         axes.semilogy(
             range(1, len(differences) + 1), _positive(differences), "o-", color="C0", alpha=shade
         )
@@ -108,11 +98,11 @@ def _plot_residuals(axes: Axes, equations: Sequence[EquationRecord], tolerance: 
     for color, state in enumerate(dict.fromkeys(record.state for record in equations)):
         count = 0
         for record in (record for record in equations if record.state == state):
-            values = [mode.residual for mode in record.modes]
-            steps = range(count + 1, count + 1 + len(values))
-            label = state if not count and values else None
-            axes.semilogy(steps, _positive(values), ".-", color=f"C{color}", label=label)
-            count += len(values)
+            residuals = [mode.residual for mode in record.modes]
+            steps = range(count + 1, count + 1 + len(residuals))
+            label = state if not count and residuals else None
+            axes.semilogy(steps, _positive(residuals), ".-", color=f"C{color}", label=label)
+            count += len(residuals)
     axes.axhline(tolerance, color="grey", linestyle=":", label="tolerance")
     axes.set(xlabel="enrichment, over all updates", title="residual")
     axes.legend(fontsize="small")
@@ -129,25 +119,26 @@ def _plot_amplitudes(axes: Axes, equations: Sequence[EquationRecord]) -> None:
 
 def _plot_changes(axes: Axes, records: Sequence[SlabRecord], step: str) -> None:
     """Changes in every sweep or update, a line for each slab; rejected ones are dashed."""
-    for number, record in enumerate(records):
+    few = len(records) <= MOST_NAMED
+    for i, record in enumerate(records):
         axes.semilogy(
             range(1, len(record.residuals) + 1),
             _positive(record.residuals),
             "o-" if record.accepted else "x--",
             label=f"[{record.start:.3g}, {record.end:.3g}]",
-            color=f"C{number}" if len(records) <= _MOST_NAMED else "C0",
-            alpha=1.0 if len(records) <= _MOST_NAMED else 0.35,
+            color=f"C{i}" if few else "C0",
+            alpha=1.0 if few else 0.35,
         )
     axes.set(xlabel=step, title="largest change of a state, in units of its size")
-    if len(records) <= _MOST_NAMED:
+    if few:
         axes.legend(title="slab", fontsize="small")
 
 
-def _plot_attempts(solution: Solution, slabs: int, ax: Any) -> NDArray[np.object_]:
+def _plot_attempts(solution: Solution, slabs: int, ax: object) -> NDArray[np.object_]:
     """For each parameter its highest modes and the rank before it, a line for each attempt."""
     records = solution.history
     title = f"cross, {count(slabs, 'slab')}, {count(len(records), 'attempt')}"
-    axes = _titled(ax, 2, title)
+    axes, _ = several_axes(ax, 2, title)
     names = solution.metadata.parameters
     for record in records:
         label = f"{record.attempt + 1}"
@@ -173,9 +164,9 @@ def _plot_ranks(axes: Axes, records: Sequence[SlabRecord]) -> None:
         axes.legend(title="bond", fontsize="small")
 
 
-def _positive(values: Sequence[float]) -> list[float]:
-    """Values for a logarithmic axis: zeros and infinities leave gaps."""
-    return [value if 0.0 < value < float("inf") else float("nan") for value in values]
+def _positive(sizes: Sequence[float]) -> list[float]:
+    """Sizes for a logarithmic axis: zeros and infinities leave gaps."""
+    return [size if 0.0 < size < float("inf") else float("nan") for size in sizes]
 
 
 def _last_attempt(solution: Solution) -> list[SlabRecord]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.plotting.asked import check_solution, only_unknown
-from rankone.plotting.style import several_axes
+from rankone.plotting.arguments import check_solution, only_unknown
+from rankone.plotting.style import figure_of, several_axes
 from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _POINTS = 301
 
 def plot_modes(
     solution: Solution,
-    unknown: Any = None,
+    unknown: object = None,
     *,
     modes: int = 5,
     rtol: float = 1e-3,
@@ -67,30 +67,21 @@ def plot_modes(
         raise OptionError(f"modes={modes!r} is too small", remedy="at least 1")
     name = solution[only_unknown(solution, "plot_modes") if unknown is None else unknown].name
     form = solution.to_canonical(rtol)[name]
-    axes, new = several_axes(ax, len(form.axes) + 1)
-    if new:
-        title = f"{name}: {form.rank} modes, mean square error {form.error:.1e}"
-        axes[0].figure.suptitle(title)
+    title = f"{name}: {form.rank} modes, mean square error {form.error:.1e}"
+    axes, in_new_figure = several_axes(ax, len(form.axes) + 1, title)
     shown = min(modes, form.rank)
     for panel, axis in zip(axes, form.axes, strict=False):
         points = np.linspace(axis.breaks[0], axis.breaks[-1], _POINTS)
-        values = axis.interpolate(form.factors[axis.name][:, :shown], points)
-        for i in range(shown):
-            panel.plot(points, values[:, i], label=f"{i + 1}")
+        functions = axis.interpolate(form.factors[axis.name][:, :shown], points)
+        for i, column in enumerate(functions.T):
+            panel.plot(points, column, label=f"{i + 1}")
         panel.set(xlabel=axis.name, title=f"functions of {axis.name}")
     if shown:
-        _legend(axes[0], shown, new)
+        lines = axes[0].get_lines()[-shown:]
+        if in_new_figure:
+            figure_of(axes[0]).legend(handles=lines, title="mode", loc="outside right upper")
+        else:
+            axes[0].legend(handles=lines, title="mode", fontsize="small")
         axes[-1].semilogy(range(1, form.rank + 1), form.amplitudes, "o-")
     axes[-1].set(xlabel="mode", title="amplitudes")
     return axes
-
-
-def _legend(ax: Axes, shown: int, new: bool) -> None:
-    """Numbers of the modes, beside all panels of a new figure."""
-    lines = ax.get_lines()[-shown:]
-    if new:
-        figure = ax.get_figure()
-        assert figure is not None
-        figure.legend(handles=lines, title="mode", loc="outside right upper")
-    else:
-        ax.legend(handles=lines, title="mode", fontsize="small")

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rankone.plotting.asked import (
-    check_solution,
+from rankone.plotting.arguments import check_solution, one_time, sometimes_of, unknown_of
+from rankone.plotting.style import (
+    PALETTE,
+    axes_for,
+    colours_for,
     label_of,
-    one_time,
+    legend_beside,
+    legend_inside,
+    name_ends,
     range_of,
-    sometimes_of,
-    unknown_of,
     value_of,
 )
-from rankone.plotting.style import PALETTE, axes_for, beside, colours_for, name_ends
+from rankone.statistics.joint_distribution import Correlations, Distributions
+from rankone.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import did_you_mean, quote, shown
@@ -28,8 +33,10 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_main_effects", "plot_sobol"]
 
-_TIMES = 201
-_VALUES = 101
+_INDEX_TIMES = 201
+"""Times of indices over time."""
+_EFFECT_POINTS = 101
+"""Values of each parameter at which its main effect is drawn."""
 
 _WORDS = {"first": "first-order", "total": "total"}
 
@@ -38,12 +45,12 @@ Kind = Literal["total", "first", "both"]
 
 def plot_sobol(
     solution: Solution,
-    unknown: Any = None,
-    t: Any = None,
+    unknown: object = None,
+    t: ArrayLike | None = None,
     *,
     kind: Kind = "total",
-    under: Mapping[Any, Any] | None = None,
-    correlation: Mapping[Any, Any] | None = None,
+    under: Distributions = None,
+    correlation: Correlations = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the Sobol indices of one unknown: lines over time, or bars at one time.
@@ -91,12 +98,10 @@ def plot_sobol(
             remedy="choose 'total', 'first' or 'both'",
         )
     _needs_parameters(solution)
-    times = sometimes_of(solution, t, _TIMES)
-    found, _ = solution._indices(times, solution._statistics(under, correlation))
-    row, count = found.unknowns.index(name), len(found.parameters)
-    kinds = ("total", "first") if kind == "both" else (kind,)
-    shares = {one: np.reshape(getattr(found, one)[row], (count, -1)) for one in kinds}
-    if not any(np.isfinite(one).any() for one in shares.values()):
+    times = sometimes_of(solution, t, _INDEX_TIMES)
+    indices, _ = solution._indices(times, solution._statistics(under, correlation))
+    shares = _shares(indices, name, kind)
+    if not any(np.isfinite(table).any() for table in shares.values()):
         raise EvaluationError(
             f"{quote(name)} does not vary by more than its error: there are no Sobol indices",
             term=name,
@@ -105,14 +110,14 @@ def plot_sobol(
     axes = axes_for(ax)
     if times is None or times.size == 1:
         when = _at(solution, None if times is None else float(times[0]))
-        _draw_bars(axes, found.parameters, {one: s[:, 0] for one, s in shares.items()})
-        axes.set_xlabel(_title(kinds, name) + when)
+        _draw_bars(axes, indices.parameters, {k: table[:, 0] for k, table in shares.items()})
+        axes.set_xlabel(_title(shares, name) + when)
         return axes
-    axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=_title(kinds, name))
+    axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=_title(shares, name))
     if kind == "first":
-        _draw_stack(axes, found.parameters, times, shares["first"])
+        _draw_stack(axes, indices.parameters, times, shares["first"])
     else:
-        _draw_lines(axes, found.parameters, times, shares)
+        _draw_lines(axes, indices.parameters, times, shares)
     axes.set_xlim(times.min(), times.max())
     axes.set_ylim(0.0, 1.0 if kind == "first" else 1.02 * max(1.0, np.nanmax(shares["total"])))
     return axes
@@ -120,11 +125,11 @@ def plot_sobol(
 
 def plot_main_effects(
     solution: Solution,
-    unknown: Any = None,
-    t: Any = None,
+    unknown: object = None,
+    t: ArrayLike | None = None,
     *,
-    under: Mapping[Any, Any] | None = None,
-    correlation: Mapping[Any, Any] | None = None,
+    under: Distributions = None,
+    correlation: Correlations = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot the mean of an unknown given one parameter, as a function of each parameter.
@@ -162,21 +167,17 @@ def plot_main_effects(
     name = unknown_of(solution, unknown)
     _needs_parameters(solution)
     time = one_time(solution, t)
-    found = solution.main_effects(time, count=_VALUES, under=under, correlation=correlation)
+    statistics = solution._statistics(under, correlation)
+    effects = solution._main_effects(time, _EFFECT_POINTS, statistics)
     row = solution.unknowns.index(name)
-    mean = solution.mean(time, under=under, correlation=correlation)[row]
+    mean = solution._at(time, statistics.mean)[row]
     axes = axes_for(ax)
-    colours = colours_for(axes, len(found.parameters))
-    for parameter, colour in zip(found.parameters, colours, strict=True):
-        values = found.values[parameter]
+    colours = colours_for(axes, len(effects.parameters))
+    for parameter, colour in zip(effects.parameters, colours, strict=True):
         lower, upper = solution.parameters[parameter]
-        means = found.means[parameter][row]
-        axes.plot(
-            (values - lower) / (upper - lower),
-            means,
-            color=colour,
-            label=range_of(solution, parameter),
-        )
+        shares = (effects.values[parameter] - lower) / (upper - lower)
+        label = range_of(solution, parameter)
+        axes.plot(shares, effects.means[parameter][row], color=colour, label=label)
     axes.axhline(float(mean), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
     when = _at(solution, time)
     axes.set(
@@ -186,7 +187,7 @@ def plot_main_effects(
         xticklabels=["smallest", "", "middle", "", "largest"],
     )
     axes.margins(x=0.0)
-    beside(axes, axes.get_legend_handles_labels()[0][-len(found.parameters) :])
+    legend_beside(axes, axes.get_legend_handles_labels()[0][-len(effects.parameters) :])
     return axes
 
 
@@ -202,10 +203,20 @@ def _at(solution: Solution, time: float | None) -> str:
     return "" if time is None else f" at {value_of(solution, solution.metadata.time, time)}"
 
 
-def _title(kinds: Sequence[str], name: str) -> str:
-    return " ".join(
-        [_WORDS[kind] for kind in kinds if len(kinds) == 1] + [f"Sobol indices of {name}"]
-    )
+def _shares(indices: Sobol, name: str, kind: Kind) -> dict[str, Array]:
+    """Tables (parameters, times) of one unknown, by the kind of indices."""
+    tables = {"total": indices.total, "first": indices.first}
+    row, count = indices.unknowns.index(name), len(indices.parameters)
+    return {
+        each: np.reshape(table[row], (count, -1))
+        for each, table in tables.items()
+        if kind in (each, "both")
+    }
+
+
+def _title(shares: Mapping[str, Array], name: str) -> str:
+    kinds = [_WORDS[kind] for kind in shares if len(shares) == 1]
+    return " ".join([*kinds, f"Sobol indices of {name}"])
 
 
 # --- forms of the indices ----------------------------------------------------------------------
@@ -216,11 +227,11 @@ def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array])
     order = np.argsort(next(iter(shares.values())), kind="stable")
     longest = np.max([*shares.values()], axis=0)[order]
     places = np.arange(len(order))
-    for kind, values in shares.items():
+    for kind, row in shares.items():
         inner = kind == "first" and len(shares) > 1
         ax.barh(
             places,
-            values[order],
+            row[order],
             height=0.36 if inner else 0.68,
             color=PALETTE[0] if inner or len(shares) == 1 else PALETTE[5],
             label=_WORDS[kind],
@@ -242,16 +253,17 @@ def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array])
 
 
 def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array) -> None:
-    """Shares of the variance above each other; the rest is that of interactions."""
+    """Shares of the variance above each other, that of interactions on top."""
     from matplotlib.patches import Patch
 
-    rest = np.clip(1.0 - shares.sum(axis=0), 0.0, None)
+    interactions = np.clip(1.0 - shares.sum(axis=0), 0.0, None)
     colours = [*colours_for(ax, len(parameters)), "0.85"]
     names = [*parameters, "interactions"]
-    ax.stackplot(times, np.vstack([shares, rest]), colors=colours, edgecolor="white", linewidth=0.5)
+    ax.stackplot(
+        times, np.vstack([shares, interactions]), colors=colours, edgecolor="white", linewidth=0.5
+    )
     pairs = zip(names, colours, strict=True)
-    entries = [Patch(color=colour, label=name) for name, colour in pairs]
-    beside(ax, entries[::-1])
+    legend_beside(ax, [Patch(color=colour, label=name) for name, colour in pairs][::-1])
 
 
 def _draw_lines(
@@ -263,12 +275,11 @@ def _draw_lines(
     lines = []
     colours = colours_for(ax, len(parameters))
     for kind, stroke in (("total", "-"), ("first", "--")):
-        for name, colour, values in zip(parameters, colours, shares.get(kind, ()), strict=False):
+        for name, colour, row in zip(parameters, colours, shares.get(kind, ()), strict=False):
             label = name if kind == "total" else f"_{name}"
-            (line,) = ax.plot(times, values, stroke, color=colour, label=label)
+            (line,) = ax.plot(times, row, stroke, color=colour, label=label)
             lines += [line] if kind == "total" else []
     if len(shares) > 1:
         strokes = (("total", "-"), ("first-order", "--"))
-        entries = [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes]
-        ax.legend(handles=entries, fontsize="small", framealpha=0.8)
+        legend_inside(ax, [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes])
     name_ends(ax, lines, parameters)

@@ -1,9 +1,10 @@
-"""Figures and axes, how they look, and labels: what all plots share."""
+"""Figures and axes, how they look, legends and labels: what all plots share."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.optimize
@@ -14,47 +15,57 @@ from rankone.support.errors import OptionError, RankoneError
 from rankone.support.wording import shown
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.lines import Line2D
+
+    from rankone.interface.solution import Solution
 
 __all__ = [
     "MOST_NAMED",
     "PALETTE",
     "axes_for",
-    "beside",
+    "colour_scale",
     "colours_for",
+    "figure_of",
+    "label_of",
+    "labels_of",
+    "legend_beside",
+    "legend_inside",
     "name_ends",
+    "range_of",
     "several_axes",
+    "shades",
     "stacked",
+    "value_of",
 ]
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#444444", "#8C6D31")
 """Colours that people with any kind of colour vision tell apart (after Okabe & Ito, 2008)."""
 MOST_NAMED = 8
-"""Lines up to which each one is named."""
+"""Lines up to which each one is named: as many as there are colours."""
 
+_MOST_IN_LABEL = 4
+"""Unknowns that are named beside an axis; more do not fit."""
 _SHADES = (0.05, 0.87)
-"""Part of the colour map that is used: neither too dark nor too light."""
-_SIZE = (5.6, 3.5)
+"""Range of the colour map that is used: neither too dark nor too light."""
+_FIGURE_SIZE = (5.6, 3.5)
 """Width and height of a figure of one plot, in inches."""
-_LINE = 1.25
+_PANEL_SIZE = (3.7, 2.9)
+"""Width and height of each panel of several, in inches."""
+_LINE_HEIGHT = 1.25
 """Height of a line of labels, in units of the size of their letters."""
 
 
-def _panels(count: int) -> list[Axes]:
-    """So many axes of a new figure, at most three in a row (four as two by two)."""
-    columns = 2 if count in (2, 4) else min(count, 3)
-    rows = -(-count // columns)
-    _, grid = _pyplot().subplots(
-        rows, columns, figsize=(3.7 * columns, 2.9 * rows), layout="constrained", squeeze=False
-    )
-    axes: list[Axes] = [*grid.flat]
-    for unused in axes[count:]:
-        unused.remove()
-    return [_dressed(one) for one in axes[:count]]
+# --- figures and axes ----------------------------------------------------------------------------
 
 
-def several_axes(ax: Any, count: int) -> tuple[NDArray[np.object_], bool]:
-    """The axes of so many panels (count,): those given, or of a new figure, and whether it is new.
+def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_], bool]:
+    """The axes of so many panels (count,), and whether they are those of a new figure.
+
+    A new figure has a title, and at most three panels in a row (four as two by two).
 
     Raises
     ------
@@ -63,24 +74,33 @@ def several_axes(ax: Any, count: int) -> tuple[NDArray[np.object_], bool]:
     OptionError
         If another number was given, or what is given are no axes.
     """
-    found = np.empty(count, dtype=object)
-    if ax is None:
-        found[:] = _panels(count)
-        return found, True
-    given = list(np.ravel(np.asarray(ax, dtype=object)))
-    if len(given) != count:
-        raise OptionError(
-            f"{len(given)} axes were given for {count} panels",
-            term=ax,
-            remedy=f"give {count}, or leave ax out",
-        )
-    found[:] = [axes_for(one) for one in given]
-    return found, False
+    axes = np.empty(count, dtype=object)
+    if ax is not None:
+        several = list(np.ravel(np.asarray(ax, dtype=object)))
+        if len(several) != count:
+            raise OptionError(
+                f"{len(several)} axes were given for {count} panels",
+                term=ax,
+                remedy=f"give {count}, or leave ax out",
+            )
+        axes[:] = [axes_for(one) for one in several]
+        return axes, False
+    columns = 2 if count in (2, 4) else min(count, 3)
+    rows = -(-count // columns)
+    width, height = _PANEL_SIZE
+    figure, grid = _pyplot().subplots(
+        rows, columns, figsize=(width * columns, height * rows), layout="constrained", squeeze=False
+    )
+    for unused in [*grid.flat][count:]:
+        unused.remove()
+    axes[:] = [_dressed(one) for one in [*grid.flat][:count]]
+    figure.suptitle(title)
+    return axes, True
 
 
 def stacked(*heights: float) -> tuple[Axes, ...]:
     """Axes of a new figure below each other, with one common abscissa."""
-    width, height = _SIZE
+    width, height = _FIGURE_SIZE
     _, grid = _pyplot().subplots(
         len(heights),
         figsize=(width, height * sum(heights)),
@@ -92,7 +112,7 @@ def stacked(*heights: float) -> tuple[Axes, ...]:
     return tuple(_dressed(axes) for axes in grid.flat)
 
 
-def axes_for(ax: Any) -> Axes:
+def axes_for(ax: object) -> Axes:
     """The axes that were given, or those of a new figure; empty ones get a light grid.
 
     Raises
@@ -104,7 +124,7 @@ def axes_for(ax: Any) -> Axes:
     """
     pyplot = _pyplot()
     if ax is None:
-        _, ax = pyplot.subplots(figsize=_SIZE, layout="constrained")
+        _, ax = pyplot.subplots(figsize=_FIGURE_SIZE, layout="constrained")
     from matplotlib.axes import Axes
 
     if not isinstance(ax, Axes):
@@ -114,6 +134,35 @@ def axes_for(ax: Any) -> Axes:
             remedy="figure, ax = matplotlib.pyplot.subplots()",
         )
     return ax if ax.has_data() or ax.name != "rectilinear" else _dressed(ax)
+
+
+def figure_of(ax: Axes) -> Figure | SubFigure:
+    """The figure that axes are in."""
+    figure = ax.get_figure()
+    assert figure is not None
+    return figure
+
+
+def _dressed(ax: Axes) -> Axes:
+    """Axes with a light grid and without a box around."""
+    ax.set_prop_cycle(color=PALETTE)
+    ax.grid(True, color="0.9", linewidth=0.7)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def _pyplot() -> ModuleType:
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise RankoneError(
+            "plots need Matplotlib, which is not installed", remedy="pip install matplotlib"
+        ) from error
+    return plt
+
+
+# --- colours and legends -------------------------------------------------------------------------
 
 
 def colours_for(ax: Axes, count: int) -> list[str]:
@@ -134,45 +183,43 @@ def shades(shares: Array) -> list[str]:
     return [to_hex(colour) for colour in colours]
 
 
-def _dressed(ax: Axes) -> Axes:
-    """Axes with a light grid and without a box around."""
-    ax.set_prop_cycle(color=PALETTE)
-    ax.grid(True, color="0.9", linewidth=0.7)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
-    return ax
+def colour_scale(ax: Axes, mappable: ScalarMappable, label: str) -> None:
+    """A colour scale beside the axes."""
+    bar = figure_of(ax).colorbar(mappable, ax=ax, label=label, pad=0.02)
+    bar.outline.set_visible(False)
 
 
-def beside(ax: Axes, handles: Sequence[Any] | None = None, **options: Any) -> None:
+def legend_inside(ax: Axes, handles: Sequence[Artist]) -> None:
+    """A legend where it hides least."""
+    ax.legend(handles=handles, fontsize="small", framealpha=0.8)
+
+
+def legend_beside(ax: Axes, handles: Sequence[Artist]) -> None:
     """A legend to the right of the axes, where it hides nothing."""
-    given = {} if handles is None else {"handles": handles}
     ax.legend(
-        **given,
+        handles=handles,
         loc="upper left",
         bbox_to_anchor=(1.02, 1.0),
         borderaxespad=0.0,
         frameon=False,
         fontsize="small",
-        **options,
     )
 
 
-def name_ends(ax: Axes, lines: Sequence[Any], names: Sequence[str]) -> None:
+def name_ends(ax: Axes, lines: Sequence[Line2D], names: Sequence[str]) -> None:
     """Write names at the right ends of lines, moved apart; in a legend if there are many."""
     from matplotlib.font_manager import FontProperties
 
-    ends = np.array([[float(np.asarray(part)[-1]) for part in line.get_data()] for line in lines])
-    figure = ax.get_figure()
-    assert figure is not None
+    ends = np.array([[float(np.asarray(x)[-1]) for x in line.get_data()] for line in lines])
     ax.autoscale_view()
-    heights = ax.transData.transform(ends)[:, 1] * 72.0 / figure.dpi
+    heights = ax.transData.transform(ends)[:, 1] * 72.0 / figure_of(ax).dpi
     if len(lines) > MOST_NAMED or not np.isfinite(heights).all():
         for line, name in zip(lines, names, strict=True):
             line.set_label(name)
-        beside(ax, lines)
+        legend_beside(ax, lines)
         return
     letter = FontProperties(size="medium").get_size_in_points()
-    places = _apart(heights, _LINE * letter)
+    places = _apart(heights, _LINE_HEIGHT * letter)
     for line, name, end, move in zip(lines, names, ends, places - heights, strict=True):
         ax.annotate(
             name,
@@ -185,20 +232,40 @@ def name_ends(ax: Axes, lines: Sequence[Any], names: Sequence[str]) -> None:
         )
 
 
-def _apart(wanted: Any, gap: float) -> Any:
-    """Places with gaps that are closest to those wanted, in the mean square."""
-    order = np.argsort(wanted, kind="stable")
+def _apart(heights: Array, gap: float) -> Array:
+    """Places with gaps that are closest to heights, in the mean square."""
+    order = np.argsort(heights, kind="stable")
     steps = gap * np.arange(len(order))
-    found = np.empty(len(order))
-    found[order] = scipy.optimize.isotonic_regression(np.asarray(wanted)[order] - steps).x + steps
-    return found
+    places = np.empty(len(order))
+    places[order] = scipy.optimize.isotonic_regression(heights[order] - steps).x + steps
+    return places
 
 
-def _pyplot() -> Any:
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise RankoneError(
-            "plots need Matplotlib, which is not installed", remedy="pip install matplotlib"
-        ) from error
-    return plt
+# --- labels --------------------------------------------------------------------------------------
+
+
+def label_of(solution: Solution, name: str) -> str:
+    """Name of an unknown or a coordinate, with its unit: ``x [m]``."""
+    return labels_of(solution, [name])
+
+
+def value_of(solution: Solution, name: str, point: float) -> str:
+    """A value of a coordinate with its unit: ``t = 2 s``."""
+    return f"{name} = {point:.4g} {dict(solution.metadata.units).get(name, '')}".rstrip()
+
+
+def range_of(solution: Solution, name: str) -> str:
+    """The interval of a parameter with its unit: ``m: 1 to 2 kg``."""
+    lower, upper = solution.parameters[name]
+    unit = dict(solution.metadata.units).get(name, "")
+    return f"{name}: {lower:.4g} to {upper:.4g} {unit}".rstrip()
+
+
+def labels_of(solution: Solution, names: Sequence[str]) -> str:
+    """Names of several unknowns; the unit once where all have the same: ``x, y [m]``."""
+    units = dict(solution.metadata.units)
+    text = "unknowns" if len(names) > _MOST_IN_LABEL else ", ".join(names)
+    if len({units.get(name) for name in names}) == 1:
+        unit = units.get(names[0])
+        return f"{text} [{unit}]" if unit else text
+    return text if len(names) > _MOST_IN_LABEL else ", ".join(label_of(solution, n) for n in names)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
-from rankone.plotting.asked import check_solution, label_of, only_unknown, states_of, value_of
-from rankone.plotting.style import axes_for
+from rankone.plotting.arguments import check_solution, only_unknown, states_of
+from rankone.plotting.style import axes_for, colour_scale, label_of, value_of
 from rankone.solution.smaller import merged
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
@@ -23,19 +23,20 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_surface"]
 
-_LEVELS = 20
+_CONTOUR_LEVELS = 20
+"""Most levels of contours: thin lines stay apart."""
 
 
 def plot_surface(
     solution: Solution,
-    unknown: Any = None,
-    values: Mapping[Any, Any] | None = None,
+    unknown: object = None,
+    values: Mapping[Any, float] | None = None,
     *,
-    x: Any,
-    y: Any,
+    x: object,
+    y: object,
     points: int = 101,
     ax: Axes | None = None,
-    **fixed: Any,
+    **fixed: float,
 ) -> Axes:
     """Plot an unknown over two coordinates, time or parameters, the others at fixed values.
 
@@ -79,20 +80,20 @@ def plot_surface(
     fixed_at = _fixed(merged(values, fixed), across, up)
     coordinates = solution._coordinates
     ranges = dict(zip(coordinates.names, coordinates.intervals, strict=True))
-    axes_values = {one: np.linspace(*ranges[one], points) for one in (across, up)}
-    found = np.reshape(solution[name].grid({**fixed_at, **axes_values}), (points, points))
-    order = [one for one in coordinates.names if one in axes_values]
-    heights = found.T if order == [across, up] else found
+    lines = {one: np.linspace(*ranges[one], points) for one in (across, up)}
+    heights = np.reshape(solution[name].grid({**fixed_at, **lines}), (points, points))
+    if [one for one in coordinates.names if one in lines] == [across, up]:
+        heights = heights.T
     drawn = axes_for(ax)
-    _draw(drawn, axes_values[across], axes_values[up], heights, label_of(solution, name))
+    _draw(drawn, lines[across], lines[up], heights, label_of(solution, name))
     drawn.set(xlabel=label_of(solution, across), ylabel=label_of(solution, up))
     if fixed_at:
-        where = (value_of(solution, name, float(value)) for name, value in fixed_at.items())
+        where = (value_of(solution, name, float(at)) for name, at in fixed_at.items())
         drawn.set_title(", ".join(where), fontsize="medium", loc="left")
     return drawn
 
 
-def _state(solution: Solution, unknown: Any) -> str:
+def _state(solution: Solution, unknown: object) -> str:
     if isinstance(unknown, list | tuple):
         raise OptionError(
             f"unknown={shown(unknown)} are several", term=unknown, remedy="plot one after another"
@@ -102,39 +103,37 @@ def _state(solution: Solution, unknown: Any) -> str:
     return states_of(solution, unknown)[0]
 
 
-def _coordinate(solution: Solution, key: Any) -> str:
+def _coordinate(solution: Solution, key: object) -> str:
     """Name of a coordinate along an axis."""
-    known = solution.metadata.coordinates
+    coordinates = solution.metadata.coordinates
     name = name_of(key)
-    if name not in known:
+    if name not in coordinates:
         raise EvaluationError(
-            f"there is no coordinate {quote(name)}{did_you_mean(name, known)}",
+            f"there is no coordinate {quote(name)}{did_you_mean(name, coordinates)}",
             term=key,
-            remedy=f"choose from {listing(known)}",
+            remedy=f"choose from {listing(coordinates)}",
         )
     return name
 
 
-def _fixed(given: Mapping[str, Any], across: str, up: str) -> dict[str, Any]:
+def _fixed(values: Mapping[str, float], across: str, up: str) -> dict[str, float]:
     """The values of the other coordinates."""
-    for name, value in given.items():
+    for name, at in values.items():
         if name in (across, up):
             raise OptionError(
                 f"{quote(name)} is along an axis and has a value as well",
                 term=name,
                 remedy="leave the value out; solution.restrict narrows the interval of a parameter",
             )
-        if np.ndim(value) > 0:
+        if np.ndim(at) > 0:
             raise OptionError(
-                f"{quote(name)} is {shown(value)}, not a number", term=name, remedy="fix one value"
+                f"{quote(name)} is {shown(at)}, not a number", term=name, remedy="fix one value"
             )
-    return dict(given)
+    return dict(values)
 
 
 def _draw(ax: Axes, x: Array, y: Array, heights: Array, label: str) -> None:
     """Filled contours with thin lines, or a surface where the axes have three dimensions."""
-    figure = ax.get_figure()
-    assert figure is not None
     if ax.name == "3d":
         ax.plot_surface(  # type: ignore[attr-defined]
             *np.meshgrid(x, y), heights, cmap="viridis", linewidth=0, rcount=len(y), ccount=len(x)
@@ -146,9 +145,8 @@ def _draw(ax: Axes, x: Array, y: Array, heights: Array, label: str) -> None:
     lowest, highest = float(heights.min()), float(heights.max())
     if highest - lowest <= 1e-12 * max(abs(lowest), abs(highest)):
         lowest, highest = lowest - 0.5, highest + 0.5
-    levels = MaxNLocator(_LEVELS).tick_values(lowest, highest)
+    levels = MaxNLocator(_CONTOUR_LEVELS).tick_values(lowest, highest)
     filled = ax.contourf(x, y, heights, levels, cmap="viridis")
     ax.contour(x, y, heights, levels, colors="white", linestyles="solid", linewidths=0.4, alpha=0.6)
     ax.grid(False)
-    bar = figure.colorbar(filled, ax=ax, label=label, pad=0.02)
-    bar.outline.set_visible(False)
+    colour_scale(ax, filled, label)

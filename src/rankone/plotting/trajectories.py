@@ -1,4 +1,4 @@
-"""Curves of the unknowns over time: `plot_trajectories`."""
+"""Unknowns over time, for given parameters or over the box: `plot_trajectories`, `plot_bands`."""
 
 from __future__ import annotations
 
@@ -7,37 +7,56 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rankone.plotting.asked import (
+from rankone.plotting.arguments import (
     check_solution,
-    label_of,
-    labels_of,
     needs_time,
     states_of,
     times_of,
+    unknowns_of,
 )
 from rankone.plotting.style import (
     MOST_NAMED,
     PALETTE,
     axes_for,
-    beside,
+    colour_scale,
     colours_for,
+    label_of,
+    labels_of,
+    legend_beside,
+    legend_inside,
     name_ends,
     shades,
 )
 from rankone.solution.smaller import merged
+from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.typing import ColorType
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_trajectories"]
+__all__ = ["plot_bands", "plot_trajectories"]
 
-_TIMES = 401
-_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
+_CURVE_TIMES = 401
+"""Times of a curve, about a pixel each."""
+_BAND_TIMES = 201
+"""Times of a band, which is smoother than a curve."""
+_BAND_PROBABILITIES = (0.025, 0.975)
+"""Probabilities at the ends of a band: 95 %."""
+_BAND_POINTS = 2**14
+"""Points over the box of which the quantiles are."""
+_STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
+"""Strokes of the unknowns of a family of curves."""
+
+
+# --- for given values of the parameters ----------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -48,28 +67,28 @@ class _Family:
     ----------
     names : tuple of str
         Parameters with more than one value.
-    values : ndarray (names, curves)
+    points : ndarray (names, curves)
     """
 
     names: tuple[str, ...]
-    values: Array
+    points: Array
 
     def titles(self) -> list[str]:
         return [
-            ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.names, row, strict=True))
-            for row in self.values.T
+            ", ".join(f"{name} = {x:.4g}" for name, x in zip(self.names, point, strict=True))
+            for point in self.points.T
         ]
 
 
 def plot_trajectories(
     solution: Solution,
-    values: Mapping[Any, Any] | None = None,
+    values: Mapping[Any, ArrayLike] | None = None,
     /,
     *,
-    unknowns: Any = None,
-    t: Any = None,
+    unknowns: object = None,
+    t: ArrayLike | None = None,
     ax: Axes | None = None,
-    **named: Any,
+    **named: ArrayLike,
 ) -> Axes:
     """Plot unknowns over time for given values of the parameters.
 
@@ -105,17 +124,18 @@ def plot_trajectories(
     check_solution("plot_trajectories", solution)
     needs_time(solution, "curves")
     names = states_of(solution, unknowns)
-    given = merged(values, named)
+    arrays = merged(values, named)
     time = solution.metadata.time
-    if time in given and t is not None:
+    if time in arrays and t is not None:
         raise OptionError(f"`{time}` is given twice", term=time, remedy="give it once")
-    times = times_of(solution, given.pop(time, t), _TIMES)
-    family = _family(solution, given)
-    everything = {name: np.asarray(v)[..., None] for name, v in given.items()}
+    times = times_of(solution, arrays.pop(time, t), _CURVE_TIMES)
+    family = _family(solution, arrays)
+    columns = {name: np.asarray(array)[..., None] for name, array in arrays.items()}
+    shape = np.broadcast_shapes(*(column.shape for column in columns.values()), (1,))[:-1]
     curves = [
-        np.broadcast_to(
-            solution[name](times, everything), (*_shape(everything), times.size)
-        ).reshape(-1, times.size)
+        np.broadcast_to(solution[name](times, columns), (*shape, times.size)).reshape(
+            -1, times.size
+        )
         for name in names
     ]
     axes = axes_for(ax)
@@ -128,14 +148,9 @@ def plot_trajectories(
     return axes
 
 
-def _shape(everything: Mapping[str, Array]) -> tuple[int, ...]:
-    """Shape of the points, without that of the times."""
-    return np.broadcast_shapes(*(v.shape for v in everything.values()), (1,))[:-1]
-
-
-def _family(solution: Solution, given: Mapping[str, Any]) -> _Family:
-    """The curves asked for; what is wrong with the values is found here."""
-    checked = solution._coordinates.gather((solution.time[0],), dict(given))
+def _family(solution: Solution, values: Mapping[str, Any]) -> _Family:
+    """The curves for values of the parameters, checked."""
+    checked = solution._coordinates.gather((solution.time[0],), dict(values))
     arrays = solution._coordinates.arrays(checked)
     points, _ = solution._coordinates.broadcast(arrays)
     if not points.shape[1]:
@@ -165,38 +180,40 @@ def _draw_family(
     family: _Family,
 ) -> None:
     """Several curves for each unknown."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.lines import Line2D
 
     titles = family.titles()
     few = len(titles) <= MOST_NAMED
     colours = _colours(family)
-    strokes = [_STYLES[i % len(_STYLES)] for i in range(len(names))]
+    strokes = [_STROKES[i % len(_STROKES)] for i in range(len(names))]
     for stroke, rows in zip(strokes, curves, strict=True):
         for colour, title, row in zip(colours, titles, rows, strict=True):
             label = title if few and stroke == strokes[0] else f"_{title}"
             ax.plot(times, row, color=colour, linestyle=stroke, label=label, linewidth=1.3)
-    entries = []
+    handles = []
     if len(names) > 1:
         pairs = zip(names, strokes, strict=True)
-        entries = [Line2D([], [], color="0.3", linestyle=s, label=name) for name, s in pairs]
+        handles = [Line2D([], [], color="0.3", linestyle=s, label=name) for name, s in pairs]
     if few:
-        entries += [
-            Line2D([], [], color=colour, label=title)
-            for colour, title in zip(colours, titles, strict=True)
-        ]
+        named = zip(titles, colours, strict=True)
+        handles += [Line2D([], [], color=colour, label=title) for title, colour in named]
     elif len(family.names) == 1:
-        _scale(ax, label_of(solution, family.names[0]), family.values[0])
-    if entries and few:
-        beside(ax, entries)
-    elif entries:
-        ax.legend(handles=entries, fontsize="small", framealpha=0.8)
+        row, map_colours = family.points[0], ListedColormap(shades(np.linspace(0.0, 1.0, 256)))
+        mappable = ScalarMappable(Normalize(row.min(), row.max()), map_colours)
+        colour_scale(ax, mappable, label_of(solution, family.names[0]))
+    if handles and few:
+        legend_beside(ax, handles)
+    elif handles:
+        legend_inside(ax, handles)
 
 
-def _colours(family: _Family) -> list[Any]:
+def _colours(family: _Family) -> Sequence[ColorType]:
     """A colour for each curve: of its value where one parameter varies."""
-    count = family.values.shape[1]
+    count = family.points.shape[1]
     if len(family.names) == 1:
-        row = family.values[0]
+        row = family.points[0]
         return shades((row - row.min()) / np.ptp(row))
     if count <= MOST_NAMED:
         return list(PALETTE[:count])
@@ -205,14 +222,118 @@ def _colours(family: _Family) -> list[Any]:
     return [to_rgba(PALETTE[0], 0.35)] * count
 
 
-def _scale(ax: Axes, label: str, values: Array) -> None:
-    """A colour scale beside the axes."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
+# --- over the box --------------------------------------------------------------------------------
 
-    colours = ListedColormap(shades(np.linspace(0.0, 1.0, 256)))
-    mappable = ScalarMappable(Normalize(values.min(), values.max()), colours)
-    figure = ax.get_figure()
-    assert figure is not None
-    bar = figure.colorbar(mappable, ax=ax, label=label, pad=0.02)
-    bar.outline.set_visible(False)
+
+def plot_bands(
+    solution: Solution,
+    unknowns: object = None,
+    t: ArrayLike | None = None,
+    *,
+    quantiles: tuple[float, float] | None = None,
+    sigmas: float | None = None,
+    under: Distributions = None,
+    correlation: Correlations = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot the mean over the box and a band around it, over time.
+
+    Parameters
+    ----------
+    solution : Solution
+    unknowns : symbol, str or list of them, optional
+        All unknowns if left out.
+    t : array_like, optional
+        Times; about 201 over the horizon if left out.
+    quantiles : (float, float), optional
+        Probabilities at the lower and the upper end of the band; 0.025 and 0.975 if left out.
+    sigmas : float, optional
+        Instead of quantiles: the band is the mean and so many standard deviations to either side.
+    under, correlation : mapping, optional
+        Distributions of parameters and correlations of pairs of them, as for
+        :meth:`rankone.Solution.mean`.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into; those of a new figure if left out.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    RankoneError
+        If Matplotlib is not installed.
+    EvaluationError
+        If there is no such unknown, a time is outside of the horizon, or the solution has no time.
+    OptionError
+        If quantiles or sigmas are out of their range or both given, or ``under`` or
+        ``correlation`` do not fit.
+    """
+    check_solution("plot_bands", solution)
+    needs_time(solution, "bands")
+    names = unknowns_of(solution, unknowns)
+    ends = _probabilities(quantiles, sigmas)
+    times = times_of(solution, t, _BAND_TIMES)
+    rows = [solution.unknowns.index(name) for name in names]
+    statistics = solution._statistics(under, correlation)
+    mean = statistics.mean(times)[rows]
+    if sigmas is None:
+        lower, upper = statistics.quantiles(times, np.array(ends), _BAND_POINTS)[:, rows]
+        meaning = f"{100 * ends[0]:.3g} to {100 * ends[1]:.3g} %"
+    else:
+        spread = sigmas * np.sqrt(statistics.variance(times)[rows])
+        lower, upper = mean - spread, mean + spread
+        meaning = f"± {sigmas:g} std"
+    axes = axes_for(ax)
+    axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=labels_of(solution, names))
+    _draw_bands(axes, names, times, (lower, mean, upper), meaning)
+    axes.margins(x=0.0)
+    return axes
+
+
+def _probabilities(
+    quantiles: tuple[float, float] | None, sigmas: float | None
+) -> tuple[float, float]:
+    """The probabilities of the band."""
+    if sigmas is not None:
+        checked_number("sigmas", sigmas, 0, kind=float)
+        if quantiles is not None:
+            raise OptionError("quantiles and sigmas are both given", remedy="choose one of them")
+    if quantiles is None:
+        return _BAND_PROBABILITIES
+    try:
+        lower, upper = (float(q) for q in quantiles)
+        valid = 0.0 <= lower < upper <= 1.0
+    except (TypeError, ValueError):
+        valid = False
+    if not valid:
+        raise OptionError(
+            f"quantiles={shown(quantiles)} are not valid",
+            term=quantiles,
+            remedy="two ascending probabilities, for example (0.025, 0.975)",
+        )
+    return lower, upper
+
+
+def _draw_bands(
+    ax: Axes, names: Sequence[str], times: Array, band: tuple[Array, Array, Array], meaning: str
+) -> None:
+    """A line and a band for each unknown, (unknowns, times) each."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    lines = []
+    colours = colours_for(ax, len(names))
+    for name, colour, lower, mean, upper in zip(names, colours, *band, strict=True):
+        ax.fill_between(times, lower, upper, color=colour, alpha=0.2, linewidth=0)
+        lines += ax.plot(times, mean, color=colour, label=f"mean of {name}")
+    alone = len(names) == 1
+    colour = colours[0] if alone else "0.3"
+    patch = Patch(color=colour, alpha=0.2, linewidth=0, label=meaning)
+    handles = [Line2D([], [], color=colour, label="mean"), patch]
+    if alone or np.isfinite(band[1][:, -1]).all():
+        legend_inside(ax, handles)
+    else:
+        legend_beside(ax, handles)
+    if not alone:
+        name_ends(ax, lines, names)

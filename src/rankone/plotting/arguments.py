@@ -1,11 +1,11 @@
-"""What a plot was asked for: unknowns, times, and the labels of both."""
+"""Arguments of plots: the solution, the unknowns and the times that they select, checked."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -18,25 +18,18 @@ if TYPE_CHECKING:
 __all__ = [
     "check_solution",
     "fine_times",
-    "label_of",
-    "labels_of",
     "needs_time",
     "one_time",
     "only_unknown",
-    "range_of",
     "sometimes_of",
     "states_of",
     "times_of",
     "unknown_of",
     "unknowns_of",
-    "value_of",
 ]
 
-_MOST_IN_LABEL = 4
-"""Unknowns that are named beside an axis."""
 
-
-def check_solution(function: str, given: Any) -> None:
+def check_solution(function: str, given: object) -> None:
     """Raise an OptionError unless what a function was given is a solution."""
     if not isinstance(given, SolutionCore):
         raise OptionError(
@@ -46,45 +39,10 @@ def check_solution(function: str, given: Any) -> None:
         )
 
 
-def label_of(solution: Solution, name: str) -> str:
-    """Name of an unknown or a coordinate, with its unit: ``x [m]``."""
-    return _with_unit(name, _units(solution).get(name))
+# --- unknowns ------------------------------------------------------------------------------------
 
 
-def value_of(solution: Solution, name: str, value: float) -> str:
-    """A value of a coordinate with its unit: ``t = 2 s``."""
-    return f"{name} = {value:.4g} {_units(solution).get(name, '')}".rstrip()
-
-
-def range_of(solution: Solution, name: str) -> str:
-    """The interval of a parameter with its unit: ``m: 1 to 2 kg``."""
-    lower, upper = solution.parameters[name]
-    return f"{name}: {lower:.4g} to {upper:.4g} {_units(solution).get(name, '')}".rstrip()
-
-
-def labels_of(solution: Solution, names: Sequence[str]) -> str:
-    """Names of several unknowns; the unit once where all have the same: ``x, y [m]``."""
-    units = _units(solution)
-    many = len(names) > _MOST_IN_LABEL
-    if len({units.get(name) for name in names}) == 1:
-        return _with_unit("unknowns" if many else ", ".join(names), units.get(names[0]))
-    if many:
-        return "unknowns"
-    return ", ".join(label_of(solution, name) for name in names)
-
-
-def _units(solution: Solution) -> dict[str, str]:
-    return dict(solution.metadata.units)
-
-
-def _with_unit(name: str, unit: str | None) -> str:
-    return f"{name} [{unit}]" if unit else name
-
-
-# --- unknowns ----------------------------------------------------------------------------------
-
-
-def states_of(solution: Solution, asked: Any) -> list[str]:
+def states_of(solution: Solution, given: object) -> list[str]:
     """Names of one or several unknowns or derivatives that are states; all unknowns for None.
 
     Raises
@@ -92,25 +50,25 @@ def states_of(solution: Solution, asked: Any) -> list[str]:
     EvaluationError
         If there is no such state.
     OptionError
-        If nothing is asked for, or one of them twice.
+        If there are none, or one of them is there twice.
     """
-    if asked is None:
+    if given is None:
         return list(solution.unknowns)
-    several = asked if isinstance(asked, list | tuple) else [asked]
+    several = given if isinstance(given, list | tuple) else [given]
     names = [solution[one].name for one in several]
     if not names or len(set(names)) < len(names):
         problem = "one of them is there twice" if names else "there are none"
         raise OptionError(
-            f"the unknowns are {shown(asked)}: {problem}",
-            term=asked,
+            f"the unknowns are {shown(given)}: {problem}",
+            term=given,
             remedy=f"choose from {listing(solution.states)}",
         )
     return names
 
 
-def unknowns_of(solution: Solution, asked: Any) -> list[str]:
+def unknowns_of(solution: Solution, given: object) -> list[str]:
     """The same for statistics, which are those of unknowns alone."""
-    names = states_of(solution, asked)
+    names = states_of(solution, given)
     for name in names:
         if name not in solution.unknowns:
             raise EvaluationError(
@@ -122,13 +80,13 @@ def unknowns_of(solution: Solution, asked: Any) -> list[str]:
     return names
 
 
-def unknown_of(solution: Solution, asked: Any) -> str:
-    """The one unknown asked for; the first for None."""
-    if isinstance(asked, list | tuple):
+def unknown_of(solution: Solution, given: object) -> str:
+    """The name of one unknown; the first for None."""
+    if isinstance(given, list | tuple):
         raise OptionError(
-            f"unknown={shown(asked)} are several", term=asked, remedy="one unknown for each plot"
+            f"unknown={shown(given)} are several", term=given, remedy="one unknown for each plot"
         )
-    return unknowns_of(solution, asked)[0] if asked is not None else solution.unknowns[0]
+    return unknowns_of(solution, given)[0]
 
 
 def only_unknown(solution: Solution, function: str) -> str:
@@ -141,10 +99,10 @@ def only_unknown(solution: Solution, function: str) -> str:
     return solution.unknowns[0]
 
 
-# --- times -------------------------------------------------------------------------------------
+# --- times ---------------------------------------------------------------------------------------
 
 
-def times_of(solution: Solution, t: Any, count: int) -> Array:
+def times_of(solution: Solution, t: ArrayLike | None, count: int) -> Array:
     """Times that were given, (times,), or so many over the horizon.
 
     Raises
@@ -158,8 +116,8 @@ def times_of(solution: Solution, t: Any, count: int) -> Array:
         return fine_times(solution, solution.time[1], count)
     times = np.atleast_1d(solution._coordinates.checked(0, t))
     if times.ndim > 1 or not times.size:
-        what = "more than one dimension" if times.ndim > 1 else "no entry"
-        raise OptionError(f"the times have {what}", term=t, remedy="give a list of times")
+        problem = "more than one dimension" if times.ndim > 1 else "no entry"
+        raise OptionError(f"the times have {problem}", term=t, remedy="give a list of times")
     return times
 
 
@@ -171,16 +129,16 @@ def fine_times(solution: Solution, end: float, count: int) -> Array:
     return np.unique(np.concatenate([evenly, np.nextafter(meetings, evenly[0]), meetings]))
 
 
-def needs_time(solution: Solution, what: str) -> None:
+def needs_time(solution: Solution, subject: str) -> None:
     """Raise an EvaluationError if the values do not depend on time."""
     if solution.metadata.timeless:
         raise EvaluationError(
-            f"the values do not depend on time: there are no {what} over it",
+            f"the values do not depend on time: there are no {subject} over it",
             remedy="plot_surface, plot_sobol and plot_main_effects plot them over the parameters",
         )
 
 
-def sometimes_of(solution: Solution, t: Any, count: int) -> Array | None:
+def sometimes_of(solution: Solution, t: ArrayLike | None, count: int) -> Array | None:
     """The same as :func:`times_of`; None if nothing depends on time."""
     if not solution.metadata.timeless:
         return times_of(solution, t, count)
@@ -193,7 +151,7 @@ def sometimes_of(solution: Solution, t: Any, count: int) -> Array | None:
     return None
 
 
-def one_time(solution: Solution, t: Any) -> float | None:
+def one_time(solution: Solution, t: ArrayLike | None) -> float | None:
     """The one time that was given; None if nothing depends on time.
 
     Raises
