@@ -1,10 +1,10 @@
-"""Every Python block of the README and the docs runs, and prints what the text shows.
+"""Every Python block of the README and the docs runs, and prints what the page shows.
 
-A block marked ``text`` that follows a Python block is its output. The blocks of a file share one
-namespace. ``pytest tests/docs --update-golden`` writes the outputs anew.
+A block marked ``text`` after a Python block is its output. The blocks of a file share one
+namespace. ``pytest tests/docs --update-golden`` writes the outputs again.
 
-Numbers are compared with a tolerance, and those in the summary of a solution, which depend on
-the machine, not at all. ``...`` stands for anything.
+Numbers are compared with a tolerance. Numbers in the summary of a solution depend on the machine
+and are not compared. ``...`` stands for anything.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ COMMANDS = {
     path: path.name not in ("c-model.md", "solved-model.md")
     for path in sorted((ROOT / "docs" / "export").glob("*.md"))
 }
-"""The guides with commands, and whether these take long."""
+"""The guides with commands, and whether they are slow."""
 
 FREE, RTOL, ATOL, MEASURED_FACTOR = "#", 1e-4, 5e-6, 100.0
 
@@ -54,7 +54,7 @@ def _name(path: Path) -> str:
 
 def _normal(text: str) -> str:
     """Text without what depends on the machine: numbers of summaries, versions, line breaks."""
-    text = SUMMARY.sub(lambda found: NUMBER.sub(FREE, found.group()), text)
+    text = SUMMARY.sub(lambda summary: NUMBER.sub(FREE, summary.group()), text)
     text = re.sub(rf" \(up to {FREE} at the corners of the box\)", "", " ".join(text.split()))
     return re.sub(r"\(rankone [^)]*\)", "(rankone)", text)
 
@@ -70,22 +70,14 @@ def _agree(wanted: str, got: str) -> bool:
     """Whether two outputs agree: the same words, close numbers."""
     wanted, got = _normal(wanted), _normal(got)
     pattern = "".join(
-        rf"({NUMBER.pattern})" if kind else re.escape(part).replace(re.escape("..."), ".*")
-        for part, kind in _parts(wanted)
+        re.escape(words).replace(re.escape("..."), ".*")
+        + (rf"({NUMBER.pattern})" if figure else "")
+        for words, figure in itertools.zip_longest(
+            NUMBER.split(wanted), NUMBER.findall(wanted), fillvalue=""
+        )
     )
     match = re.fullmatch(pattern, got, re.S)
-    numbers = [part for part, kind in _parts(wanted) if kind]
-    return match is not None and all(map(_close, numbers, match.groups()))
-
-
-def _parts(text: str) -> list[tuple[str, bool]]:
-    """Words and numbers in turn; the second entry says whether a part is a number."""
-    words = NUMBER.split(text)
-    numbers = NUMBER.findall(text)
-    pairs = itertools.zip_longest(
-        ((word, False) for word in words), ((number, True) for number in numbers)
-    )
-    return [part for pair in pairs for part in pair if part is not None]
+    return match is not None and all(map(_close, NUMBER.findall(wanted), match.groups()))
 
 
 def _each(files: dict[Path, bool]) -> pytest.MarkDecorator:
@@ -247,7 +239,7 @@ def test_the_readme_quotes_what_was_measured():
     table = (ROOT / "docs" / "measured.md").read_text().partition("The same in absolute")[0]
     rows = [line.split("|") for line in table.splitlines() if line.startswith("| ")]
     column = [title.strip() for title in rows[0]].index("break-even")
-    found = [int(row[column]) for row in rows[2:]]
+    break_evens = [int(row[column]) for row in rows[2:]]
     quoted = COST.search((ROOT / "README.md").read_text())
-    assert len(found) >= 20
-    assert [*map(int, quoted.groups())] == [min(found), max(found)]
+    assert len(break_evens) >= 20
+    assert [*map(int, quoted.groups())] == [min(break_evens), max(break_evens)]
