@@ -1,5 +1,8 @@
 """rankone: parametric ODE systems written in SymPy, solved once for every parameter value.
 
+State a :class:`Problem`, :func:`solve` it, and call the :class:`Solution` like a function of time
+and parameters:
+
 >>> import sympy as sp, rankone as ro
 >>> t, k = sp.symbols("t k")
 >>> u = sp.Function("u")(t)
@@ -7,6 +10,10 @@
 >>> solution = ro.solve(problem, rtol=1e-6)
 >>> solution.success
 True
+>>> print(solution[u](t=1.0, k=2.0).round(5), sp.exp(-2.0).round(5))
+0.13534 0.13534
+
+``help(rankone.solve)`` lists the options; ``docs/reference.md`` lists all public names.
 """
 
 import importlib
@@ -90,61 +97,50 @@ __all__ = [
     "weak_form",
 ]
 
-_HOMES = {
-    "BlowUpError": ("support.errors", "BlowUpError"),
-    "CompiledProblem": ("interface.compiled", "CompiledProblem"),
-    "ConvergenceError": ("support.errors", "ConvergenceError"),
-    "CrossOptions": ("solvers.cross", "CrossOptions"),
-    "EvaluationError": ("support.errors", "EvaluationError"),
-    "ExportError": ("support.errors", "ExportError"),
-    "FirstOrderSystem": ("symbolic", "FirstOrderSystem"),
-    "Fit": ("estimation.fit", "Fit"),
-    "GeneralTerm": ("ir.forms", "GeneralTerm"),
-    "GreedyOptions": ("solvers.greedy", "GreedyOptions"),
-    "Optimum": ("estimation.minimize", "Optimum"),
-    "OptionError": ("support.errors", "OptionError"),
-    "Posterior": ("estimation.posterior", "Posterior"),
-    "Problem": ("frontend.problem", "Problem"),
-    "ProblemError": ("support.errors", "ProblemError"),
-    "QuadraticSystem": ("ir.forms", "QuadraticSystem"),
-    "RankoneError": ("support.errors", "RankoneError"),
-    "RankoneWarning": ("support.errors", "RankoneWarning"),
-    "SeparatedForm": ("ir.forms", "SeparatedForm"),
-    "SeparationError": ("support.errors", "SeparationError"),
-    "Sobol": ("statistics.solution_statistics", "Sobol"),
-    "Solution": ("interface.solution", "Solution"),
-    "Status": ("ir.verdict", "Status"),
-    "StorageError": ("support.errors", "StorageError"),
-    "TrainOptions": ("solvers.train", "TrainOptions"),
-    "WeakForm": ("symbolic", "WeakForm"),
-    "__version__": ("support", "__version__"),
-    "compile": ("interface.compiled", "compile_problem"),
-    "duration": ("ir.functions", "duration"),
-    "first_crossing": ("ir.functions", "first_crossing"),
-    "first_order": ("symbolic", "first_order"),
-    "function": ("ir.functions", "function"),
-    "generate_source": ("codegen", "generate_source"),
-    "load": ("interface.solution", "load"),
-    "load_module": ("codegen", "load_module"),
-    "maximum": ("ir.functions", "maximum"),
-    "minimum": ("ir.functions", "minimum"),
-    "quadratic_system": ("codegen.lowering", "quadratic_system"),
-    "separate": ("symbolic", "separate"),
-    "solve": ("interface.compiled", "solve_problem"),
-    "table": ("ir.functions", "table"),
-    "weak_form": ("symbolic", "weak_form"),
+_MODULES = {
+    "codegen": ("generate_source", "load_module"),
+    "codegen.lowering": ("quadratic_system",),
+    "estimation.fit": ("Fit",),
+    "estimation.minimize": ("Optimum",),
+    "estimation.posterior": ("Posterior",),
+    "frontend.problem": ("Problem",),
+    "interface.compiled": ("CompiledProblem", "compile", "solve"),
+    "interface.solution": ("Solution", "load"),
+    "ir.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),
+    "ir.functions": ("duration", "first_crossing", "function", "maximum", "minimum", "table"),
+    "ir.verdict": ("Status",),
+    "solvers.cross": ("CrossOptions",),
+    "solvers.greedy": ("GreedyOptions",),
+    "solvers.train": ("TrainOptions",),
+    "statistics.solution_statistics": ("Sobol",),
+    "support": ("__version__",),
+    "support.errors": (
+        "BlowUpError",
+        "ConvergenceError",
+        "EvaluationError",
+        "ExportError",
+        "OptionError",
+        "ProblemError",
+        "RankoneError",
+        "RankoneWarning",
+        "SeparationError",
+        "StorageError",
+    ),
+    "symbolic": ("FirstOrderSystem", "WeakForm", "first_order", "separate", "weak_form"),
 }
-"""For each public name the module and its name there: imported when it is first asked for, so that
+"""The public names by their modules, which are imported when a name is first used, so that
 ``import rankone`` and the command line begin at once."""
+_INNER_NAMES = {"compile": "compile_problem", "solve": "solve_problem"}
+"""Public names of functions that have a longer name where they are defined."""
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, own = _HOMES[name]
-    value = getattr(importlib.import_module(f"{__name__}.{module}"), own)
-    globals()[name] = value
-    return value
+    for module, names in _MODULES.items():
+        if name in names:
+            home = importlib.import_module(f"{__name__}.{module}")
+            globals()[name] = getattr(home, _INNER_NAMES.get(name, name))
+            return globals()[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
