@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import pytest
 import rankone as ro
 from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import limited
-from rankone.trajectories.integration import Stack
+from rankone.trajectories.integrator import jacobians
 from rankone.trajectories.steppers import StackedRadau
 from rankone.trajectories.workers import Workers
 from tests.problems import EXAMPLES
@@ -99,11 +100,22 @@ def test_large_stacks_are_inverted_in_pieces(monkeypatch):
     inv = np.linalg.inv
     monkeypatch.setattr(np.linalg, "inv", lambda some: inverted.append(some.shape) or inv(some))
     points = np.linspace(1, 2, 200)[:, None]
-    stack = Stack(ro.compile(problem).system, points, [0.0, 1.0])
-    rates_of_stack = stack._right_hand_side(0.0, 1.0)
-    start = np.ones(30 * 200)
+    system = ro.compile(problem).system
+
+    def rates_of_stack(t, y):
+        return system.rhs(t, y.reshape(30, 200), points.T).ravel()
+
     solver = StackedRadau(
-        rates_of_stack, 0.0, start, 1.0, rtol=1e-3, atol=1e-6, states=30, blocks=stack.jacobians
+        rates_of_stack,
+        0.0,
+        np.ones(30 * 200),
+        1.0,
+        rtol=1e-3,
+        atol=1e-6,
+        max_step=np.inf,
+        trajectory_states=30,
+        control=None,
+        blocks=partial(jacobians, system, points),
     )
     solver.step()
     assert len(inverted) > 2

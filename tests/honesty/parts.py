@@ -34,9 +34,9 @@ def _no_points(system: object, domain: object) -> np.ndarray:
 
 def _few(box: np.ndarray, count: int, *arguments: object, **options: object) -> np.ndarray:
     """A quarter of the points, and nothing beside special values."""
-    from rankone.verification.reference import check_points
+    from rankone.verification.points import check_points
 
-    options.pop("special", None)
+    options.pop("cuts", None)
     return check_points(box, count // 4, *arguments, **options)  # type: ignore[arg-type]
 
 
@@ -45,33 +45,33 @@ _EFFORT = 0.3
 _MEASURE = "rankone.verification.measure"
 PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
     "nothing": None,
-    "switches and narrow functions of one coordinate": (
-        f"{_MEASURE}.system_breakpoints",
-        lambda system, domain: _no_breakpoints(domain),
+    "cuts of one coordinate": (
+        f"{_MEASURE}.system_cuts",
+        lambda system, domain: _no_cuts(domain),
     ),
     "three quarters of the evenly spread points": (f"{_MEASURE}.check_points", _few),
-    "points where products are active": (f"{_MEASURE}.active_points", _no_points),
+    "points where products of factors are active": (f"{_MEASURE}.active_points", _no_points),
     "points on surfaces of several parameters": (
         f"{_MEASURE}.surface_points",
         _no_points,
     ),
-    "points of the residual": ("rankone.solvers.attempts.doubtful_points", _nothing),
+    "points of the residual": ("rankone.solvers.attempts.worst_points", _nothing),
     "steep points and narrow elements": ("rankone.solvers.cross.engine.candidate_points", _nothing),
-    "steps made again": ("rankone.trajectories.defects.DefectControl.missed", lambda *_: False),
+    "steps made again": ("rankone.trajectories.steppers.DefectControl.missed", lambda *_: False),
 }
 """For each part what it is, and what stands in for it."""
 
 
-def _no_breakpoints(domain: object) -> tuple[object, ...]:
-    from rankone.verification.breakpoints import Breakpoints
+def _no_cuts(domain: object) -> tuple[object, ...]:
+    from rankone.verification.cuts import Cuts
 
-    return (Breakpoints(),) * (1 + len(domain.box))  # type: ignore[attr-defined]
+    return (Cuts(),) * (1 + len(domain.box))  # type: ignore[attr-defined]
 
 
 def without(part: str, made: tuple[str, int]) -> str:
     """The verdict on a case with a part left out."""
     import rankone.solvers.cross.engine  # what is replaced must be there
-    import rankone.trajectories.defects  # noqa: F401
+    import rankone.trajectories.steppers  # noqa: F401
 
     replaced = PARTS[part]
     with mock.patch(*replaced) if replaced else contextlib.nullcontext():

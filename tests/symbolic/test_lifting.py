@@ -12,7 +12,7 @@ import rankone as ro
 from rankone.ir.domain import Domain
 from rankone.solvers.registry import ENGINES
 from rankone.symbolic.lifting import NotLiftable, lift
-from rankone.verification.drift import drift
+from rankone.verification.measure import drift
 from tests.reference.quadratization import PROBLEMS
 
 AROUND = (0.7, 1.3)

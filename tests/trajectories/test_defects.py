@@ -7,10 +7,9 @@ import rankone as ro
 from rankone.codegen.events import event_functions, parameter_surfaces
 from rankone.ir.domain import Domain
 from rankone.ir.forms import Coordinate
-from rankone.trajectories.defects import _zeros
-from rankone.trajectories.steppers import StackedDOP853
-from rankone.verification.points import surface_points
-from rankone.verification.reference import check_points, integrate_reference
+from rankone.trajectories.steppers import StackedDOP853, roots
+from rankone.verification.points import check_points, surface_points
+from rankone.verification.reference import integrate_reference
 from tests.honesty.cases import t, unknown
 
 SHAPES = {
@@ -168,13 +167,13 @@ def test_a_stiff_system_is_handed_over_before_the_watch_refuses_many_steps(monke
     assert len(steps) < 60
 
 
-def test_zeros_are_found_in_few_evaluations():
+def test_roots_are_found_in_few_evaluations():
     calls = []
 
     def functions(x):
         calls.append(1)
         return np.array([np.tanh(30 * (x[0] - 0.3)), x[1] ** 3 - 0.2, np.exp(9 * x[2]) - 40])
 
-    found = _zeros(functions, functions(np.zeros(3)), functions(np.ones(3)))
+    found = roots(functions, functions(np.zeros(3)), functions(np.ones(3)))
     np.testing.assert_allclose(found, [0.3, 0.2 ** (1 / 3), np.log(40) / 9], atol=1e-13)
     assert len(calls) < 20

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.trajectories.integration import Stack
+from rankone.trajectories.stacks import _Stack
 from rankone.verification.reference import integrate_reference
 
 CONSERVED = {
@@ -42,9 +42,9 @@ def reference(problem, points, rtol=3e-7):
 def test_rounding_errors_are_not_followed(monkeypatch, rates, start):
     """Who follows them makes steps of 1e-18, and takes that for a blow-up."""
     steps = []
-    original = Stack._steps
+    original = _Stack._steps
     monkeypatch.setattr(
-        Stack,
+        _Stack,
         "_steps",
         lambda self, method, recorder, give_up: original(
             self, method, recorder, lambda *step: steps.append(step) or give_up(*step)

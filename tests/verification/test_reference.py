@@ -6,8 +6,10 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.verification.reference import check_points, integrate_reference, measure
-from rankone.verification.sensitivity import amplification
+from rankone.trajectories.diagnosis import amplification
+from rankone.verification.measure import measure
+from rankone.verification.points import check_points
+from rankone.verification.reference import integrate_reference
 from tests.problems import REFERENCE
 
 t, k, a = sp.symbols("t k a")

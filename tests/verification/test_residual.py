@@ -8,8 +8,7 @@ import pytest
 import rankone as ro
 from rankone.ir.domain import Domain
 from rankone.ir.request import Check, SolveRequest
-from rankone.verification.measure import ReferenceSet
-from rankone.verification.residual import doubtful_points
+from rankone.verification.measure import ReferenceSet, worst_points
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def decay():
 
 def test_a_good_solution_has_none(decay):
     _, outcome, reference_set = decay
-    assert doubtful_points(reference_set, outcome.slabs, outcome.error / 1e-6, 1e-6, 0) is None
+    assert worst_points(reference_set, outcome.slabs, outcome.error / 1e-6, 1e-6, 0) is None
 
 
 def test_where_the_equations_do_not_hold(decay):
@@ -40,7 +39,7 @@ def test_where_the_equations_do_not_hold(decay):
         return system.rhs(t, u, p) + 1e-3 * (corner & ~known)
 
     wrong = replace(reference_set, system=replace(system, rhs=rhs))
-    found = doubtful_points(wrong, outcome.slabs, 0.5, 1e-6, 0)
+    found = worst_points(wrong, outcome.slabs, 0.5, 1e-6, 0)
     assert len(found) >= 3
     assert (found > [1.9, 0.9]).all()
 

@@ -24,7 +24,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, EvaluationError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.evaluator import Rows, TrainEvaluator
-from rankone.verification.survival import PARTS, safe_sentence, solved_part
+from rankone.verification.reference import MOST_SMALLER_BOXES, safe_sentence, solved_part
 
 __all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
 
@@ -341,7 +341,7 @@ def raise_blow_up(
         remedy += ", or narrow the box"
 
     def part() -> Any:
-        return solved_part(lambda j, ends: on_box({j: ends}, 1.0 / PARTS), safe)
+        return solved_part(lambda j, ends: on_box({j: ends}, 1.0 / MOST_SMALLER_BOXES), safe)
 
     raise BlowUpError(
         f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"

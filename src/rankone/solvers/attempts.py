@@ -32,9 +32,8 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report
-from rankone.verification.measure import ReferenceSet
-from rankone.verification.residual import doubtful_points
-from rankone.verification.survival import safe_intervals
+from rankone.verification.measure import ReferenceSet, worst_points
+from rankone.verification.reference import safe_intervals
 
 __all__ = ["Attempt", "Marcher", "Progress", "error_notes", "solve_in_attempts", "unknowns_notes"]
 
@@ -340,7 +339,7 @@ def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attemp
     if not best.result.slabs or not rtol < best.error < math.inf:
         return best
     try:
-        doubtful = doubtful_points(reference_set, best.result.slabs, best.error / rtol, rtol, -1)
+        doubtful = worst_points(reference_set, best.result.slabs, best.error / rtol, rtol, -1)
         stricter = reference_set if doubtful is None else reference_set.with_points(doubtful)
     except OutOfBudgetError:
         return best
@@ -359,7 +358,7 @@ def _further_points(
     given = [] if result.points is None else [result.points]
     if not result.stopped:
         share = attempt.error / rtol
-        result.doubtful = doubtful_points(reference_set, result.slabs, share, rtol, number)
+        result.doubtful = worst_points(reference_set, result.slabs, share, rtol, number)
         given += [] if result.doubtful is None else [result.doubtful]
     return np.concatenate(given) if given else None
 

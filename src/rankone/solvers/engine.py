@@ -16,8 +16,7 @@ from rankone.ir.verdict import LiftedStates, MeasuredError, Note, OtherEngines, 
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
-from rankone.verification.drift import drift
-from rankone.verification.measure import ReferenceSet
+from rankone.verification.measure import ReferenceSet, drift
 
 __all__ = ["Engine", "Report", "solve_with"]
 

@@ -1,1 +1,12 @@
-"""Trajectories at points of the box: integrators, and what watches them."""
+"""Trajectories at points of the box: integrators, and what watches them.
+
+Read in this order:
+
+=================  ================================================================================
+``integrator``     what an integrator takes and gives: the protocol, tolerances, trajectories
+``stacks``         SciPy's integrators behind it, with all trajectories as one stacked system
+``steppers``       their steps, made again where they missed something: defect control
+``diagnosis``      why trajectories end, how errors grow, which states are numerically zero
+``workers``        chunks of trajectories on several processes
+=================  ================================================================================
+"""

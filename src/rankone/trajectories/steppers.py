@@ -1,142 +1,223 @@
 """SciPy's integrators for stacked trajectories, each step of which suits every one of them.
 
 Steps are made again, and shorter, where their interpolant is wrong between the stages, which the
-estimate of the error does not see.
+estimate of the error does not see. Where it runs through something narrow in between, its slope
+differs from the rates there: the defect. Defects are looked at between the nodes of Radau, where
+trajectories cross state surfaces, and at random places.
+
+SciPy has no public way to take the largest error of all trajectories, or a Jacobian of blocks:
+``_estimate_error_norm`` and ``_validate_jac`` are overridden for that alone.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import scipy.integrate
 import scipy.sparse
+from numpy.typing import NDArray
 
+from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
-from rankone.support.costs import CALL, in_pieces, inverse
-from rankone.trajectories.defects import DefectControl
+from rankone.support.costs import CALL, Cost, function_cost, in_pieces, inverse
+from rankone.trajectories.integrator import DenseStep
 
-__all__ = ["StackedDOP853", "StackedRadau"]
+__all__ = ["DefectControl", "Rates", "StackedDOP853", "StackedRadau", "Stepper"]
 
-_STATE = ("t", "y", "f", "h_abs", "h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
+_STEP_STATE = (
+    "t",
+    "t_old",
+    "y",
+    "f",
+    "h_abs",
+    "h_abs_old",
+    "error_norm_old",
+    "sol",
+    "Z",
+    "J",
+    "current_jac",
+    "status",
+)
 """What a step changes, of both methods, beside the factorisations of Radau."""
-_BETWEEN = (0.4, 0.85)
-"""Where between the nodes of Radau, in steps, its interpolant is looked at."""
-_INTERPOLATED = 10.0
-"""Largest error of the interpolant, in units of the tolerance."""
-_ENTRIES = 0.5
+_BETWEEN_NODES = (0.4, 0.85)
+"""Shares of a step, between the nodes of Radau, at which its interpolant is looked at."""
+_MOST_INTERPOLATION_ERROR = 10.0
+"""Largest error of the interpolant of Radau, in units of the tolerance."""
+_LEAST_SHORTENING = 0.1
+"""A step with a larger one is made again with at least this part of its length."""
+_SHORTENING = 0.2
+"""Part of a step that is made again because of its defect: far enough from what was missed."""
+_MOST_CROSSING_DEFECT = 100.0
+"""Largest defect at crossings, times the step, in tolerances; without anything narrow it is 40."""
+_MOST_RANDOM_DEFECT = 300.0
+"""The same at random places, which are many."""
+_DIFFERENT_RATES = 0.5
+"""Defect over the rates from which a step does not know the rates."""
+_MOST_ROOT_ITERATIONS = 30
+"""Iterations for the time of a crossing; about ten suffice."""
+_ROOT_ACCURACY = 1e-14
+"""Accuracy of that time in steps."""
+_LEAST_PLACES = 2
+"""Random places on each trajectory, at least, in every step."""
+_PLACES = 512
+"""Random places on all trajectories together."""
+_MATRIX_ENTRY = 0.5
 """Operations for each entry of a matrix that a vector is multiplied by."""
-_SHORTER = 0.2
-"""Length of a step that is made again because something was overlooked."""
+_MATRIX = 40.0
+"""Operations for each matrix besides."""
+_LOOK_COST = Cost(50e3, 15.0)
+"""Operations of a look at an interpolant, and for each number looked at."""
+
+Rates: TypeAlias = Callable[[float, Array], Array]
+"""Stacked rates (n m,) at a time and a stacked state."""
 
 
-class _Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
-    """What both methods share: steps that can be made again.
+class Interpolant(Protocol):
+    """Some trajectories within a step, at one share (c,) of it for each."""
 
-    Parameters
-    ----------
-    states : int
-        States of one trajectory; the stacked vector is in the order (state, trajectory).
-    watch : DefectControl, optional
-        Looks for what the stages of a step do not see.
+    def states(self, shares: Array) -> Array:
+        """States, (n, c)."""
+
+    def states_and_slopes(self, shares: Array) -> tuple[Array, Array]:
+        """States, and their derivatives over the share."""
+
+
+class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
+    """Steps that can be made again, of a stacked state in the order (state, trajectory).
 
     Attributes
     ----------
+    trajectory_states : int
+        States of one trajectory.
+    control : DefectControl or None
+        Looks for what the stages of a step do not see.
     refusals : int
         Steps that were made again since :meth:`longest_tried` was last asked for.
     """
 
-    def __init__(
-        self, *arguments: Any, states: int, watch: DefectControl | None = None, **options: Any
-    ) -> None:
-        self._states, self._watch = states, watch
-        self.refusals, self._refused = 0, 0.0
-        super().__init__(*arguments, **options)
+    trajectory_states: int
+    control: DefectControl | None
+    refusals = 0
+    _longest_refused = 0.0
+
+    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
+        """The trajectories of some columns within the last step."""
+        raise NotImplementedError
+
+    def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
+        """The error that a defect (n, c), times the step, of some trajectories comes to."""
+        raise NotImplementedError
 
     def longest_tried(self) -> float:
         """The longest of the last step and of those refused since this was last asked for."""
-        longest = max(self.step_size, self._refused)
-        self.refusals, self._refused = 0, 0.0
+        longest = max(self.step_size, self._longest_refused)
+        self.refusals, self._longest_refused = 0, 0.0
         return float(longest)
 
-    def _step_impl(self) -> tuple[bool, str | None]:
+    def step(self) -> str | None:
         """A step as SciPy's, made again and shorter while something in it was overlooked."""
-        before = {name: getattr(self, name) for name in _STATE if hasattr(self, name)}
+        before = {name: self.__dict__[name] for name in _STEP_STATE if name in self.__dict__}
         while True:
-            done, message = super()._step_impl()
-            if not done:
-                return done, message
-            h, self.t_old = self.t - before["t"], before["t"]
-            shorter = self._shorter(before["y"])
-            if shorter >= 1.0 or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
-                return done, message
-            self.refusals, self._refused = self.refusals + 1, max(self._refused, h)
-            for name, value in before.items():
-                setattr(self, name, value)
-            self._restart(h * shorter)
+            message: str | None = super().step()
+            if self.status == "failed":
+                return message
+            h = self.t - before["t"]
+            shortening = self._shortening(before["y"])
+            if shortening >= 1.0 or h <= 1e3 * np.spacing(max(abs(self.t), abs(before["t"]))):
+                return message
+            self.refusals, self._longest_refused = self.refusals + 1, max(self._longest_refused, h)
+            self.__dict__.update(before)
+            self._restart(h * shortening)
 
-    def _shorter(self, y_before: Array) -> float:
-        """By what factor the step is to be shorter; one if it is good."""
-        missed = self._watch is not None and self._watch.missed(self, y_before)
-        return _SHORTER if missed else 1.0
+    def _shortening(self, y_before: Array) -> float:
+        """Factor on the length of the step when it is made again; one if it is good."""
+        missed = self.control is not None and self.control.missed(self, y_before)
+        return _SHORTENING if missed else 1.0
 
     def _restart(self, h: float) -> None:
         """Begin the step again with another length."""
         self.h_abs = h
 
 
-class StackedDOP853(_Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
+class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
     """Steps that suit every trajectory: the error is the largest of all, not their mean."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(
+        self,
+        rates: Rates,
+        start: float,
+        state: Array,
+        end: float,
+        rtol: float,
+        atol: Array,
+        max_step: float,
+        trajectory_states: int,
+        control: DefectControl | None = None,
+    ) -> None:
+        self.trajectory_states, self.control = trajectory_states, control
         self._weights = np.stack([self.E5, self.E3])
-        self._dense: Any = None
-        super().__init__(*arguments, **options)
+        self._dense: scipy.integrate.DenseOutput | None = None
+        super().__init__(rates, start, state, end, max_step=max_step, rtol=rtol, atol=atol)
 
     def _estimate_error_norm(self, K: Array, h: float, scale: Array) -> float:
         """As SciPy's (Hairer, Nørsett & Wanner, II.10), for each trajectory."""
         errors = np.square(self._weights @ K / scale)
-        fifth, third = errors.reshape(2, self._states, -1).sum(axis=1)
-        below = np.sqrt((fifth + 0.01 * third) * self._states)
+        fifth, third = errors.reshape(2, self.trajectory_states, -1).sum(axis=1)
+        below = np.sqrt((fifth + 0.01 * third) * self.trajectory_states)
         return float(abs(h) * np.max(fifth / np.where(below > 0.0, below, 1.0)))
 
-    def _dense_output_impl(self) -> Any:
+    def dense_output(self) -> DenseStep:
         """As SciPy's, once for each step."""
         if self._dense is None or self._dense.t != self.t or self._dense.t_old != self.t_old:
-            self._dense = super()._dense_output_impl()
-        return self._dense
+            self._dense = super().dense_output()
+        dense: DenseStep = self._dense
+        return dense
 
-    def error_of(self, defect: Array, columns: Array) -> Array:
-        """What a defect (n, c), times the step, of some trajectories comes to."""
+    def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
+        """The defect itself."""
         return defect
 
-    def interpolant(self, columns: Array) -> Callable[..., Any]:
-        """Of some trajectories states (n, c) at shares (c,) of the step, and slopes if asked for.
-
-        Slopes are derivatives over the share.
-        """
-        dense = self._dense_output_impl()
-        parts = dense.F.reshape(len(dense.F), self._states, -1)[:, :, columns]
-        start = dense.y_old.reshape(self._states, -1)[:, columns]
-
-        def evaluate(x: Array, slopes: bool = False) -> Any:
-            y, slope, rest = np.zeros_like(start), np.zeros_like(start), 1.0 - x
-            for i, part in enumerate(parts[::-1]):
-                y += part
-                if slopes:
-                    slope *= rest if i % 2 else x
-                    slope += -y if i % 2 else y
-                y *= rest if i % 2 else x
-            y += start
-            return (y, slope) if slopes else y
-
-        return evaluate
+    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
+        """The trajectories of some columns within the last step."""
+        n, dense = self.trajectory_states, self.dense_output()
+        nested = dense.F.reshape(len(dense.F), n, -1)[:, :, columns]  # type: ignore[attr-defined]
+        start = dense.y_old.reshape(n, -1)[:, columns]  # type: ignore[attr-defined]
+        return _NestedInterpolant(start, nested)
 
 
-class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
+@dataclass(frozen=True)
+class _NestedInterpolant:
+    """The nested polynomial of DOP853: start (n, c) and coefficients (degree, n, c)."""
+
+    start: Array
+    coefficients: Array
+
+    def states(self, shares: Array) -> Array:
+        y, remaining = np.zeros_like(self.start), 1.0 - shares
+        for i, coefficient in enumerate(self.coefficients[::-1]):
+            y += coefficient
+            y *= remaining if i % 2 else shares
+        y += self.start
+        return y
+
+    def states_and_slopes(self, shares: Array) -> tuple[Array, Array]:
+        y, slope = np.zeros_like(self.start), np.zeros_like(self.start)
+        remaining = 1.0 - shares
+        for i, coefficient in enumerate(self.coefficients[::-1]):
+            y += coefficient
+            slope *= remaining if i % 2 else shares
+            slope += -y if i % 2 else y
+            y *= remaining if i % 2 else shares
+        y += self.start
+        return y, slope
+
+
+class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
 
     With h far above a stiff time scale the estimate of the error sees the nodes only. The defect of
@@ -152,25 +233,32 @@ class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def __init__(
         self,
-        *arguments: Any,
+        rates: Rates,
+        start: float,
+        state: Array,
+        end: float,
+        rtol: float,
+        atol: Array,
+        max_step: float,
+        trajectory_states: int,
+        control: DefectControl | None,
         blocks: Callable[[float, Array], Array],
         looks_between: bool = True,
-        **options: Any,
     ) -> None:
-        self._blocks, self._places = blocks, _BETWEEN if looks_between else ()
-        self._newton: Any = None
-        super().__init__(*arguments, **options)
+        self.trajectory_states, self.control = trajectory_states, control
+        self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
+        super().__init__(rates, start, state, end, max_step=max_step, rtol=rtol, atol=atol)
         self.J = blocks(self.t, self.y)
         self.I = np.eye(self.J.shape[1])
-        self.lu, self.solve_lu = self._inverted, self._solve
+        self.lu, self.solve_lu = self._inverses, self._solve
 
-    def _inverted(self, matrix: Any) -> Any:
+    def _inverses(self, matrices: Array) -> Array:
         """Inverses; those of the real matrix of the Newton iteration are kept for the check."""
-        real = np.isrealobj(matrix)
-        cost = inverse(matrix.shape[-1], real)
-        inverses = np.empty_like(matrix)
+        real = np.isrealobj(matrices)
+        cost = inverse(matrices.shape[-1], real)
+        inverses = np.empty_like(matrices)
         first = 0
-        for some in in_pieces(matrix, cost):
+        for some in in_pieces(matrices, cost):
             charge(cost * len(some))
             inverses[first : first + len(some)] = np.linalg.inv(some)
             first += len(some)
@@ -178,15 +266,16 @@ class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             self._newton = inverses
         return inverses
 
-    def _validate_jac(self, *_: Any) -> Any:
+    def _validate_jac(self, jac: object, sparsity: object) -> tuple[object, object]:
         """The Jacobian as a function; what stands in for its first value is not used."""
         return lambda t, y, f=None: self._blocks(t, y), scipy.sparse.csc_matrix((self.n, self.n))
 
-    def _shorter(self, y_before: Array) -> float:
-        error = max(map(self._interpolation_error, self._places), default=0.0)
-        if error > _INTERPOLATED:
-            return float(max(0.1, 0.8 * (_INTERPOLATED / error) ** 0.25))
-        return super()._shorter(y_before)
+    def _shortening(self, y_before: Array) -> float:
+        error = max(map(self._interpolation_error, self._shares), default=0.0)
+        if error > _MOST_INTERPOLATION_ERROR:
+            factor = 0.8 * (_MOST_INTERPOLATION_ERROR / error) ** 0.25
+            return float(max(_LEAST_SHORTENING, factor))
+        return super()._shortening(y_before)
 
     def _restart(self, h: float) -> None:
         self.h_abs, self.LU_real, self.LU_complex = h, None, None
@@ -199,34 +288,157 @@ class StackedRadau(_Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         slope = interpolant.Q @ (powers * np.arange(1, powers.size + 1)) / interpolant.h
         defect = slope - self.fun(interpolant.t_old + share * interpolant.h, state)
         error = self._solve(self._newton, defect) / (self.atol + np.abs(state) * self.rtol)
-        square = np.square(error).reshape(self._states, -1).mean(axis=0).max()
+        square = np.square(error).reshape(self.trajectory_states, -1).mean(axis=0).max()
         return math.sqrt(square) if math.isfinite(square) else math.inf
 
-    def error_of(self, defect: Array, columns: Array) -> Array:
-        """What a defect (n, c), times the step, of some trajectories comes to."""
+    def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
+        """The defect divided by the matrix of the Newton iteration."""
         right = defect.T[:, :, None] / self.sol.h
         return np.asarray(np.matmul(self._newton[columns], right)[:, :, 0].T)
 
-    def interpolant(self, columns: Array) -> Callable[..., Any]:
-        """Of some trajectories states (n, c) at shares (c,) of the step, and slopes if asked for.
-
-        Slopes are derivatives over the share.
-        """
-        n, order = self._states, self.sol.order
-        parts = self.sol.Q.reshape(n, -1, order + 1)[:, columns]
-        start = self.sol.y_old.reshape(n, -1)[:, columns]
-        numbers = np.arange(order + 1)
-
-        def evaluate(x: Array, slopes: bool = False) -> Any:
-            powers = x[:, None] ** numbers
-            y = start + (parts * (x[:, None] * powers)).sum(axis=2)
-            return (y, (parts * (powers * (numbers + 1))).sum(axis=2)) if slopes else y
-
-        return evaluate
+    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
+        """The trajectories of some columns within the last step."""
+        n, order = self.trajectory_states, self.sol.order
+        coefficients = self.sol.Q.reshape(n, -1, order + 1)[:, columns]
+        return _PowerInterpolant(self.sol.y_old.reshape(n, -1)[:, columns], coefficients)
 
     @staticmethod
     def _solve(inverses: Array, right: Array) -> Array:
         m, n, _ = inverses.shape
-        charge(5.0 * CALL + m * (_ENTRIES * n * n + 40.0))
+        charge(5.0 * CALL + m * (_MATRIX_ENTRY * n * n + _MATRIX))
         solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
         return np.ascontiguousarray(solved.T).ravel()
+
+
+@dataclass(frozen=True)
+class _PowerInterpolant:
+    """The polynomial of Radau: start (n, c) and coefficients (n, c, degree)."""
+
+    start: Array
+    coefficients: Array
+
+    def states(self, shares: Array) -> Array:
+        powers = shares[:, None] ** np.arange(self.coefficients.shape[2])
+        return np.asarray(self.start + (self.coefficients * (shares[:, None] * powers)).sum(axis=2))
+
+    def states_and_slopes(self, shares: Array) -> tuple[Array, Array]:
+        exponents = np.arange(self.coefficients.shape[2])
+        powers = shares[:, None] ** exponents
+        y = self.start + (self.coefficients * (shares[:, None] * powers)).sum(axis=2)
+        return y, (self.coefficients * (powers * (exponents + 1))).sum(axis=2)
+
+
+class DefectControl:
+    """Looks for peaks and pulses of the rates over the states between the stages of a step.
+
+    Parameters
+    ----------
+    system : System
+    points : ndarray (m, d)
+    anywhere : bool
+        Whether to look at random places too.
+    """
+
+    def __init__(self, system: System, points: Array, anywhere: bool) -> None:
+        self.rates, self.features = system.rhs, system.features
+        self.parameters = np.ascontiguousarray(points.T)
+        self.places = max(_LEAST_PLACES, _PLACES // len(points)) if anywhere else 0
+        self.generator = np.random.default_rng(20142)
+        users = system.user_functions
+        self.rates_cost = function_cost(system.rhs, users)
+        self.surfaces_cost = function_cost(system.features.state_surfaces, users)
+
+    def missed(self, solver: Stepper, y_before: Array) -> bool:
+        """Whether the last step of a solver missed something; ``y_before`` (n m,) is its start."""
+        surfaces = self.features.n_state_surfaces
+        if surfaces and self._at_crossings(solver, y_before) > _MOST_CROSSING_DEFECT:
+            return True
+        return self.places > 0 and self._at_random(solver) > _MOST_RANDOM_DEFECT
+
+    def _at_random(self, solver: Stepper) -> float:
+        """Largest error that a defect at random places comes to, in units of the tolerance."""
+        m, h = self.parameters.shape[1], solver.t - solver.t_old
+        columns = np.tile(np.arange(m), self.places)
+        charge(self.rates_cost(columns.size) + _LOOK_COST(solver.y.size // m * columns.size))
+        shares = self.generator.random(columns.size)
+        states, slopes = solver.interpolant(columns).states_and_slopes(shares)
+        rates = self.rates(solver.t_old + h * shares, states, self.parameters[:, columns])
+        error = np.abs(solver.error_of(slopes - h * rates, columns))
+        return _largest(error / _tolerated(solver, states))
+
+    def _at_crossings(self, solver: Stepper, y_before: Array) -> float:
+        """Largest defect at the crossings of a step, times its length, in units of the tolerance.
+
+        It is looked at where a state surface is crossed, and midway between two such places. In
+        peaks and pulses, where trajectories may stay longer than the step says, a defect as large
+        as the rates counts times all the time that is left. At a kink, which the estimate of the
+        error sees unless it is the kink of a peak, no smaller one counts.
+        """
+        m, before, h = self.parameters.shape[1], solver.t_old, solver.t - solver.t_old
+        surfaces, n_peaks = self.features.state_surfaces, self.features.n_peaks
+        charge(2.0 * self.surfaces_cost(m))
+        start = surfaces(before, y_before.reshape(-1, m), self.parameters)
+        end = surfaces(solver.t, solver.y.reshape(-1, m), self.parameters)
+        columns, which = np.nonzero((start * end < 0.0).T)
+        if not columns.size:
+            return 0.0
+        interpolant, p = solver.interpolant(columns), self.parameters[:, columns]
+        tolerated = _tolerated(solver, solver.y.reshape(-1, m))
+        look = _LOOK_COST(len(tolerated) * columns.size)
+
+        def distance(shares: Array) -> Array:
+            charge(self.surfaces_cost(columns.size) + look)
+            heights = surfaces(before + h * shares, interpolant.states(shares), p)
+            return np.asarray(heights[which, np.arange(columns.size)])
+
+        def largest(shares: Array, narrow: NDArray[np.bool_], kink: NDArray[np.bool_]) -> float:
+            charge(self.rates_cost(columns.size) + 2.0 * look)
+            states, slopes = interpolant.states_and_slopes(shares)
+            rates = h * self.rates(before + h * shares, states, p)
+            defect = np.abs(rates - slopes)
+            unknown = defect > _DIFFERENT_RATES * np.maximum(np.abs(rates), np.abs(slopes))
+            defect[kink & ~unknown] = 0.0
+            defect = np.where(narrow & unknown, (solver.t_bound - before) / h * defect, defect)
+            return _largest(defect / tolerated)
+
+        shares = roots(distance, start[which, columns], end[which, columns])
+        narrow = which < n_peaks + self.features.n_kinks
+        worst = largest(shares, narrow, narrow & (which >= n_peaks))
+        again = np.diff(columns, prepend=-1) == 0
+        if again.any():
+            shares = shares[np.lexsort((shares, columns))]
+            between = np.where(again, 0.5 * (shares + np.roll(shares, 1)), shares)
+            worst = max(worst, largest(between, again, np.zeros_like(again)))
+        return worst
+
+
+def _tolerated(solver: Stepper, states: Array) -> Array:
+    """The tolerance for the largest of the absolute values (n, c) of each state, (n, 1)."""
+    absolute = solver.atol.reshape(len(states), -1).max(axis=1)
+    return np.asarray(absolute + solver.rtol * np.abs(states).max(axis=1))[:, None]
+
+
+def _largest(errors: Array) -> float:
+    return float(np.nan_to_num(errors, nan=np.inf).max())
+
+
+def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
+    """Roots on [0, 1] of functions whose values at its ends, given, have two signs (Illinois)."""
+    a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
+    side: NDArray[np.bool_] | None = None
+    for _ in range(_MOST_ROOT_ITERATIONS):
+        before, x = x, np.clip((a * end - b * start) / (end - start), a, b)
+        if np.all(np.abs(x - before) <= _ROOT_ACCURACY):
+            break
+        height = function(x)
+        left = height * start > 0.0
+        weight = 1.0 if side is None else np.where(left == side, 0.5, 1.0)
+        side = left
+        a, b, old_start, old_end = np.where(left, x, a), np.where(left, b, x), start, end
+        start = np.where(left, height, weight * old_start)
+        end = np.where(left, weight * old_end, height)
+        exact = height == 0.0
+        if exact.any():
+            a, b = np.where(exact, x, a), np.where(exact, x, b)
+            start, end = np.where(exact, -1.0, start), np.where(exact, 1.0, end)
+    return np.asarray(np.clip((a * end - b * start) / (end - start), a, b))

@@ -1,1 +1,12 @@
-"""Where is a solution worst? Reference trajectories, candidate points, and the measured error."""
+"""Where is a solution worst? Reference trajectories, candidate points, and the measured error.
+
+Read in this order:
+
+=============  ====================================================================================
+``measure``    the reference set of a solve, the error measured against it, the worst points
+``reference``  reference trajectories, and the intervals on which they reach the end
+``points``     where they begin: the points of the box at which a solution is checked
+``cuts``       where known functions of one coordinate are not smooth or narrow
+``search``     climbing and bisection, by which the others find points
+=============  ====================================================================================
+"""

@@ -1,4 +1,9 @@
-"""Where a solution is most likely to be wrong: what random points of the box would miss."""
+"""Points of the box at which a solution is checked, among them those that random points miss.
+
+Before a solve: the centre, corners, evenly spread points, points beside cuts of the parameters,
+where products of factors are active, on surfaces, and in narrow cells. After it: in narrow elements
+and where the solution is steep.
+"""
 
 from __future__ import annotations
 
@@ -10,37 +15,119 @@ import numpy as np
 from rankone.discretization import Basis1D
 from rankone.ir.domain import Domain
 from rankone.ir.system import System
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.search import Climb, bisected, climbed
 
-__all__ = ["active_points", "candidate_points", "cell_points", "steepest_point", "surface_points"]
+__all__ = [
+    "FEW_PARAMETERS",
+    "active_points",
+    "candidate_points",
+    "cell_points",
+    "check_points",
+    "inside_jumps",
+    "points_in_elements",
+    "steepest_point",
+    "surface_points",
+]
 
-_SMOOTH, _SMOOTH_ALONE = 3.0, 9.0
-"""Nodes in one parameter, over those of a smooth dependence, from which a solution is steep, with
-other parameters and with none: random points of one parameter alone lie close."""
-_CORNERS = 3
-"""Number of parameters up to which the corners are checked as strictly as the interior."""
-_ELEMENTS = 16
-"""Elements of a parameter in which the error is measured."""
-_SLABS, _CANDIDATES, _CHOSEN = 4, 512, 12
-"""Slabs looked at, candidates on each, and how many are taken of them."""
-_GRID = 1025
+FEW_PARAMETERS = 3
+"""Number of parameters up to which corners are checked as strictly as the interior."""
+_FEW_CORNERS = 8
+"""Corners where they do not count: all of three parameters."""
+_MOST_CORNERS = 256
+"""Corners where they count: all of eight parameters."""
+_BESIDE = 4e-9
+"""Distance from cuts, in widths of the interval: at a jump itself there is no one state."""
+_FACTOR_SAMPLES = 1025
 """Samples of a factor over its interval."""
-_RARE, _TERMS = 0.2, 4
-"""Share of the box below which a term is rarely active, and the number of such terms at most."""
-_ON_SURFACES, _LEAST = 32, 4
-"""Points on all surfaces, on each at least."""
-_HALVINGS = 50
-"""Halvings of the distance to a surface."""
-_CELLS = 2
-"""Parameters with special values from which their cells are looked at."""
+_RARE_SHARE = 0.2
+"""Share of the box below which a term is rarely active."""
+_MOST_RARE_TERMS = 4
+"""Rare terms that are looked at."""
+_RARE_POINTS = 48
+"""Points where they are active, of all of them."""
+_SURFACE_CANDIDATES = 512
+"""Random points between which surfaces are looked for."""
+_SURFACE_POINTS = 32
+"""Points on all surfaces, and in cells."""
+_LEAST_SURFACE_POINTS = 4
+"""Points on each surface at least."""
+_SURFACE_HALVINGS = 50
+"""Halvings of the distance to a surface, to the last digits."""
 _CLIMBERS = 4
-"""Points from which a surface that is met nowhere is approached."""
-_CLIMB = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
-"""The way there: islands of a few percent of six parameters are met, and narrow ones of two."""
+"""Points from which a surface that no random point crosses is approached."""
+_TO_SURFACE = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
+"""The way there: it meets islands of a few percent of six parameters, and narrow ones of two."""
+_CELL_PARAMETERS = 2
+"""Parameters with several cuts from which their cells are looked at."""
+_STEEP_NODES = 3.0
+"""Nodes in one parameter of several, over those of a smooth function, that show steepness."""
+_STEEP_NODES_ALONE = 9.0
+"""The same for a single parameter: random points of one parameter alone lie close."""
+_MOST_ELEMENTS = 16
+"""Elements of a parameter in which the error is measured."""
+_MOST_SLABS = 4
+"""Slabs on which steep points are looked for."""
+_STEEP_CANDIDATES = 512
+"""Random points on each of them."""
+_STEEP_POINTS = 12
+"""Points taken of those."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
+
+
+def check_points(
+    box: Array,
+    count: int,
+    seed: int = 20140,
+    cuts: Sequence[Sequence[float]] = (),
+    every_corner: bool = False,
+) -> Array:
+    """The centre of the box, corners, and interior points that are spread evenly, shape (m, d).
+
+    Parameters
+    ----------
+    box : ndarray (d, 2)
+    count : int
+        Number of interior points; without any there are no corners either.
+    cuts : sequence of sequences of float
+        For each parameter places inside of its interval that are checked on either side.
+    every_corner : bool
+        Whether to take all corners, or 256 of more; else eight of them.
+    """
+    rng = np.random.default_rng(seed)
+    d = len(box)
+    lower, width = box[:, 0], box[:, 1] - box[:, 0]
+    if d == 0 or count == 0:
+        return (lower + 0.5 * width)[None, :]
+    at_corners = corners(d, _MOST_CORNERS if every_corner else _FEW_CORNERS, rng)
+    unit = np.concatenate([np.full((1, d), 0.5), at_corners, spread(count, d, rng)])
+    points = [lower + width * unit]
+    for j, places in enumerate(cuts):
+        for side in (-_BESIDE, _BESIDE):
+            beside = lower + width * rng.random((len(places), d))
+            beside[:, j] = places + side * width[j]
+            points.append(beside)
+    return np.concatenate(points)
+
+
+def inside_jumps(points: Array, system: System, domain: Domain) -> Array:
+    """Points (m, d) moved a little inside where a function jumps at the very end of an interval."""
+    moved = points.copy()
+    tables = system.features.cuts[1:], system.features.periodic_cuts[1:]
+    for j, (cuts, periodic) in enumerate(zip(*tables, strict=True)):
+        lower, upper = domain.box[j]
+        near = _BESIDE * (upper - lower)
+        distances = [abs(cut - end) for cut in cuts for end in (lower, upper)]
+        distances += [
+            abs(math.remainder(end - first, period))
+            for first, period in periodic
+            for end in (lower, upper)
+        ]
+        if min(distances, default=math.inf) < near:
+            moved[:, j] = np.clip(moved[:, j], lower + near, upper - near)
+    return moved
 
 
 def active_points(system: System, domain: Domain) -> Array:
@@ -51,27 +138,26 @@ def active_points(system: System, domain: Domain) -> Array:
     proportion to the sizes of their factors.
     """
     d = len(domain.box)
-    none = np.zeros((0, d))
     if not system.separated or d == 0:
-        return none
-    grids = [np.linspace(*interval, _GRID) for interval in domain.box]
+        return np.zeros((0, d))
+    grids = [np.linspace(*interval, _FACTOR_SAMPLES) for interval in domain.box]
     sizes = [np.abs(system.parameter_factors(j, grid)) for j, grid in enumerate(grids)]
-    parts = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
+    active = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
     products = {rows[1:] for _, _, rows, _ in system.terms}
     products |= {rows for _, _, rows in system.initial_terms}
-    shares = {rows: math.prod(p[r] for p, r in zip(parts, rows, strict=True)) for rows in products}
-    rare = [rows for rows in products if 0.0 < shares[rows] < _RARE]
+    shares = {rows: math.prod(p[r] for p, r in zip(active, rows, strict=True)) for rows in products}
+    rare = [rows for rows in products if 0.0 < shares[rows] < _RARE_SHARE]
     rare = sorted(rare, key=lambda rows: (shares[rows], rows))
     generator = np.random.default_rng(20140)
-    found = [none]
-    rare = rare[:_TERMS]
+    rare = rare[:_MOST_RARE_TERMS]
+    points = [np.zeros((0, d))]
     for rows in rare:
-        drawn = np.empty((_TERMS * _CHOSEN // len(rare), d))
+        drawn = np.empty((_RARE_POINTS // len(rare), d))
         for j, row in enumerate(rows):
             sums = np.cumsum(sizes[j][row])
             drawn[:, j] = np.interp(generator.random(len(drawn)), sums / sums[-1], grids[j])
-        found.append(drawn)
-    return np.concatenate(found)
+        points.append(drawn)
+    return np.concatenate(points)
 
 
 def surface_points(system: System, domain: Domain) -> Array:
@@ -84,30 +170,30 @@ def surface_points(system: System, domain: Domain) -> Array:
     if functions is None:
         return np.zeros((0, d))
     generator = np.random.default_rng(20143)
-    points = generator.random((_CANDIDATES, d))
+    points = generator.random((_SURFACE_CANDIDATES, d))
     with np.errstate(all="ignore"):
-        values = functions(points)
-        each = max(_LEAST, _ON_SURFACES // len(values))
-        found = [np.zeros((0, d))]
-        for i, row in enumerate(values):
+        rows = functions(points)
+        each = max(_LEAST_SURFACE_POINTS, _SURFACE_POINTS // len(rows))
+        on_surfaces = [np.zeros((0, d))]
+        for i, row in enumerate(rows):
             if not np.isfinite(row).all() or np.ptp(row) == 0.0:
                 continue
             below, above = points[row < 0.0][:each], points[row > 0.0][:each]
             if i < several and not (len(below) and len(above)):
                 side = 1.0 if len(above) else -1.0
                 best = _nearest(functions, i, side, points, -side * row)
-                found.append(best)
+                on_surfaces.append(best)
                 ends = np.broadcast_to(best[0], (each, d))
                 below, above = (ends, above) if len(above) else (below, ends)
             pairs = min(len(below), len(above))
             if pairs and functions(below[:1])[i, 0] < 0.0 < functions(above[:1])[i, 0]:
-                found.append(_zeros(functions, i, below[:pairs], above[:pairs]))
+                on_surfaces.append(_zeros(functions, i, below[:pairs], above[:pairs]))
     lower, upper = domain.bounds.T
-    return np.asarray(lower + (upper - lower) * np.concatenate(found))
+    return np.asarray(lower + (upper - lower) * np.concatenate(on_surfaces))
 
 
 def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] | None, int]:
-    """Functions of points (m, d) of the unit cube: of parameters, and events at the start.
+    """Functions of points (m, d) of the unit cube: of parameters, and those of states at the start.
 
     Also how many of them, the first, are those of parameters.
     """
@@ -130,7 +216,7 @@ def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] 
 
 def _zeros(functions: Callable[[Array], Array], i: int, below: Array, above: Array) -> Array:
     """Zeros of a function between points where it is negative and points where it is not."""
-    a, b = bisected(below, above, lambda points: functions(points)[i] < 0.0, _HALVINGS)
+    a, b = bisected(below, above, lambda points: functions(points)[i] < 0.0, _SURFACE_HALVINGS)
     return np.asarray(0.5 * (a + b))
 
 
@@ -148,23 +234,23 @@ def _nearest(
         distances = side * functions(tried)[i]
         return -np.where(np.isfinite(distances), distances, np.inf)
 
-    nearest, heights = climbed(height, points[best], heights[best], unit, _CLIMB)
+    nearest, heights = climbed(height, points[best], heights[best], unit, _TO_SURFACE)
     return nearest[[np.argmax(heights)]]
 
 
-def cell_points(domain: Domain, special: Sequence[Sequence[float]]) -> Array:
-    """Points (m, d) in narrow cells between special values of several parameters at once.
+def cell_points(domain: Domain, cuts: Sequence[Sequence[float]]) -> Array:
+    """Points (m, d) in narrow cells between cuts of several parameters at once.
 
-    Each coordinate is drawn from the intervals between its special values, all alike but for their
-    length: what is switched on in a small box of several parameters is seen there.
+    Each coordinate is drawn from the intervals between its cuts, short ones as often as they are
+    short: what is switched on in a small box of several parameters is seen there.
     """
     d = len(domain.box)
-    if sum(len(values) > 1 for values in special) < _CELLS:
+    if sum(len(places) > 1 for places in cuts) < _CELL_PARAMETERS:
         return np.zeros((0, d))
     generator = np.random.default_rng(20145)
-    points = np.empty((_ON_SURFACES, d))
-    for j, ((lower, upper), values) in enumerate(zip(domain.box, special, strict=True)):
-        edges = np.array([lower, *values, upper])
+    points = np.empty((_SURFACE_POINTS, d))
+    for j, ((lower, upper), places) in enumerate(zip(domain.box, cuts, strict=True)):
+        edges = np.array([lower, *places, upper])
         lengths = np.diff(edges)
         chosen = generator.choice(lengths.size, len(points), p=(1 / lengths) / (1 / lengths).sum())
         points[:, j] = edges[chosen] + lengths[chosen] * generator.random(len(points))
@@ -186,29 +272,40 @@ def candidate_points(
     sizes : ndarray (n,)
         Sizes of the states.
     number : int
-        That of the attempt: each has points of its own.
+        Of the attempt: each has points of its own.
     rtol : float
-        Its tolerance tells how many nodes are many.
+        Tells how many nodes a smooth solution needs.
     """
-    factor = _SMOOTH if slabs and len(slabs[-1].bases) > 1 else _SMOOTH_ALONE
+    factor = _STEEP_NODES if slabs and len(slabs[-1].bases) > 1 else _STEEP_NODES_ALONE
     many = factor * (4.0 - 1.4 * math.log10(rtol))
     steep = [s for s in slabs if any(b.elements > 1 or b.size > many for b in s.bases)]
     looked_at = steep or slabs[-1:]
-    if not looked_at or not (steep or len(slabs[-1].bases) > _CORNERS):
+    if not looked_at or not (steep or len(slabs[-1].bases) > FEW_PARAMETERS):
         return None
     generator = np.random.default_rng((20140, number))
     points = [_inside_elements(looked_at[-1].bases, generator)]
-    for i in {round(i) for i in np.linspace(0, len(looked_at) - 1, _SLABS)}:
+    for i in {round(i) for i in np.linspace(0, len(looked_at) - 1, _MOST_SLABS)}:
         lower, upper = _bounds(looked_at[i].bases)
-        candidates = lower + (upper - lower) * generator.random((_CANDIDATES, lower.size))
+        candidates = lower + (upper - lower) * generator.random((_STEEP_CANDIDATES, lower.size))
         change = _steepness(looked_at[i], candidates, sizes) ** (2.0 if steep else 1.0)
-        if np.count_nonzero(change) >= _CHOSEN and np.isfinite(change).all():
+        if np.count_nonzero(change) >= _STEEP_POINTS and np.isfinite(change).all():
             weights = change / change.sum()
-            points.append(
-                candidates[generator.choice(_CANDIDATES, _CHOSEN, replace=False, p=weights)]
-            )
-    found = np.concatenate(points)
-    return found if len(found) else None
+            drawn = generator.choice(len(candidates), _STEEP_POINTS, replace=False, p=weights)
+            points.append(candidates[drawn])
+    candidates = np.concatenate(points)
+    return candidates if len(candidates) else None
+
+
+def points_in_elements(
+    bases: Sequence[Basis1D], count: int, generator: np.random.Generator
+) -> Array:
+    """Random points (count, d) in elements that are all as likely: narrow ones are somewhere."""
+    columns = []
+    for basis in bases:
+        element = generator.integers(0, basis.elements, count)
+        lower, upper = basis.edges[element], basis.edges[element + 1]
+        columns.append(lower + (upper - lower) * generator.random(count))
+    return np.stack(columns, axis=1)
 
 
 def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -> Array:
@@ -217,7 +314,7 @@ def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -
     points = np.zeros((0, lower.size))
     for j, basis in enumerate(bases):
         if basis.elements > 1:
-            narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_ELEMENTS]
+            narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_MOST_ELEMENTS]
             inside = lower + (upper - lower) * generator.random((narrow.size, lower.size))
             share = generator.random(narrow.size)
             inside[:, j] = (1.0 - share) * basis.edges[narrow] + share * basis.edges[narrow + 1]
@@ -228,7 +325,7 @@ def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -
 def steepest_point(slab: SlabTrain, sizes: Array) -> Array:
     """A point (d,) of the box at which the end of a slab depends steeply on some parameter."""
     lower, upper = _bounds(slab.bases)
-    unit = np.random.default_rng(20140).random((_CANDIDATES, lower.size))
+    unit = np.random.default_rng(20140).random((_STEEP_CANDIDATES, lower.size))
     points = lower + (upper - lower) * unit
     return np.asarray(points[np.argmax(_steepness(slab, points, sizes))])
 

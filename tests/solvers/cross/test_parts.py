@@ -14,7 +14,8 @@ from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import Trajectories
 from rankone.tensors.cross import _skeleton, interpolate, left_points
 from rankone.tensors.samples import Samples
-from rankone.trajectories.integration import Stack
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.stacks import StackedIntegrator
 from rankone.verification.measure import ReferenceSet
 from tests.problems import EXAMPLES
 
@@ -126,13 +127,6 @@ def test_the_worst_trajectory_sets_the_steps():
     points = np.full((400, 1), 0.001)
     points[7] = 30.0
 
-    class Last:
-        def begin(self, start):
-            pass
-
-        def add(self, solver):
-            self.state = solver.y
-
-    last = Last()
-    Stack(system, points, [0.0, 5.0]).run(last, 1e-8, np.full((2, 1), 1e-10))
-    assert last.state.reshape(2, -1)[0, 7] == pytest.approx(np.cos(150.0), abs=2e-6)
+    tolerances = Tolerances(1e-8, np.full((2, 1), 1e-10))
+    trajectories = StackedIntegrator().run(system, points, [0.0, 5.0], tolerances)
+    assert trajectories.state[0, 7] == pytest.approx(np.cos(150.0), abs=2e-6)

@@ -19,7 +19,7 @@ from rankone.ir.domain import Domain
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.trajectories import Trajectories
 from rankone.support.arrays import Array
-from rankone.verification.breakpoints import Breakpoints, resolving_pieces
+from rankone.verification.cuts import Cuts, resolving_pieces
 
 __all__ = ["Sampled", "divided", "first_bases", "more_nodes", "resolving_bases"]
 
@@ -107,7 +107,7 @@ def _known(trajectories: Trajectories, j: int, nodes: int, rtol: float) -> tuple
     They resolve the known functions of it.
     """
     reference_set = trajectories.reference_set
-    found = reference_set.special[j] if reference_set.special else Breakpoints()
+    found = reference_set.parameter_cuts[j] if reference_set.parameter_cuts else Cuts()
     if found.smooth:
         return list(found.points), 0
     known, interval = (

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from rankone.ir.system import System
 from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.support.arrays import Array
-from rankone.support.budget import charge, work_done
-from rankone.support.costs import Cost
+from rankone.support.budget import work_done
 from rankone.tensors.samples import GrowingBasis
-from rankone.trajectories.integration import Stack, quickest
+from rankone.trajectories.diagnosis import first_to_end
+from rankone.trajectories.integrator import Integrator, Tolerances
+from rankone.trajectories.stacks import StackedIntegrator
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
@@ -34,8 +34,6 @@ _UNMOVED = 0.5
 _BEARABLE = 400
 """So many explicit steps cost less than the implicit ones that would replace them."""
 _TIGHTEST = 1e-13
-_READ = Cost(60e3, 12.0)
-"""Operations of reading states off a step, and for each number."""
 _ABSOLUTE = 1e-5
 """Absolute tolerance of the integration in units of each state's size, over the relative one."""
 
@@ -180,7 +178,9 @@ class Trajectories:
         ]
         floor = np.minimum(_ABSOLUTE * reference_set.states, reference_set.reference.floor)
         atol = np.maximum(self.tolerance * floor, reference_set.reference.rounded)
-        given = edges, self.grid.times, reference_set.states, atol, self.tolerance, self.stiff
+        integrator = StackedIntegrator(self.stiff, _BEARABLE)
+        tolerances = Tolerances(self.tolerance, atol[:, None])
+        given = integrator, edges, tolerances, self.grid.times, reference_set.states
         chunks = np.array_split(points, max(-(-len(points) // self._chunk()), 1))
         tasks = [(chunk, *given) for chunk in chunks]
         before = work_done()
@@ -201,47 +201,18 @@ class Trajectories:
 def _integrated(
     system: System,
     points: Array,
+    integrator: Integrator,
     edges: list[float],
+    tolerances: Tolerances,
     times: Array,
     sizes: Array,
-    atol: Array,
-    tolerance: float,
-    stiff: bool,
 ) -> Array:
-    """Trajectories at points (m, d) in units of the states' sizes, (n T, m).
-
-    The tolerance is relative to the states, and ``atol`` (n,) where that is more.
-    """
-    record = _AtNodes(times, sizes.size, len(points))
-    stack = Stack(system, points, edges)
-    state, _ = stack.run(record, tolerance, atol[:, None], stiff, bearable=_BEARABLE)
-    if record.reached < times.size or not np.isfinite(record.values).all():
-        ends = quickest(system, record.time, state, points, atol[:, None])
-        raise TrajectoryEnds(record.time, points[ends])
+    """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
+    sampled = integrator.sample(system, points, edges, tolerances, times)
+    if sampled.reached < times.size or not np.isfinite(sampled.states).all():
+        floor = tolerances.absolute
+        ends = first_to_end(system, sampled.end, sampled.state, points, floor)
+        raise TrajectoryEnds(sampled.end, points[ends])
     units = sizes * np.sqrt(times.size)
-    scaled = record.values.transpose(1, 0, 2) / units[:, None, None]
+    scaled = sampled.states.transpose(1, 0, 2) / units[:, None, None]
     return np.asarray(scaled.reshape(-1, len(points)))
-
-
-class _AtNodes:
-    """The states of a stack at given times."""
-
-    def __init__(self, times: Array, states: int, points: int) -> None:
-        self.times, self.values = times, np.empty((times.size, states, points))
-        self.reached, self.time = 0, 0.0
-
-    def begin(self, start: float) -> None:
-        """Start at the first node."""
-        self.reached, self.time = 0, start
-
-    def add(self, solver: Any) -> None:
-        """Keep the states at the nodes that the step passes."""
-        self.time = solver.t
-        end = int(np.searchsorted(self.times, solver.t, side="right"))
-        if end > self.reached:
-            charge(_READ((end - self.reached) * self.values[0].size))
-            at = self.times[self.reached : end]
-            self.values[self.reached : end] = solver.dense_output()(at).T.reshape(
-                at.size, *self.values.shape[1:]
-            )
-            self.reached = end

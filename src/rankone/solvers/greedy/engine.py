@@ -32,8 +32,8 @@ from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import Coupling, GreedyTrial, LaggedSlabs
 from rankone.solvers.march import March, MarchResult, Span
 from rankone.support.progress import Report
+from rankone.trajectories.diagnosis import amplification
 from rankone.verification.measure import ReferenceSet
-from rankone.verification.sensitivity import amplification
 
 __all__ = ["ENGINE", "SlabLengths"]
 

@@ -20,9 +20,9 @@ from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
 from rankone.solvers.train.options import TrainOptions
 from rankone.support.progress import Report
+from rankone.trajectories.diagnosis import amplification
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points
-from rankone.verification.sensitivity import amplification
 
 __all__ = ["ENGINE"]
 

@@ -25,8 +25,7 @@ from rankone.solvers.train.constants import (
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
 from rankone.tensors.train import Train
-from rankone.verification.measure import ReferenceSet
-from rankone.verification.reference import times_within
+from rankone.verification.measure import ReferenceSet, times_within
 
 __all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
 

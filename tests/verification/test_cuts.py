@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rankone.verification.breakpoints import breakpoints
+from rankone.verification.cuts import located_cuts
 
 
 def step(x):
@@ -12,7 +12,7 @@ def step(x):
 
 def found(function, lower, upper):
     return list(
-        breakpoints(lambda x: np.stack([np.ones_like(x), function(x)]), lower, upper).points
+        located_cuts(lambda x: np.stack([np.ones_like(x), function(x)]), lower, upper).points
     )
 
 

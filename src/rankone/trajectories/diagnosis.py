@@ -1,0 +1,295 @@
+"""What trajectories show: why they end, how errors grow, which states are numerically zero.
+
+A state is numerically zero if rounding errors of its rate are larger than it is: a difference of
+what stays constant but for rounding, and all that it drives. An integration to a part of the size
+of such a state follows rounding errors with steps that shrink without end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.trajectories.integrator import jacobians
+
+__all__ = [
+    "MOST_GROWTH",
+    "Rounding",
+    "amplification",
+    "first_to_end",
+    "growth_rate",
+    "rounding_errors",
+    "runs_away",
+    "switching_state",
+]
+
+_STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
+"""Relative changes of the states after which rates may cease to be finite."""
+_JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)
+"""Lengths of steps, in horizons, over which a jump of the rates is looked for."""
+_RUNAWAY_GROWTH = 1e6
+"""Growth in a horizon, at the last rate, that tells a blow-up from a pole or a border."""
+_LATER_STATE = 1.0001
+"""Factor on a state that gives it a little later: beside a pole its rate is another."""
+_SEVERAL_ROUNDINGS = 16.0
+"""Relative error of computed states, in units of the last place, after many steps."""
+_TINY_STATE = 1e-6
+"""Size of a state, over the largest one, up to which it may be numerically zero."""
+_RESOLVED = 1e-7
+"""Part of its size below which what is done to another state does not count."""
+_DRAWS = 4
+"""Rounding errors drawn at each time for each trajectory: their largest effect is meant."""
+_GROWTH_STEPS = 32
+"""Steps over the horizon by which the growth of errors is followed."""
+_GROWTH_TRAJECTORIES = 5
+"""Check points at which it is, the centre first."""
+_BESIDE_CAYLEY_POLE = 0.99
+"""Factor on the rates where the Cayley transform does not exist for one of them."""
+MOST_GROWTH = 5.0
+"""Growth over the horizon, as a power of e, from which small values are amplified."""
+
+
+def switching_state(
+    system: System, time: float, states: Array, points: Array, horizon: float
+) -> tuple[int, int] | None:
+    """The state whose rate jumps most where a trajectory is pushed back, and the trajectory.
+
+    A trajectory chatters if a short step takes it across a state surface, and a step with the rates
+    found there takes it back.
+
+    Parameters
+    ----------
+    states : ndarray (n, m)
+        At the parameter points (m, d).
+    """
+    if not system.features.n_state_surfaces:
+        return None
+    surfaces = system.features.state_surfaces
+    parameters = np.ascontiguousarray(points.T)
+    with np.errstate(all="ignore"):
+        rates = system.rhs(time, states, parameters)
+        before = surfaces(time, states, parameters)
+        for step in _JUMP_STEPS:
+            ahead = states + step * horizon * rates
+            across = surfaces(time, ahead, parameters)
+            back = system.rhs(time, ahead, parameters)
+            after = surfaces(time, ahead + step * horizon * back, parameters)
+            crossed = (before * across <= 0.0) & (across != before)
+            returns = (crossed & ((after - across) * (across - before) < 0.0)).any(axis=0)
+            if returns.any():
+                column = int(np.argmax(returns))
+                jump = np.abs(back - rates)[:, column]
+                return int(np.argmax(jump)), column
+    return None
+
+
+def first_to_end(system: System, time: float, state: Array, points: Array, floor: Array) -> int:
+    """The trajectory of a stack, state (n, m) at points (m, d), that ends first.
+
+    The one whose rates are the first not to be finite a little later, or the one that changes
+    fastest in its size; ``floor`` (n, 1) is a size below which states do not count.
+    """
+    with np.errstate(all="ignore"):
+        rates = system.rhs(time, state, points.T)
+        for change in _STATE_CHANGES:
+            later = system.rhs(time, state + change * np.abs(state) * np.sign(rates), points.T)
+            lost = ~np.isfinite(later).all(axis=0)
+            if lost.any():
+                return int(np.argmax(lost))
+        speeds = np.abs(rates) / np.maximum(np.abs(state), floor)
+    return int(np.argmax(np.nan_to_num(speeds, nan=np.inf).max(axis=0)))
+
+
+def runs_away(system: System, time: float, state: Array, point: Array, horizon: float) -> bool:
+    """Whether a state grows at an enormous rate, and would a little later as well: no pole."""
+    with np.errstate(all="ignore"):
+        now, later = (
+            system.rhs(time, factor * state[:, None], point[:, None])
+            for factor in (1.0, _LATER_STATE)
+        )
+        fast = now[:, 0] * np.sign(state) * horizon > _RUNAWAY_GROWTH * np.abs(state)
+        return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
+
+
+class ManyTrajectories(Protocol):
+    """Trajectories at some points, dense in time."""
+
+    @property
+    def points(self) -> Array:
+        """Parameter points, (m, d)."""
+
+    @property
+    def start(self) -> float:
+        """Start of the horizon."""
+
+    def __call__(self, times: Array) -> Array:
+        """States at times (T,): shape (n, m, T)."""
+
+
+def amplification(
+    system: System, reference: ManyTrajectories, scale: Array, end: float
+) -> Callable[[float], float]:
+    """Largest later growth of an error made at time t, along a few trajectories.
+
+    The variational equation ``w' = J(t) w`` is stepped on a uniform grid with the Cayley
+    transform of the scaled Jacobian, which is stable for stiff systems.
+
+    Parameters
+    ----------
+    reference : ManyTrajectories
+        Over the whole horizon; the first point is the centre of the box.
+    scale : ndarray (n,)
+        Size of each differential state; errors are in this unit.
+    end : float
+        End of the horizon considered.
+
+    Returns
+    -------
+    callable
+        ``amplification(t) >= 1``: the largest Frobenius norm, divided by sqrt(n), of the
+        propagator from t to any later time.
+    """
+    n = system.n_differential
+    width = (end - reference.start) / _GROWTH_STEPS
+    middle = np.asarray(reference.start + width * (np.arange(_GROWTH_STEPS) + 0.5), dtype=float)
+    points = reference.points[:_GROWTH_TRAJECTORIES]
+    m = len(points)
+    states = reference(middle)[:, :m]
+    jacobian = system.jacobian(middle, states, points.T[:, :, None])
+    jacobian = np.broadcast_to(jacobian, (n, n, m, _GROWTH_STEPS)).transpose(3, 2, 0, 1)
+    half = 0.5 * width * jacobian * (scale[None, :] / scale[:, None])
+    eye = np.eye(n)
+    try:
+        step = np.linalg.solve(eye - half, eye + half)
+    except np.linalg.LinAlgError:  # a growth rate at a pole of the transform
+        step = np.linalg.solve(eye - _BESIDE_CAYLEY_POLE * half, eye + _BESIDE_CAYLEY_POLE * half)
+    largest = np.ones(_GROWTH_STEPS + 1)
+    propagator = step
+    for gap in range(1, _GROWTH_STEPS + 1):
+        norms = np.sqrt(np.einsum("kmij,kmij->km", propagator, propagator).max(axis=1) / n)
+        np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
+        if gap < _GROWTH_STEPS:
+            propagator = np.matmul(step[gap:], propagator[:-1])
+    grid = reference.start + width * np.arange(_GROWTH_STEPS + 1)
+    return lambda t: float(np.interp(t, grid, largest))
+
+
+def growth_rate(jacobian: Array) -> float:
+    """The fastest rate at which small values grow by a Jacobian (n, n)."""
+    return float(np.linalg.eigvals(jacobian).real.max())
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Rounding errors of the states of a stack.
+
+    Attributes
+    ----------
+    floor : ndarray (n, 1)
+        Errors of tiny states below which an integration follows rounding errors; 0 for all others.
+    zero : ndarray of bool (n, 1)
+        The states that are numerically zero.
+    """
+
+    floor: Array
+    zero: NDArray[np.bool_]
+
+
+def rounding_errors(
+    system: System,
+    points: Array,
+    horizon: float,
+    samples: Sequence[tuple[float, Array]],
+    largest: Array,
+    rtol: float,
+) -> Rounding:
+    """What rounding errors make of the states that are tiny beside the others.
+
+    The error of a state is the change of its rate under relative errors of rounding in all states,
+    over the time for which the state remembers it. A state that never exceeds several times that is
+    numerically zero. Its errors are errors of the states that it drives, which may be so too. One
+    that changes another state by more than a part ``rtol`` of it, at the time, is not.
+
+    Parameters
+    ----------
+    points : ndarray (m, d)
+    samples : sequence of (float, ndarray (n, m))
+        Times, and the states of all trajectories then.
+    largest : ndarray (n, 1)
+        Largest absolute value of each state.
+    rtol : float
+        Relative tolerance of the integration.
+    """
+    tiny = (largest <= _TINY_STATE * largest.max(initial=0.0)) & (largest > 0.0)
+    zero, errors = np.zeros_like(tiny), np.zeros_like(largest)
+    if not tiny.any():
+        return Rounding(errors, zero)
+    probes = [_Probe(system, points, horizon, *sample, largest, rtol) for sample in samples]
+    for _ in range(len(largest)):  # errors spread from state to state
+        errors = np.max([probe.errors(np.where(zero, errors, 0.0)) for probe in probes], axis=0)
+        below = tiny & (largest <= errors)
+        if (below == zero).all():
+            break
+        zero = below
+    while zero.any():  # those that matter to what is not zero, then those that matter to them
+        matters = np.any([probe.matters(np.where(zero, errors, 0.0)) for probe in probes], axis=0)
+        if not (zero & matters).any():
+            break
+        zero &= ~matters
+    steady = max(probe.growth for probe in probes) <= MOST_GROWTH
+    floor = np.where(tiny & steady, errors / _SEVERAL_ROUNDINGS, 0.0)
+    return Rounding(np.where(zero, errors, floor), zero)
+
+
+class _Probe:
+    """The rates and their Jacobians at a time, at states (n, m)."""
+
+    def __init__(
+        self,
+        system: System,
+        points: Array,
+        horizon: float,
+        time: float,
+        states: Array,
+        largest: Array,
+        rtol: float,
+    ) -> None:
+        self.system, self.time, self.states = system, time, states
+        self.parameters = np.ascontiguousarray(points.T)
+        with np.errstate(all="ignore"):
+            self.rates = system.rhs(time, states, self.parameters)
+            blocks = np.nan_to_num(jacobians(system, points, time, states))
+        self.growth = growth_rate(blocks[0]) * horizon
+        sizes = np.abs(blocks)
+        diagonal = np.diagonal(sizes, axis1=1, axis2=2).T
+        self.memory = 1.0 / (diagonal + 1.0 / horizon)
+        self.couplings = sizes * (1.0 - np.eye(len(states)))
+        self.tolerated = rtol * (np.abs(states) + _RESOLVED * largest)
+
+    def errors(self, zero_errors: Array) -> Array:
+        """What rounding errors, and errors (n, 1) of some states, make of each state, (n, 1).
+
+        A state that does not change has no rounding errors.
+        """
+        rounded = _SEVERAL_ROUNDINGS * np.finfo(float).eps * np.abs(self.states)
+        sizes = np.maximum(rounded * (self.rates != 0.0), zero_errors)
+        generator = np.random.default_rng(20143)
+        worst = np.zeros_like(self.states)
+        with np.errstate(all="ignore"):
+            for _ in range(_DRAWS):
+                states = self.states + sizes * generator.uniform(-1.0, 1.0, sizes.shape)
+                changed = self.system.rhs(self.time, states, self.parameters)
+                worst = np.fmax(worst, np.abs(changed - self.rates))
+        return np.asarray((worst * self.memory).max(axis=1, keepdims=True))
+
+    def matters(self, zero_errors: Array) -> Array:
+        """Whether errors (n, 1) of some states change one of the others, (n, 1)."""
+        driven = self.couplings * zero_errors[None, None, :, 0] * self.memory.T[:, :, None]
+        counts = (driven > self.tolerated.T[:, :, None]) & (zero_errors[None, :, :] == 0.0)
+        return np.asarray(counts.any(axis=(0, 1))[:, None])

@@ -1,0 +1,156 @@
+"""What an integrator takes and gives: trajectories of a system at many parameter points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.integrate
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import function_cost
+
+__all__ = [
+    "LAST_GAP",
+    "DenseStep",
+    "DenseTrajectories",
+    "Integrator",
+    "SampledTrajectories",
+    "Tolerances",
+    "jacobians",
+]
+
+LAST_GAP = 100
+"""Distance from the end, in floating-point numbers, that counts as none: SciPy steps no less."""
+_JACOBIAN_ENTRY = 10.0
+"""Operations for each entry of a stack of Jacobians that is made or read."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How accurate the steps of an integration are.
+
+    Attributes
+    ----------
+    relative : float
+    absolute : ndarray (n, 1)
+        For each state.
+    longest_step : float
+    """
+
+    relative: float
+    absolute: Array
+    longest_step: float = math.inf
+
+
+class DenseStep(Protocol):
+    """One step of all trajectories as a function of time."""
+
+    t: float
+    """Its end."""
+
+    def __call__(self, t: float) -> Array:
+        """States at a time inside of the step, stacked (n m,)."""
+
+
+@dataclass(frozen=True)
+class DenseTrajectories:
+    """Trajectories at all times up to where the integration came.
+
+    Attributes
+    ----------
+    times : tuple of float
+        Start, and the end of each step.
+    steps : tuple of DenseStep
+    state : ndarray (n, m)
+        Reached at last: n states at m points.
+    largest, early : ndarray (n, m)
+        Largest absolute values after any step, and after the first few.
+    avoided : float
+        Explicit steps that were left when they were given up for implicit ones; 0 if none were.
+    """
+
+    times: tuple[float, ...]
+    steps: tuple[DenseStep, ...]
+    state: Array
+    largest: Array
+    early: Array
+    avoided: float
+
+    @property
+    def end(self) -> float:
+        """Time reached."""
+        return self.times[-1]
+
+    def __call__(self, times: Array) -> Array:
+        """States at times (T,): shape (n, m, T); at the time of a jump those after it."""
+        dense = scipy.integrate.OdeSolution(self.times, self.steps, alt_segment=True)
+        return np.asarray(dense(times).reshape(*self.state.shape, -1))
+
+    def samples(self, count: int) -> list[tuple[float, Array]]:
+        """About so many times at ends of steps, and the states (n, m) there."""
+        steps = self.steps[:: max(1, len(self.steps) // count)]
+        return [(step.t, step(step.t).reshape(self.state.shape)) for step in steps]
+
+
+@dataclass(frozen=True)
+class SampledTrajectories:
+    """Trajectories at given times.
+
+    Attributes
+    ----------
+    states : ndarray (T, n, m)
+    reached : int
+        Number of times up to which the integration came.
+    end : float
+        Time reached.
+    state : ndarray (n, m)
+        Reached at last.
+    """
+
+    states: Array
+    reached: int
+    end: float
+    state: Array
+
+
+class Integrator(Protocol):
+    """Integrates a system at many parameter points.
+
+    The points have shape (m, d). The edges are the start, times at which the integration begins
+    anew, and the end; states are reset there where the system jumps. An integration ends early
+    where a trajectory cannot go on.
+
+    Raises
+    ------
+    OutOfBudgetError
+        From :meth:`run` with how far the integration came.
+    """
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> DenseTrajectories:
+        """Trajectories at all times."""
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times (T,), without what lies between them."""
+
+
+def jacobians(system: System, points: Array, time: float, states: Array) -> Array:
+    """Jacobians of the rates at points (m, d) and states (n, m) or (n m,): shape (m, n, n)."""
+    n, m = system.n_differential, len(points)
+    charge(function_cost(system.jacobian, system.user_functions)(m) + _JACOBIAN_ENTRY * n * n * m)
+    jacobian = system.jacobian(time, states.reshape(n, m), points.T)
+    return np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)

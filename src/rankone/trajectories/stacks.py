@@ -1,0 +1,335 @@
+"""Trajectories at many parameter points, integrated together as one stacked system by SciPy.
+
+DOP853, or Radau where a trajectory is stiff, with the generated pointwise right-hand side.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from rankone.discretization.radau import inset
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, Reached, charge
+from rankone.support.costs import Cost, eigenvalues, function_cost, in_pieces
+from rankone.trajectories.diagnosis import switching_state
+from rankone.trajectories.integrator import (
+    LAST_GAP,
+    DenseStep,
+    DenseTrajectories,
+    SampledTrajectories,
+    Tolerances,
+    jacobians,
+)
+from rankone.trajectories.steppers import (
+    DefectControl,
+    Rates,
+    StackedDOP853,
+    StackedRadau,
+    Stepper,
+)
+
+__all__ = ["StackedIntegrator", "has_smooth_rates"]
+
+_FIRST_PROBES = (10, 15, 20, 30)
+"""Steps of DOP853 after which stability is probed; stiff systems show soon."""
+_PROBE_INTERVAL = 100
+"""Steps between later probes: each costs a Jacobian and its eigenvalues."""
+_PROBE_REFUSALS = 10
+"""Refused steps after which stability is probed as well."""
+_STIFF_PRODUCT = 3.0
+"""Step times decay rate from which stability limits DOP853; it is unstable at about 6."""
+_RADAU_TOLERANCE = 1.7
+"""Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
+_SMOOTH_DEGREE = 4
+"""Degree of polynomial rates up to which nothing is narrower than the unknowns change."""
+_TINY_STEP = 1e-9
+"""Step, in horizons, that makes no progress."""
+_MOST_TINY_STEPS = 1000
+"""Tiny steps in a row that end a trajectory."""
+_EARLY_STEPS = 4
+"""Steps after which states that start from zero show their size."""
+_MATRIX_ENTRY = 10.0
+"""Operations for each entry of a stack of Jacobians whose norms are taken."""
+_STAGE_COST = Cost(8e3, 5.0)
+"""Operations of an integrator for each evaluation of the rates, and for each number there."""
+_STEP_COST = Cost(40e3, 5.0)
+"""Operations of an integrator for each step besides."""
+_READ_COST = Cost(60e3, 12.0)
+"""Operations of reading states off a step, and for each number."""
+
+_Method: TypeAlias = Callable[[Rates, float, Array, float], Stepper]
+"""Starts an integration with rates, from a time and state to an end."""
+
+
+@dataclass(frozen=True)
+class StackedIntegrator:
+    """An :class:`Integrator` whose steps suit all trajectories at once.
+
+    Attributes
+    ----------
+    stiff : bool
+        Whether to begin with Radau; otherwise it takes over where DOP853 meets stiffness.
+    bearable_steps : int
+        So many steps of DOP853 are made although stability limits them. They are cheaper than
+        those of Radau, but less accurate in between.
+    looks_anywhere : bool
+        Whether steps are also checked at random places for what is narrow over the states, and
+        not only where that is known. Systems that separate are polynomials in their states, and
+        have nothing narrow over them.
+    """
+
+    stiff: bool = False
+    bearable_steps: int = 0
+    looks_anywhere: bool = False
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> DenseTrajectories:
+        """Trajectories at all times; see :meth:`Integrator.run`."""
+        stack = _Stack(system, points, edges, tolerances, self)
+        record = _DenseRecord(edges[0], stack.shape)
+        try:
+            state, avoided = stack.integrate(record)
+        except OutOfBudgetError as out:
+            raise type(out)(record.reached(system, points, edges[-1] - edges[0])) from out
+        return record.trajectories(state, avoided)
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        stack = _Stack(system, points, edges, tolerances, self)
+        record = _SampleRecord(times, stack.shape)
+        state, _ = stack.integrate(record)
+        return SampledTrajectories(record.states, record.reached, record.end, state)
+
+
+def has_smooth_rates(system: System, start: float) -> bool:
+    """Whether rates are polynomials of low degree in the states, with no functions of time.
+
+    Then nothing is so narrow that it hides between the stages of a step.
+    """
+    if not system.separated or len(system.time_factors(np.array([start]))) > 1:
+        return False
+    return max((len(states) for *_, states in system.terms), default=0) <= _SMOOTH_DEGREE
+
+
+class _Record(Protocol):
+    """Keeps something of each step of an integration."""
+
+    def begin(self, start: float) -> None:
+        """An integration begins, perhaps anew with another method."""
+
+    def add(self, solver: Stepper) -> None:
+        """A step was made."""
+
+
+class _DenseRecord:
+    """Keeps all steps with their dense output."""
+
+    def __init__(self, start: float, shape: tuple[int, int]) -> None:
+        self.shape = shape
+        self.begin(start)
+
+    def begin(self, start: float) -> None:
+        """Forget all steps."""
+        self.times, self.steps = [start], list[DenseStep]()
+        self.largest = self.early = np.zeros(self.shape)
+
+    def add(self, solver: Stepper) -> None:
+        """Keep a step."""
+        self.times.append(solver.t)
+        self.steps.append(solver.dense_output())
+        self.largest = np.maximum(self.largest, np.abs(solver.y).reshape(self.shape))
+        if len(self.steps) <= _EARLY_STEPS:
+            self.early = self.largest
+
+    def trajectories(self, state: Array, avoided: float) -> DenseTrajectories:
+        """The trajectories up to the last state (n, m)."""
+        steps = tuple(self.times), tuple(self.steps)
+        return DenseTrajectories(*steps, state, self.largest, self.early, avoided)
+
+    def reached(self, system: System, points: Array, horizon: float) -> Reached:
+        """How far the integration came."""
+        end, switch = self.times[-1], None
+        if self.steps:
+            states = self.steps[-1](end).reshape(self.shape)
+            switch = switching_state(system, end, states, points, horizon)
+        return Reached(end, len(self.steps), None if switch is None else switch[0])
+
+
+class _SampleRecord:
+    """Keeps the states at given times."""
+
+    def __init__(self, times: Array, shape: tuple[int, int]) -> None:
+        self.times, self.states = times, np.empty((times.size, *shape))
+        self.reached, self.end = 0, 0.0
+
+    def begin(self, start: float) -> None:
+        """Start at the first time."""
+        self.reached, self.end = 0, start
+
+    def add(self, solver: Stepper) -> None:
+        """Keep the states at the times that a step passes."""
+        self.end = solver.t
+        last = int(np.searchsorted(self.times, solver.t, side="right"))
+        if last > self.reached:
+            charge(_READ_COST((last - self.reached) * self.states[0].size))
+            times = self.times[self.reached : last]
+            states = solver.dense_output()(times).T
+            self.states[self.reached : last] = states.reshape(times.size, *self.states.shape[1:])
+            self.reached = last
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """One integration of a system at points (m, d)."""
+
+    system: System
+    points: Array
+    edges: Sequence[float]
+    tolerances: Tolerances
+    options: StackedIntegrator
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of states, number of points."""
+        return self.system.n_differential, len(self.points)
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The points as generated functions take them, (d, m)."""
+        return np.ascontiguousarray(self.points.T)
+
+    def integrate(self, record: _Record) -> tuple[Array, float]:
+        """The last state (n, m), and the steps of DOP853 left when it was given up."""
+        n, m = self.shape
+        relative, longest = self.tolerances.relative, self.tolerances.longest_step
+        absolute = np.broadcast_to(self.tolerances.absolute, (n, m)).ravel()
+        control = None
+        if not self.system.separated:
+            control = DefectControl(self.system, self.points, self.options.looks_anywhere)
+        avoided = np.inf
+        with np.errstate(all="ignore"):
+            if not self.options.stiff:
+
+                def explicit(rates: Rates, start: float, state: Array, end: float) -> Stepper:
+                    given = relative, absolute, longest, n, control
+                    return StackedDOP853(rates, start, state, end, *given)
+
+                state, avoided = self._steps(explicit, record, self._explicit_steps_left)
+                if not avoided:
+                    return state, avoided
+            blocks = partial(jacobians, self.system, self.points)
+            looks_between = not has_smooth_rates(self.system, self.edges[0])
+
+            def implicit(rates: Rates, start: float, state: Array, end: float) -> Stepper:
+                looser = _RADAU_TOLERANCE * relative, _RADAU_TOLERANCE * absolute
+                given = *looser, longest, n, control
+                return StackedRadau(rates, start, state, end, *given, blocks, looks_between)
+
+            state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
+        return state, avoided
+
+    def _steps(
+        self, method: _Method, record: _Record, steps_left: Callable[[Stepper, int], float]
+    ) -> tuple[Array, float]:
+        """Step over all segments: the last state, and the steps left if the method is given up."""
+        state = self.system.initial(self.parameters)
+        record.begin(self.edges[0])
+        count = tiny = 0
+        tiny_step = _TINY_STEP * (self.edges[-1] - self.edges[0])
+        for a, b in itertools.pairwise(self.edges):
+            state = self._jumped(a, state)
+            if a != self.edges[0] and not self._goes_on(a, state):
+                return state, 0.0
+            solver = method(self._rates(a, b), a, state.ravel(), b)
+            while solver.status == "running":
+                charge(_STEP_COST(state.size))
+                solver.step()
+                if solver.status == "failed":
+                    if b - solver.t <= LAST_GAP * np.spacing(abs(b)):
+                        break
+                    return state, 0.0
+                record.add(solver)
+                state, count = solver.y.reshape(self.shape), count + 1
+                tiny = tiny + 1 if solver.step_size < tiny_step else 0
+                if tiny == _MOST_TINY_STEPS:
+                    return state, 0.0
+                left = steps_left(solver, count)
+                if left:
+                    return state, left
+        return state, 0.0
+
+    def _jumped(self, time: float, state: Array) -> Array:
+        """The states after what is reset at a time, if anything is."""
+        kind = self.system.jumps.kind_at(time)
+        if kind is None:
+            return state
+        return self.system.jumps.jumped(kind, state, self.parameters)
+
+    def _goes_on(self, time: float, state: Array) -> bool:
+        """Whether states, perhaps after a jump, and their rates are finite."""
+        if self.system.jumps.kind_at(time) is None:
+            return True
+        rates = self.system.rhs(time, state, self.parameters)
+        return bool(np.isfinite(state).all() and np.isfinite(rates).all())
+
+    def _rates(self, a: float, b: float) -> Rates:
+        """The stacked right-hand side on a segment; factors are never taken at its very ends."""
+        rhs, shape, parameters = self.system.rhs, self.shape, self.parameters
+        near = inset(a, b) if len(self.edges) > 2 else 0.0
+        first, last = a + near, b - near
+        cost = function_cost(rhs, self.system.user_functions)(shape[1]) + _STAGE_COST(
+            shape[0] * shape[1]
+        )
+
+        def rates(t: float, y: Array) -> Array:
+            charge(cost)
+            return rhs(min(max(t, first), last), y.reshape(shape), parameters).ravel()
+
+        return rates
+
+    def _explicit_steps_left(self, solver: Stepper, count: int) -> float:
+        """The steps left, if they are more than bearable and stability limits them; or 0.
+
+        It does by the fastest rate of decay at the present state. The estimate of the error lets
+        unstable steps pass while what they amplify is small; defect control refuses them, and a
+        fifth of their length is stable. So the length that was refused counts.
+        """
+        probes = count in _FIRST_PROBES or count % _PROBE_INTERVAL == 0
+        if not probes and solver.refusals < _PROBE_REFUSALS:
+            return 0.0
+        longest = solver.longest_tried()
+        left = float((self.edges[-1] - solver.t) / solver.step_size)
+        if left <= self.options.bearable_steps:
+            return 0.0
+        blocks = jacobians(self.system, self.points, solver.t, solver.y)
+        if not np.isfinite(blocks).all():
+            return 0.0
+        return left if _decays_faster(blocks, _STIFF_PRODUCT / longest) else 0.0
+
+
+def _decays_faster(blocks: Array, rate: float) -> bool:
+    """Whether some matrix (n, n) of a stack has an eigenvalue with a real part below ``-rate``."""
+    cost = eigenvalues(blocks.shape[-1])
+    for matrices in in_pieces(blocks, cost):
+        charge(_MATRIX_ENTRY * matrices.size)
+        bounds = np.abs(matrices).sum(axis=2).max(axis=1)  # no eigenvalue is larger
+        suspicious = matrices[bounds > rate]
+        charge(cost * len(suspicious))
+        if -np.linalg.eigvals(suspicious).real.min(initial=0.0) > rate:
+            return True
+    return False

@@ -1,0 +1,349 @@
+"""Cuts of one coordinate: where known functions of it jump, kink or are narrow.
+
+The factors of a separated form are functions of one coordinate, so they can be sampled finely
+before anything is solved. An integrator or a basis with few nodes may step over a short pulse
+without a trace; the cuts are given to both. The features of a system are those cuts that could be
+derived from its equations; samples show the others, and the ends of narrow pieces.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from rankone.discretization import ChebyshevBasis
+from rankone.ir.domain import Domain, KnownFactors
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import Cost
+from rankone.support.errors import OptionError
+
+__all__ = ["Cuts", "located_cuts", "resolving_pieces", "system_cuts"]
+
+_SAMPLES = 2**14
+"""Fine samples over the interval: narrower pieces may be missed."""
+_NODES = 14
+"""Nodes of an interpolant that resolves smooth pieces."""
+_RESOLVED_ERROR = 1e-7
+"""Interpolation error that counts as resolved, relative to the largest function value."""
+_SMOOTH_ERROR = 1e-3
+"""The same over that of two halves between which a jump or kink lies exactly."""
+_OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
+"""Shares of a piece beside the samples, so that small pieces are looked at too."""
+_LOOK_COST = Cost(80e3, 3.0)
+"""Operations of an interpolation on a piece, and for each sample there."""
+_NARROW_PIECE = 1.0 / 64.0
+"""Width of a narrow piece, relative to the interval: its ends are cuts."""
+_RARE_SHARE = 0.25
+"""Narrow pieces count if they make up less than this part of the interval."""
+_MOST_DEPTH = 13
+"""Bisections of the interval: down to about a sample."""
+_MOST_ROUNDS = 4
+"""Rounds of sampling, each between the cuts of those before."""
+_CLOSEST = 1e-9
+"""Distance of cuts that samples tell apart, relative to the interval."""
+_LOCATED = 1e-15
+"""Width of a piece, relative to the size of its ends, at which a cut is located."""
+_SIZE_SAMPLES = 224
+"""Samples that tell the size of a factor."""
+_MOST_ROUGH_PIECES = 1000
+"""Most places at which samples show functions that are not smooth."""
+_MOST_REPEATED = 10_000
+"""Most cuts that repeat with a period."""
+_COINCIDENT = 1e-14
+"""Cuts that are closer, relative to the largest size of the coordinate, are the same."""
+_MOST_CLOSE_PAIRS = 100
+"""Most pairs of such cuts that are looked at."""
+_PULSE_SHARE = 1e-9
+"""Share of a pulse between two such cuts, in the whole function, that counts."""
+_POLE = 1e9
+"""A factor that is so many times larger at a cut than at samples may have a pole there."""
+_POLE_DISTANCES = (1e-11, 1e-14)
+"""Distances from a cut, in widths of the interval, between which a pole grows."""
+_POLE_GROWTH = 10.0
+"""Factor by which it does, as a narrow peak does not."""
+
+
+class TooManyCuts(Exception):
+    """Functions are not smooth anywhere."""
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """Points at which an interval is best cut for known functions.
+
+    Attributes
+    ----------
+    points : tuple of float
+        Ascending, inside the interval: jumps and kinks, and the ends of narrow pieces.
+    smooth : bool
+        Whether a few nodes between them resolve the functions.
+    """
+
+    points: tuple[float, ...] = ()
+    smooth: bool = True
+
+
+def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
+    """Cuts of the time factors, and those of the factors of each parameter.
+
+    The first factor of every coordinate is one; where it is the only one there is no need to look.
+
+    Raises
+    ------
+    OptionError
+        If a factor is not finite, has a pole, or switches too often.
+    """
+    features, all_cuts = system.features, list[Cuts]()
+    for factors, single, periodic in zip(
+        KnownFactors.of(system, domain), features.cuts, features.periodic_cuts, strict=True
+    ):
+        interval = factors.interval
+        derived = [*single, *_repeated(factors, periodic)]
+        _check_pulses(factors, derived)
+        if len(factors(np.array(interval))) == 1:
+            all_cuts.append(Cuts())
+            continue
+        try:
+            cuts = located_cuts(factors, *interval, derived)
+        except TooManyCuts:
+            raise OptionError(
+                f"a coefficient varies too fast for {factors.what} in "
+                f"[{interval[0]:g}, {interval[1]:g}]: {_SAMPLES} samples do not resolve it",
+                remedy="choose a shorter range, or replace what varies by its mean",
+            ) from None
+        points = np.array([*interval, *cuts.points])
+        size = np.abs(factors(np.linspace(*interval, _SIZE_SAMPLES))).max()
+        if np.abs(factors(points)).max() > _POLE * size and _grows(factors, points):
+            raise factors.not_finite()
+        all_cuts.append(cuts)
+    return tuple(all_cuts)
+
+
+def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:
+    """Raise an OptionError for a pulse between two cuts that are the same but for rounding."""
+    lower, upper = factors.interval
+    least = _COINCIDENT * max(abs(lower), abs(upper))
+    inside = sorted({x for x in cuts if lower < x < upper})
+    close = [(a, b) for a, b in itertools.pairwise(inside) if b - a <= least]
+    for a, b in close[:_MOST_CLOSE_PAIRS]:
+        pulse, *beside = factors(np.array([0.5 * (a + b), a - 2.0 * least, b + 2.0 * least])).T
+        usual = np.maximum(*np.abs(beside))
+        area = (np.abs(pulse) - usual) * (b - a)
+        if (area > _PULSE_SHARE * (usual + 1.0) * (upper - lower)).any():
+            raise OptionError(
+                f"a pulse for {factors.what} from {a!r} to {b!r} is too short: floating-point "
+                f"numbers are not much closer",
+                remedy="give what it does as a whole, such as a step",
+            )
+
+
+def _grows(factors: KnownFactors, points: Array) -> bool:
+    """Whether factors grow without end towards one of the points, as a narrow peak does not."""
+    lower, upper = factors.interval
+    far, near = (
+        np.abs(factors(np.clip(points + distance * (upper - lower), lower, upper)))
+        for distance in _POLE_DISTANCES
+    )
+    return bool((near > _POLE_GROWTH * far).any())
+
+
+def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) -> list[float]:
+    """The cuts that repeat with a period, inside the interval."""
+    lower, upper = factors.interval
+    count = sum((upper - lower) / period for _, period in periodic)
+    if count > _MOST_REPEATED:
+        raise OptionError(
+            f"a coefficient switches {count:.7g} times for {factors.what} in "
+            f"[{lower:g}, {upper:g}]",
+            remedy="choose a shorter range, or replace what switches by its mean",
+        )
+    cuts: list[float] = []
+    for first, period in periodic:
+        before, after = math.floor((lower - first) / period), math.ceil((upper - first) / period)
+        cuts += [first + k * period for k in range(before, after + 1)]
+    return cuts
+
+
+def located_cuts(
+    function: Callable[[Array], Array], lower: float, upper: float, derived: Sequence[float] = ()
+) -> Cuts:
+    """Points at which an interval is best cut for a vector of functions.
+
+    Jumps and kinks are located by bisection. There are none for functions that are smooth on the
+    scale of the interval.
+
+    Parameters
+    ----------
+    function : callable
+        Maps points (N,) to function values (rows, N).
+    lower, upper : float
+        The interval.
+    derived : sequence of float
+        Points that are among them if they are inside.
+    """
+    finder = _Finder(function, lower, upper)
+    derived = _inside(derived, lower, upper)
+    cuts = list(derived)
+    for _ in range(_MOST_ROUNDS):
+        edges = [lower, *cuts, upper]
+        pieces = [piece for a, b in itertools.pairwise(edges) for piece in finder.pieces(a, b)]
+        rough = [(a, b) for a, b, resolved in pieces if not resolved]
+        if len(rough) > _MOST_ROUGH_PIECES:
+            raise TooManyCuts
+        located = [finder.locate(a, b) for a, b in rough] + finder.hidden(pieces)
+        fresh = [x for x in located if _distance(x, edges) > finder.closest]
+        if not fresh:
+            break
+        cuts = sorted([*cuts, *_distinct(fresh, finder.closest)])
+    smooth = len(pieces) <= len(cuts) + 1
+    width = upper - lower
+    narrow = [(a, b) for a, b, _ in pieces if b - a < _NARROW_PIECE * width]
+    if sum(b - a for a, b in narrow) < _RARE_SHARE * width:
+        cuts += [x for piece in narrow for x in piece]
+    apart = [*derived, lower, upper]
+    sampled = [x for x in _distinct(cuts, finder.closest) if _distance(x, apart) > finder.closest]
+    return Cuts(tuple(sorted([*derived, *sampled])), smooth)
+
+
+def _distance(x: float, points: Sequence[float]) -> float:
+    """Distance from the nearest of some points."""
+    return min(abs(x - point) for point in points)
+
+
+def _distinct(points: Sequence[float], least: float) -> list[float]:
+    """Ascending, without points that nearly coincide with the one before."""
+    kept: list[float] = []
+    for x in sorted(points):
+        if not kept or x - kept[-1] > least:
+            kept.append(x)
+    return kept
+
+
+def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
+    """Points inside an interval, ascending, each once but for rounding errors."""
+    least = _COINCIDENT * max(abs(lower), abs(upper))
+    _, *inside = _distinct([lower, *(x for x in points if x > lower)], least)
+    return [x for x in inside if upper - x > least]
+
+
+def resolving_pieces(
+    function: Callable[[Array], Array],
+    lower: float,
+    upper: float,
+    borders: Sequence[float],
+    nodes: int,
+    tolerance: float,
+) -> list[tuple[float, float]]:
+    """Pieces of an interval on each of which so many Chebyshev nodes resolve functions.
+
+    Parameters
+    ----------
+    function : callable
+        Maps points (N,) to function values (rows, N).
+    lower, upper : float
+        The interval.
+    borders : sequence of float
+        Points inside of it, ascending, that no piece crosses.
+    nodes : int
+    tolerance : float
+        Largest error, relative to the largest function value of each row.
+    """
+    finder = _Finder(function, lower, upper, nodes, tolerance)
+    edges = itertools.pairwise([lower, *borders, upper])
+    return [(a, b) for left, right in edges for a, b, _ in finder.pieces(left, right)]
+
+
+@lru_cache(32)
+def _unit(nodes: int) -> ChebyshevBasis:
+    return ChebyshevBasis(0.0, 1.0, nodes)
+
+
+def _interpolation(shares: Array, nodes: int) -> Array:
+    """From function values at the nodes of [0, 1] to those at shares (N,) and off the samples."""
+    unit = _unit(nodes)
+    modes = unit.modal_values(np.concatenate([shares, _OFF_SAMPLES]))
+    return np.asarray(np.sqrt(unit.weights)[:, None] * (unit.to_modal.T @ modes.T))
+
+
+@lru_cache(32)
+def _even_interpolation(count: int, nodes: int) -> Array:
+    """The same for the middles of so many equal parts: what a dyadic piece has."""
+    return _interpolation((np.arange(count) + 0.5) / count, nodes)
+
+
+def _are_even(shares: Array) -> bool:
+    """Whether shares are the middles of equal parts of [0, 1]."""
+    if not shares.size:
+        return False
+    first, last = shares[0] * shares.size, (1.0 - shares[-1]) * shares.size
+    return bool(abs(first - 0.5) + abs(last - 0.5) < 1e-6)
+
+
+class _Finder:
+    """Recursive bisection of one interval until the functions are resolved on every piece."""
+
+    def __init__(
+        self,
+        function: Callable[[Array], Array],
+        lower: float,
+        upper: float,
+        nodes: int = _NODES,
+        tolerance: float = _RESOLVED_ERROR,
+    ) -> None:
+        self.function, self.nodes, self.tolerance = function, nodes, tolerance
+        self.lower, self.width = lower, upper - lower
+        self.closest = _CLOSEST * self.width
+        self.points = lower + self.width * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        self.samples = function(self.points)
+        self.size = np.abs(self.samples).max(axis=1, keepdims=True)
+        self.size[self.size == 0.0] = 1.0
+
+    def error(self, a: float, b: float) -> float:
+        """Largest interpolation error on [a, b], at the fine samples and a few more points."""
+        inside = slice(*np.searchsorted(self.points, [a, b]))
+        charge(_LOOK_COST(self.samples[:, inside].size))
+        shares = (self.points[inside] - a) / (b - a)
+        few = self.function(a + (b - a) * np.concatenate([_unit(self.nodes).nodes, _OFF_SAMPLES]))
+        if _are_even(shares):
+            matrix = _even_interpolation(shares.size, self.nodes)
+        else:
+            matrix = _interpolation(shares, self.nodes)
+        exact = np.concatenate([self.samples[:, inside], few[:, self.nodes :]], axis=1)
+        return float(np.max(np.abs(exact - few[:, : self.nodes] @ matrix) / self.size))
+
+    def pieces(self, a: float, b: float, depth: int = 0) -> list[tuple[float, float, bool]]:
+        """Resolved pieces of [a, b], and pieces of the least width that are not resolved."""
+        if self.error(a, b) <= self.tolerance:
+            return [(a, b, True)]
+        if depth == _MOST_DEPTH or b - a < 4.0 * self.closest:
+            return [(a, b, False)]
+        middle = 0.5 * (a + b)
+        return self.pieces(a, middle, depth + 1) + self.pieces(middle, b, depth + 1)
+
+    def hidden(self, pieces: list[tuple[float, float, bool]]) -> list[float]:
+        """Ends of pieces at which the functions are not smooth, though they are on both sides."""
+        cuts = []
+        for (a, b, left), (_, c, right) in itertools.pairwise(pieces):
+            near = 0.25 * min(b - a, c - b)
+            if left and right and self.error(b - near, b + near) > self.tolerance:
+                cuts.append(b)
+        return cuts
+
+    def locate(self, a: float, b: float) -> float:
+        """The point of a piece at which the functions are least smooth."""
+        while b - a > _LOCATED * max(abs(a), abs(b), self.width):
+            middle = 0.5 * (a + b)
+            if not a < middle < b:
+                break
+            left, right = self.error(a, middle), self.error(middle, b)
+            if max(left, right) <= _SMOOTH_ERROR * self.tolerance:
+                return middle
+            a, b = (a, middle) if left > right else (middle, b)
+        return 0.5 * (a + b)
