@@ -75,7 +75,7 @@ def test_a_problem(tmp_path, capsys):
         ("t,u,u\n1,2,2\n", [], "names a column twice"),
         ("t,u\n1\n", [], "line 2: 1 cells for 2 columns"),
         ("t,u\n1,b\n", [], "line 2: `u` is 'b', not a number"),
-        ("t,u\n1,2\n", ["--fixed", "k"], "is not NAME=VALUE"),
+        ("t,u\n1,2\n", ["--fixed", "k"], "write NAME=VALUE"),
         ("t,u\n1,2\n", ["--fixed", "k=1", "k=2"], "is given twice"),
         ("t,u\n1,2\n", ["--sigma", "x"], "is not a number"),
         ("t,u\n1,2\n", [], "1 value for 2 parameters and sigma"),

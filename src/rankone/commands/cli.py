@@ -1,4 +1,4 @@
-"""The command line: parsing and dispatch; the commands are in :mod:`rankone.commands`.
+"""The command line: parsing and dispatch; each command has a module beside this one.
 
 Exit status: 0 if the measured error is within the tolerance, 1 if it is not or is not known,
 2 for bad input, 130 after an interrupt.
@@ -11,14 +11,17 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import NoReturn
 
-from rankone.commands import evaluate, explore, export, fit, report, show, solve
-from rankone.commands.inputs import BAD_INPUT, FAILURE, complain
+from rankone.commands import evaluate, export, fit, report, solve
+from rankone.commands.common import BAD_INPUT, FAILURE, complain
 
 __all__ = ["main"]
 
-_BROKEN_PIPE, _INTERRUPTED = 141, 130
+_INTERRUPTED = 130
+"""Exit status after an interrupt from the keyboard, as shells have it: 128 and the signal."""
+_BROKEN_PIPE = 141
+"""Exit status when the reader of the output has gone."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,27 +74,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    solve.register(commands)
-    show.register(commands)
-    evaluate.register(commands)
-    report.register(commands)
-    fit.register(commands)
-    export.register(commands)
-    explore.register(commands)
+    for command in (solve, evaluate, report, fit, export):
+        command.register(commands)
     return parser
 
 
 class _Version(argparse.Action):
     """Look the version up only when it is asked for."""
 
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from rankone.support import __version__
 
         print(f"rankone {__version__}")
         parser.exit()
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     complain(f"warning: {message}")
 
 

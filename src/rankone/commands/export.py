@@ -1,44 +1,44 @@
-"""``rankone export FILE -o PATH``: a standalone solver, or a solved model."""
+"""``rankone export`` and ``rankone explore``: a standalone solver, a solved model, or a page."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from rankone.commands.inputs import (
+from rankone.commands.common import (
     FAILURE,
-    MODEL_RTOL,
+    SOLVED_HELP,
     SUCCESS,
+    Commands,
+    add_command,
+    add_model_arguments,
+    add_states,
     is_saved,
-    layout,
     may_be_written,
     solution_of,
+    toml_help,
 )
 
-__all__ = ["register", "run"]
+__all__ = ["register"]
 
-_FMI = ("2.0", "3.0")
+_FOR_MODELS = ("rtol", "allow_failed", "model_rtol", "states", "fmi")
+"""Arguments that a standalone solver does not take."""
 
 
-def register(commands: Any) -> None:
-    """Add the parser."""
-    parser = commands.add_parser(
+def register(commands: Commands) -> None:
+    """Add the parsers."""
+    export = add_command(
+        commands,
         "export",
+        _export,
         help="write a standalone solver or a solved model",
         description="Write a problem and its engine to one Python file, which needs only NumPy "
         "and SciPy and is both a module and a program. Of a saved solution, with --model, or with "
         "another suffix than .py, write a solved model, for evaluation only.",
-        epilog=layout(),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=toml_help(),
     )
-    parser.add_argument(
-        "file",
-        metavar="FILE",
-        type=Path,
-        help="a problem file (.py, .toml) or a saved solution (.npz, .nc)",
-    )
-    parser.add_argument(
+    export.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    export.add_argument(
         "-o",
         "--output",
         metavar="PATH",
@@ -46,29 +46,38 @@ def register(commands: Any) -> None:
         required=True,
         help="a .py file; for models the suffix says what is written",
     )
-    parser.add_argument(
+    export.add_argument(
         "--model", action="store_true", help="solve and write a model, also with the suffix .py"
     )
-    parser.add_argument("--rtol", type=float, help="tolerance of a model (default: 1e-6)")
-    parser.add_argument("--method", help="the engine (default: auto)")
-    parser.add_argument("--model-rtol", **MODEL_RTOL)
-    parser.add_argument(
-        "--states",
-        choices=("unknowns", "all"),
-        help="whether a model evaluates derivatives that are states as well (default: unknowns)",
+    add_model_arguments(export)
+    add_states(export)
+    export.add_argument("--fmi", choices=("2.0", "3.0"), help="version of an FMU (default: 2.0)")
+
+    explore = add_command(
+        commands,
+        "explore",
+        _explore,
+        help="write a page with sliders and curves",
+        description="Write one HTML file that works offline: a slider for each parameter, curves "
+        "that follow at once, bands over the box, a phase plot, Sobol indices over time.",
+        epilog=toml_help(),
     )
-    parser.add_argument("--fmi", choices=_FMI, help="version of an FMU (default: 2.0)")
-    parser.add_argument(
-        "--allow-failed",
-        action="store_true",
-        help="write a model also if its error is not within the tolerance (status 1)",
+    explore.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    explore.add_argument(
+        "-o",
+        "--output",
+        metavar="PATH",
+        type=Path,
+        help="the page (default: the name of FILE with .html, in the present directory)",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.set_defaults(run=run)
+    explore.add_argument(
+        "--title", help="title of the page (default: the name of the problem, or that of the page)"
+    )
+    add_model_arguments(explore)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Write what was asked for."""
+def _export(arguments: argparse.Namespace) -> int:
+    """Write a model, or else a standalone solver."""
     is_model = arguments.model or is_saved(arguments.file) or arguments.output.suffix != ".py"
     return _write_model(arguments) if is_model else _write_solver(arguments)
 
@@ -80,8 +89,8 @@ def _write_solver(arguments: argparse.Namespace) -> int:
     from rankone.frontend.problem_files import load_problem
     from rankone.support.errors import OptionError
 
-    for name in ("rtol", "allow_failed", "model_rtol", "states", "fmi"):
-        if getattr(arguments, name):
+    for name in _FOR_MODELS:
+        if vars(arguments)[name]:
             raise OptionError(
                 f"--{name.replace('_', '-')} is for models; a standalone solver is told when it "
                 "solves",
@@ -112,4 +121,27 @@ def _write_model(arguments: argparse.Namespace) -> int:
         overwrite=arguments.overwrite,
         allow_failed=arguments.allow_failed,
     )
+    return SUCCESS if solution.success else FAILURE
+
+
+def _explore(arguments: argparse.Namespace) -> int:
+    """Load or solve, and write the page."""
+    from rankone.export import check_options
+    from rankone.export.explorer import page_target
+
+    target = arguments.output or Path(f"{arguments.file.stem}.html")
+    # before the solve, not after it
+    page_target(target, arguments.overwrite)
+    check_options(target, rtol=arguments.model_rtol)
+    solution = solution_of(arguments.file, arguments.rtol, arguments.method)
+    if not may_be_written(solution, arguments):
+        return FAILURE
+    path = solution.explore(
+        target,
+        title=arguments.title,
+        rtol=arguments.model_rtol,
+        overwrite=arguments.overwrite,
+        allow_failed=arguments.allow_failed,
+    )
+    print(path)
     return SUCCESS if solution.success else FAILURE

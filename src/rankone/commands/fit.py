@@ -5,12 +5,20 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rankone.commands.inputs import FAILURE, SOLVED_HELP, SUCCESS, solution_of
+from rankone.commands.common import (
+    FAILURE,
+    SOLVED_HELP,
+    SUCCESS,
+    Commands,
+    add_command,
+    add_solve_rtol,
+    finite_or_none,
+    solution_of,
+)
 from rankone.support.budget import effort_of
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
@@ -21,8 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
-_EFFORT = "low, normal (default), high or a factor: on the budget of the solve, and on the starts"
-
+_EFFORT_HELP = (
+    "low, normal (default), high or a factor: on the budget of the solve, and on the starts"
+)
 _EXIT_HELP = """\
 data: a table with commas; the first line names the columns: time (by the name it has in the
 problem) and the unknowns that were measured. Empty cells are missing values.
@@ -34,15 +43,16 @@ exit status:
 """
 
 
-def register(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
+def register(commands: Commands) -> None:
+    """Add the parser."""
+    parser = add_command(
+        commands,
         "fit",
+        _fit,
         usage="rankone fit FILE DATA [options]",
         help="fit parameters to measured data",
         description="Fit parameters of a solution, or of a problem that is solved first, to data.",
         epilog=_EXIT_HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
     parser.add_argument("data", metavar="DATA", type=Path, help="a .csv file (see below)")
@@ -55,42 +65,43 @@ def register(commands: Any) -> None:
         nargs="+",
         help="standard deviation of the noise, one or by unknown; estimated if it is not given",
     )
-    for option, what in (("fixed", "parameters that are known"), ("start", "where to start")):
+    for option, meaning in (("fixed", "parameters that are known"), ("start", "where to start")):
         parser.add_argument(
-            f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", default=[], help=what
+            f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", help=meaning
         )
     parser.add_argument(
         "--level", type=float, default=0.95, help="level of intervals (default: %(default)g)"
     )
+    add_solve_rtol(parser)
     parser.add_argument(
-        "--rtol", type=float, help="tolerance of a solve, for problem files (default: 1e-06)"
+        "--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP
     )
-    parser.add_argument("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.set_defaults(run=_fit)
 
 
 def _fit(arguments: argparse.Namespace) -> int:
-    """Run ``rankone fit``."""
+    """Fit, and print the fit."""
+    from rankone.export.program import pairs_of
+
     solution = solution_of(arguments.file, arguments.rtol, effort=arguments.effort)
-    times, data = _table(arguments.data, solution, arguments.observe)
-    found = solution.fit(
+    times, measurements = _table(arguments.data, solution, arguments.observe)
+    fit = solution.fit(
         times,
-        data,
+        measurements,
         sigma=_sigma(arguments.sigma),
-        fixed=_numbers("--fixed", arguments.fixed),
-        start=_numbers("--start", arguments.start) or None,
+        fixed=pairs_of("--fixed", arguments.fixed, float),
+        start=pairs_of("--start", arguments.start, float) or None,
         level=arguments.level,
         effort=arguments.effort,
     )
-    print(json.dumps(_plain(found), indent=2, allow_nan=False) if arguments.json else found)
-    return SUCCESS if found.success else FAILURE
+    print(json.dumps(_plain(fit), indent=2, allow_nan=False) if arguments.json else fit)
+    return SUCCESS if fit.success else FAILURE
 
 
 def _table(
     file: Path, solution: Solution, observe: Sequence[str] | None
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Times and values of each unknown that was measured."""
+    """Times and measurements of each unknown that was measured."""
     header, rows = _read(file)
     time = solution.metadata.time
     if solution.metadata.timeless:
@@ -123,14 +134,14 @@ def _table(
         )
     clock = header.index(time)
     times: dict[str, list[float]] = {name: [] for name in names}
-    data: dict[str, list[float]] = {name: [] for name in names}
+    measurements: dict[str, list[float]] = {name: [] for name in names}
     for line, row in rows:
         for name in names:
             cell = row[header.index(name)].strip()
             if cell:
                 times[name].append(_cell(file, line, time, row[clock]))
-                data[name].append(_cell(file, line, name, cell))
-    return times, data
+                measurements[name].append(_cell(file, line, name, cell))
+    return times, measurements
 
 
 def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -164,60 +175,42 @@ def _cell(file: Path, line: int, name: str, text: str) -> float:
         ) from None
 
 
-def _sigma(given: Sequence[str] | None) -> Any:
-    """A number, numbers by name, or nothing."""
-    if given is None:
+def _sigma(texts: Sequence[str] | None) -> float | dict[str, float] | None:
+    """The noise: a number, numbers by name, or nothing."""
+    from rankone.export.program import pairs_of
+
+    if texts is None:
         return None
-    if len(given) == 1 and "=" not in given[0]:
-        return _number("--sigma", given[0])
-    return _numbers("--sigma", given)
-
-
-def _numbers(option: str, given: Sequence[str]) -> dict[str, float]:
-    """Numbers by name from ``NAME=VALUE``."""
-    found: dict[str, float] = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals or name in found:
-            why = "is given twice" if equals else "is not NAME=VALUE"
-            raise OptionError(f"{option}: {quote(text)} {why}", term=text)
-        found[name] = _number(option, value)
-    return found
-
-
-def _number(option: str, text: str) -> float:
+    if len(texts) > 1 or "=" in texts[0]:
+        return pairs_of("--sigma", texts, float)
     try:
-        return float(text)
+        return float(texts[0])
     except ValueError:
-        raise OptionError(f"{option}: {quote(text)} is not a number", term=text) from None
+        raise OptionError(f"--sigma: {quote(texts[0])} is not a number", term=texts[0]) from None
 
 
-def _plain(found: Fit) -> dict[str, Any]:
-    """The fit as plain data; numbers that are not finite are null."""
+def _plain(fit: Fit) -> dict[str, object]:
+    """The fit for JSON; numbers that are not finite are null."""
     return {
-        "success": found.success,
-        "message": found.message,
-        "x": found.x,
-        "interval": {name: [*map(_finite, ends)] for name, ends in found.interval().items()},
-        "level": found.level,
-        "std": {name: _finite(value) for name, value in found.std.items()},
-        "identifiable": found.identifiable,
+        "success": fit.success,
+        "message": fit.message,
+        "x": fit.x,
+        "interval": {name: [*map(finite_or_none, ends)] for name, ends in fit.interval().items()},
+        "level": fit.level,
+        "std": {name: finite_or_none(deviation) for name, deviation in fit.std.items()},
+        "identifiable": fit.identifiable,
         "combinations": {
             text: {
-                "value": found.value_of(text),
-                "interval": [*map(_finite, found.interval_of(text))],
+                "value": fit.value_of(text),
+                "interval": [*map(finite_or_none, fit.interval_of(text))],
             }
-            for text in found.combinations
+            for text in fit.combinations
         },
-        "fixed": found.fixed,
-        "observed": list(found.observations.names),
-        "data": found.observations.size,
-        "dof": found.dof,
-        "chi2": found.chi2,
-        "sigma": _finite(found.sigma),
-        "p_value": _finite(found.p_value),
+        "fixed": fit.fixed,
+        "observed": list(fit.observations.names),
+        "data": fit.observations.size,
+        "dof": fit.dof,
+        "chi2": fit.chi2,
+        "sigma": finite_or_none(fit.sigma),
+        "p_value": finite_or_none(fit.p_value),
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

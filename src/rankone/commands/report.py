@@ -8,27 +8,43 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rankone.commands.inputs import SOLVED_HELP, complain, solution_of, status_of
+from rankone.commands.common import (
+    SOLVED_HELP,
+    Commands,
+    add_command,
+    add_solve_rtol,
+    complain,
+    finite_or_none,
+    solution_of,
+    status_of,
+    summary,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from rankone.interface.solution import Solution
 
-__all__ = ["register", "run"]
+__all__ = ["register"]
 
-_BAND = (0.025, 0.975)
-_SIZE = (5.6, 3.5)
+_BAND_PROBABILITIES = (0.025, 0.975)
+"""Probabilities between which the band lies: 95 %."""
+_PLOT_SIZE = (5.6, 3.5)
 """Width and height of a plot, in inches."""
+_PLOT_RESOLUTION = 150
+"""Dots per inch of a plot."""
 
 
-def register(commands: Any) -> None:
+def register(commands: Commands) -> None:
     """Add the parser."""
-    parser = commands.add_parser(
+    parser = add_command(
+        commands,
         "report",
+        _report,
         help="print what a solution is, its statistics and sensitivities",
         description="Print the summary of a solution, and means, spreads, 95 % bands and Sobol "
         "indices of its unknowns at the end of the horizon, for parameters spread over the box; "
@@ -51,13 +67,10 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--overwrite", action="store_true", help="replace existing files")
-    parser.add_argument(
-        "--rtol", type=float, help="relative tolerance for a problem file (default: 1e-6)"
-    )
-    parser.set_defaults(run=run)
+    add_solve_rtol(parser)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def _report(arguments: argparse.Namespace) -> int:
     """Print, and write files if there are plots or a directory is given."""
     from rankone.support.errors import StorageError
     from rankone.support.files import Content, write_files
@@ -69,8 +82,11 @@ def run(arguments: argparse.Namespace) -> int:
     if folder is not None:  # find out before the solve, not after it
         _check_place(folder, arguments.overwrite)
     solution = solution_of(arguments.file, arguments.rtol)
-    data = {"file": str(arguments.file), **_data(solution)}
-    text, as_json = _text(solution, data), json.dumps(data, indent=2, allow_nan=False)
+    statistics = _statistics(solution)
+    answer: dict[str, object] = {"file": str(arguments.file), **summary(solution)}
+    answer |= {"ranks": [list(ranks) for ranks in solution.ranks], "bytes": solution.nbytes}
+    answer |= {"statistics": statistics.plain()} if statistics else {}
+    text, as_json = _text(solution, statistics), json.dumps(answer, indent=2, allow_nan=False)
     if folder is not None:
         files: dict[Path, Content] = dict(
             zip(_texts(folder), (text + "\n", as_json + "\n"), strict=True)
@@ -97,13 +113,13 @@ def _check_place(folder: Path, overwrite: bool) -> None:
     from rankone.support.files import free_target
 
     try:
-        there, made = folder.exists(), folder.is_dir()
+        exists, is_folder = folder.exists(), folder.is_dir()
     except (OSError, ValueError) as error:  # too long, no permission, a null character
         raise StorageError(f"`{folder}` cannot be made: {error}", term=folder) from None
-    if made:
+    if is_folder:
         for path in _texts(folder):
             free_target(path, overwrite, StorageError)
-    elif there:
+    elif exists:
         raise StorageError(
             f"`{folder}` is no directory", term=folder, remedy="give another: -o DIR"
         )
@@ -123,67 +139,77 @@ def _make(folder: Path) -> None:
 # --- numbers -----------------------------------------------------------------------------------
 
 
-def _data(solution: Solution) -> dict[str, Any]:
-    """The summary and the statistics at the end of what was solved, in plain data."""
-    from rankone.commands.summary import number, summary
+@dataclass(frozen=True)
+class _Statistics:
+    """Moments by column and unknown, Sobol indices by order, unknown and parameter; None is none.
 
-    data = {**summary(solution), "ranks": [list(ranks) for ranks in solution.ranks]}
-    data["bytes"] = solution.nbytes
+    ``time`` is the end of what was solved, at which they are taken.
+    """
+
+    time: float | None
+    moments: dict[str, dict[str, float | None]]
+    indices: dict[str, dict[str, dict[str, float | None]]]
+
+    def plain(self) -> dict[str, object]:
+        """The same as JSON has it."""
+        indices = {f"sobol_{order}": shares for order, shares in self.indices.items()}
+        return {"time": self.time, **self.moments, **indices}
+
+
+def _statistics(solution: Solution) -> _Statistics | None:
+    """The statistics at the end of what was solved; None if nothing was."""
     if not solution.outcome.slabs:
-        return data
+        return None
     at = () if solution.metadata.timeless else (solution.time[1],)
-    low, high = solution.quantile(_BAND, *at)
+    low, high = solution.quantile(_BAND_PROBABILITIES, *at)
     columns = {
         "mean": solution.mean(*at),
         "std": solution.std(*at),
         "quantile_0.025": low,
         "quantile_0.975": high,
     }
-    data["statistics"] = {
-        "time": at[0] if at else None,
-        **{
-            name: dict(zip(solution.unknowns, map(number, values), strict=True))
-            for name, values in columns.items()
-        },
+    moments = {
+        column: dict(zip(solution.unknowns, map(finite_or_none, moment), strict=True))
+        for column, moment in columns.items()
     }
+    indices: dict[str, dict[str, dict[str, float | None]]] = {}
     if _has_indices(solution):
-        indices = solution.sobol(*at)
-        for name, shares in (("first", indices.first), ("total", indices.total)):
-            data["statistics"][f"sobol_{name}"] = {
+        sobol = solution.sobol(*at)
+        for order, shares in (("first", sobol.first), ("total", sobol.total)):
+            indices[order] = {
                 unknown: dict(
-                    zip(solution.parameters, map(number, row.reshape(len(row))), strict=True)
+                    zip(solution.parameters, map(finite_or_none, share.ravel()), strict=True)
                 )
-                for unknown, row in zip(solution.unknowns, shares, strict=True)
+                for unknown, share in zip(solution.unknowns, shares, strict=True)
             }
-    return data
+    return _Statistics(at[0] if at else None, moments, indices)
 
 
-def _text(solution: Solution, data: dict[str, Any]) -> str:
+def _text(solution: Solution, statistics: _Statistics | None) -> str:
     """The summary and the statistics as tables."""
-    found = data.get("statistics")
-    if found is None:
+    if statistics is None:
         return repr(solution)
     units = dict(solution.metadata.units)
     names = [f"{name} [{units[name]}]" if name in units else name for name in solution.unknowns]
     time = solution.metadata.time
-    clock = "" if found["time"] is None else f" at {time} = {found['time']:g}"
+    clock = "" if statistics.time is None else f" at {time} = {statistics.time:g}"
     clock += f" {units[time]}" if clock and time in units else ""
     heads = {"mean": "mean", "std": "std", "quantile_0.025": "2.5 %", "quantile_0.975": "97.5 %"}
     rows = [
-        [name, *(_shown(found[key][unknown]) for key in heads)]
+        [name, *(_shown(statistics.moments[column][unknown]) for column in heads)]
         for name, unknown in zip(names, solution.unknowns, strict=True)
     ]
-    parts = [repr(solution), f"Over the box{clock}:", _table(["", *heads.values()], rows)]
-    if _has_indices(solution):
+    lines = [repr(solution), f"Over the box{clock}:", _table(["", *heads.values()], rows)]
+    if statistics.indices:
         rows = [
-            [name, kind, *map(_shown, found[f"sobol_{kind}"][name].values())]
-            for name in solution.unknowns
-            for kind in ("first", "total")
+            [unknown, order, *map(_shown, shares[unknown].values())]
+            for unknown in solution.unknowns
+            for order, shares in statistics.indices.items()
         ]
-        parts += [f"Sobol indices{clock}:", _table(["", "", *solution.parameters], rows)]
+        lines += [f"Sobol indices{clock}:", _table(["", "", *solution.parameters], rows)]
     elif solution.parameters:
-        parts.append("No Sobol indices: the parameters are correlated")
-    return "\n".join(parts)
+        lines.append("No Sobol indices: the parameters are correlated")
+    return "\n".join(lines)
 
 
 def _has_indices(solution: Solution) -> bool:
@@ -191,8 +217,8 @@ def _has_indices(solution: Solution) -> bool:
     return bool(solution.parameters) and not solution.metadata.correlations
 
 
-def _shown(value: float | None) -> str:
-    return "undefined" if value is None else f"{value:.5g}"
+def _shown(statistic: float | None) -> str:
+    return "undefined" if statistic is None else f"{statistic:.5g}"
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -207,7 +233,7 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of the plots that can be made; what cannot is said."""
+    """Names and contents of the plots that can be made; a warning for others."""
     from matplotlib.figure import Figure
 
     from rankone.support.errors import RankoneError
@@ -215,21 +241,21 @@ def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:
     if not solution.outcome.slabs:
         return
     for kind, draw in _standard(solution).items():
-        for number, unknown in enumerate(solution.unknowns):
-            figure = Figure(figsize=_SIZE, layout="constrained")
+        for position, unknown in enumerate(solution.unknowns):
+            figure = Figure(figsize=_PLOT_SIZE, layout="constrained")
             try:
                 draw(unknown, figure.subplots())
             except RankoneError as error:
                 complain(f"warning: no plot of {kind} of `{unknown}`: {error}")
                 continue
             content = io.BytesIO()
-            figure.savefig(content, format="png", dpi=150)
-            file = re.sub(r"\W", "_", unknown) if unknown.isidentifier() else str(number)
+            figure.savefig(content, format="png", dpi=_PLOT_RESOLUTION)
+            file = re.sub(r"\W", "_", unknown) if unknown.isidentifier() else str(position)
             yield f"{kind}_{file}.png", content.getvalue()
 
 
 def _standard(solution: Solution) -> dict[str, Callable[[str, Axes], object]]:
-    """How the plots of each unknown that make sense are drawn, by the start of their names."""
+    """Functions that draw the plots of an unknown that make sense, by the start of their names."""
     from rankone import plotting
 
     plots: dict[str, Callable[[str, Axes], object]] = {}

@@ -1,4 +1,4 @@
-"""``rankone solve FILE``."""
+"""``rankone solve FILE`` and ``rankone show FILE``: what a problem file leads to."""
 
 from __future__ import annotations
 
@@ -6,18 +6,35 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
-from rankone.commands.inputs import FAILURE, PROBLEM_HELP, SUCCESS, complain, layout
+from rankone.commands.common import (
+    FAILURE,
+    PROBLEM_HELP,
+    SUCCESS,
+    Commands,
+    add_command,
+    complain,
+    summary,
+    toml_help,
+)
 from rankone.support.budget import EFFORT_HELP, effort_of
 
-__all__ = ["ARGUMENTS", "register", "run"]
+__all__ = ["ARGUMENTS", "register"]
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final"),
     *("check", "cover", "effort", "max_seconds", "unknowns", "progress", "on_failure"),
 )
-"""What ``solve`` takes beside options of the engine."""
+"""Arguments of ``CompiledProblem.solve`` beside the options of an engine."""
+_STAGES = {
+    "first-order": ("first-order system", "first_order"),
+    "weak-form": ("weak form", "weak_form"),
+    "separated": ("separated form", "separated"),
+    "lifted": ("lifted form", "lifted"),
+    "quadratic": ("quadratic system", "quadratic"),
+    "source": ("generated module", "source"),
+}
+"""What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
 _EXIT_HELP = """\
 exit status:
   0  the measured error is within the tolerance
@@ -26,15 +43,16 @@ exit status:
 """
 
 
-def register(commands: Any) -> None:
-    """Add the parser."""
-    solve = commands.add_parser(
+def register(commands: Commands) -> None:
+    """Add the parsers."""
+    solve = add_command(
+        commands,
         "solve",
+        _solve,
         usage="rankone solve FILE [options]",
         help="solve a problem, print a summary and optionally save the solution",
         description="Solve a problem for every parameter value of its box and measure the error.",
-        epilog=f"{layout()}\n{_EXIT_HELP}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=f"{toml_help()}\n{_EXIT_HELP}",
     )
     solve.add_argument("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
     solve.add_argument(
@@ -95,7 +113,17 @@ def register(commands: Any) -> None:
     solve.add_argument(
         "--quiet", action="store_true", help="no summary (except --json) and no progress bar"
     )
-    solve.set_defaults(run=run)
+    show = add_command(
+        commands,
+        "show",
+        _show,
+        help="print what a problem compiles to, from the first-order system to the source",
+        description="Print what a problem compiles to; everything if no flag selects.",
+        epilog=toml_help(),
+    )
+    show.add_argument("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
+    for stage, (title, _) in _STAGES.items():
+        show.add_argument(f"--{stage}", action="store_true", help=f"the {title}")
 
 
 def _count(text: str) -> int:
@@ -109,10 +137,9 @@ def _count(text: str) -> int:
     return count
 
 
-def run(arguments: argparse.Namespace) -> int:
+def _solve(arguments: argparse.Namespace) -> int:
     """Solve, save and print the summary."""
     import rankone
-    from rankone.commands.summary import summary
     from rankone.export.program import box_of, options_of
     from rankone.frontend.problem_files import load_problem
     from rankone.storage import target
@@ -158,3 +185,28 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"  saved     {arguments.save}")
     sys.stdout.flush()
     return SUCCESS if solution.success else FAILURE
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    """Print the stages that are flagged, or all."""
+    import rankone
+    from rankone.frontend.problem_files import load_problem
+
+    compiled = rankone.compile(load_problem(arguments.file))
+    flags = vars(arguments)
+    stages = [stage for stage in _STAGES if flags[stage.replace("-", "_")]]
+    if not stages:
+        stages = [stage for stage in _STAGES if stage != "lifted" or compiled.lifted is not None]
+        print("# methods\n")
+        for method, reason in compiled.methods.items():
+            print(f"{method:6} {'applies' if reason is None else f'does not apply: {reason}'}")
+        print(f"auto   tries {', then '.join(compiled.automatic)}\n")
+    for position, stage in enumerate(stages):
+        title, attribute = _STAGES[stage]
+        if len(stages) > 1:
+            print(f"{'' if position == 0 else chr(10)}# {title}\n")
+        form = getattr(compiled, attribute)
+        reason = "not all terms separate" if stage == "quadratic" else "there is nothing to lift"
+        print(f"none: {reason}" if form is None else str(form).rstrip("\n"))
+    sys.stdout.flush()
+    return SUCCESS

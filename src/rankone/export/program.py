@@ -1,8 +1,7 @@
-"""Solving and the command line of the standalone solver.
+"""Solving, loading and the command line of every standalone solver.
 
-This module is the last part of every exported solver: the exporter carries it over with all that
-it refers to. It is written against the library, which is why it is type checked and linted here,
-and it knows neither SymPy nor a problem: the solver's own names are handed in.
+The exporter bundles this module with all that it imports. It knows neither SymPy nor a problem: the
+generated system and the functions of the front are handed in.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,9 +30,12 @@ from rankone.support.wording import quote
 __all__ = ["box_of", "load_solution", "options_of", "pairs_of", "run", "solve_system"]
 
 _LARGEST_GRID = 20_000_000
-"""Largest number of values on a grid of the command line."""
-_PAIR, _SPAN = "NAME=VALUE", "NAME=LOWER:UPPER"
-"""How values and ranges are written on the command line."""
+"""Most numbers on a grid of the command line: 160 megabytes."""
+_PAIR_FORM = "NAME=VALUE"
+"""How a number for a name is written on the command line."""
+_RANGE_FORM = "NAME=LOWER:UPPER"
+"""How a range of a parameter is written on the command line."""
+T = TypeVar("T")
 _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
 
 
@@ -66,33 +68,32 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
     Returns the exit status: 0, 1 (tolerance not reached) or 2 (bad input).
     """
     parser = _parser(about)
-    given = parser.parse_args()
-    limits = given.effort, given.max_seconds
-    asked = given.rtol, given.box, given.t_final, *limits, given.options
-    if given.load is not None and any(value is not None for value in asked):
+    arguments = parser.parse_args()
+    for_solves = ("rtol", "box", "t_final", "effort", "max_seconds", "options")
+    if arguments.load is not None and any(vars(arguments)[n] is not None for n in for_solves):
         refused = "--rtol, --box, --t-final, --effort, --max-seconds or --options"
         parser.error(f"--load takes a solution as it is: no {refused}")
-    if given.grid is not None and given.save is None:
+    if arguments.grid is not None and arguments.save is None:
         parser.error("--grid needs --save")
     solution = None
     try:
-        if given.save is not None:  # find out before the solve, not after it
-            target(given.save, given.overwrite)
-        solution = load(given.load) if given.load is not None else _solved(solve, given)
-        if given.save is not None:
-            _save(solution, given)
-        values = _values(solution, given)
+        if arguments.save is not None:  # find out before the solve, not after it
+            target(arguments.save, arguments.overwrite)
+        solution = _solved(solve, arguments) if arguments.load is None else load(arguments.load)
+        if arguments.save is not None:
+            _save(solution, arguments)
+        states = _states_at(solution, arguments)
     except KeyboardInterrupt:
         parser.exit(130, "interrupted\n")
     except RankoneError as error:
         failed = isinstance(error, ConvergenceError) or (solution and not solution.success)
         parser.exit(1 if failed else 2, f"error: {error}\n")
-    if given.json:
-        print(json.dumps(_summary(solution) | ({"values": values} if values else {})))
+    if arguments.json:
+        print(json.dumps(_summary(solution) | ({"values": states} if states else {})))
     else:
         print(solution.message)
-        for name, value in values.items():
-            print(f"{name} = {value!r}")
+        for name, number in states.items():
+            print(f"{name} = {number!r}")
     return 0 if solution.success else 1
 
 
@@ -104,12 +105,12 @@ def _parser(description: str) -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--rtol", type=float, help="relative tolerance (default: 1e-6)")
-    add("--box", nargs="+", action="extend", metavar=_SPAN, help="other ranges of parameters")
+    add("--box", nargs="+", action="extend", metavar=_RANGE_FORM, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
     add("--effort", metavar="E", type=effort_of, help=EFFORT_HELP)
     add("--max-seconds", type=float, metavar="S", help="time limit; the best so far is kept")
-    add("--options", nargs="+", action="extend", metavar=_PAIR, help="options of the engine")
-    add("--at", nargs="+", action="extend", metavar=_PAIR, help="evaluate at one point")
+    add("--options", nargs="+", action="extend", metavar=_PAIR_FORM, help="options of the engine")
+    add("--at", nargs="+", action="extend", metavar=_PAIR_FORM, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
     add("--states", choices=("unknowns", "all"), default="unknowns", help=_STATES_HELP)
     add("--load", metavar="PATH", help="take a saved solution instead of solving")
@@ -119,14 +120,17 @@ def _parser(description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> SolutionCore:
-    """Solve as the command line asks; after a blow-up take the part before it."""
-    box, options = box_of(given.box), options_of(given.options, SOLVE_ARGUMENTS)
-    effort = "normal" if given.effort is None else given.effort
-    limits = {"t_final": given.t_final, "effort": effort, "max_seconds": given.max_seconds}
-    rtol = 1e-6 if given.rtol is None else given.rtol
+def _solved(solve: Callable[..., SolutionCore], arguments: argparse.Namespace) -> SolutionCore:
+    """Solve as the command line asks; after a blow-up return the solution before it."""
     try:
-        return solve(rtol, parameters=box, **limits, **options)
+        return solve(
+            1e-6 if arguments.rtol is None else arguments.rtol,
+            parameters=box_of(arguments.box),
+            t_final=arguments.t_final,
+            effort="normal" if arguments.effort is None else arguments.effort,
+            max_seconds=arguments.max_seconds,
+            **options_of(arguments.options, SOLVE_ARGUMENTS),
+        )
     except ConvergenceError as error:
         if not isinstance(error.solution, SolutionCore):
             raise
@@ -136,43 +140,65 @@ def _solved(solve: Callable[..., SolutionCore], given: argparse.Namespace) -> So
 
 def box_of(texts: Sequence[str] | None) -> dict[str, list[float]]:
     """Ranges of parameters as ``--box`` has them."""
-    return pairs_of("--box", texts, lambda text: [float(x) for x in text.split(":")], _SPAN)
+    return pairs_of("--box", texts, lambda text: [float(x) for x in text.split(":")], _RANGE_FORM)
 
 
-def options_of(texts: Sequence[str] | None, others: Sequence[str]) -> dict[str, Any]:
-    """Options of the engine as ``--options`` has them; ``others`` are arguments of ``solve``."""
-    as_json = "-0123456789["  # what begins with one of these is a number or a list of them
+def options_of(texts: Sequence[str] | None, reserved: Sequence[str]) -> dict[str, Any]:
+    """Options of the engine as ``--options`` has them; ``reserved`` are arguments of ``solve``."""
+    as_json = "-0123456789["  # numbers and lists of numbers begin with one of these
     options = pairs_of("--options", texts, lambda v: json.loads(v) if v[:1] in as_json else v)
     for name in options:
-        if name in others:
+        if name in reserved:
             raise OptionError(f"--options: {quote(name)} is no option of the engine")
     return options
 
 
-def _save(solution: SolutionCore, given: argparse.Namespace) -> None:
-    """Write the solution, or its values on a grid."""
-    if given.grid is None:
-        solution.save(given.save, overwrite=given.overwrite)
+def pairs_of(
+    option: str, texts: Sequence[str] | None, read: Callable[[str], T], form: str = _PAIR_FORM
+) -> dict[str, T]:
+    """What ``read`` makes of each text behind an equals sign, by the name before it."""
+    pairs: dict[str, T] = {}
+    for text in texts or ():
+        name, _, right = text.rpartition("=")
+        if name in pairs:
+            raise OptionError(f"{option}: {text!r} has a name that is given twice")
+        try:
+            pairs[name] = read(right)
+        except (ValueError, RecursionError):
+            name = ""
+        if not name:
+            raise OptionError(f"{option}: {text!r} cannot be read", remedy=f"write {form}")
+    return pairs
+
+
+def _save(solution: SolutionCore, arguments: argparse.Namespace) -> None:
+    """Write the solution, or its states on a grid."""
+    if arguments.grid is None:
+        solution.save(arguments.save, overwrite=arguments.overwrite)
         return
-    arrays = _grid(solution, given.grid, _names(solution, given))
-    write_files({target(given.save, given.overwrite): npz(arrays)}, given.overwrite, StorageError)
+    content = npz(_grid(solution, arguments.grid, _names(solution, arguments)))
+    path = target(arguments.save, arguments.overwrite)
+    write_files({path: content}, arguments.overwrite, StorageError)
 
 
-def _summary(solution: SolutionCore) -> dict[str, Any]:
+def _summary(solution: SolutionCore) -> dict[str, object]:
     """How good a solution is; errors that are not known are null."""
-    known = {name: float(error) for name, error in solution.errors.items() if np.isfinite(error)}
     return {
         "success": solution.success,
         "message": solution.message,
-        "error": float(solution.error) if np.isfinite(solution.error) else None,
-        "errors": {name: known.get(name) for name in solution.states},
-        "corner_error": solution.corner_error if np.isfinite(solution.corner_error) else None,
+        "error": _finite_or_none(solution.error),
+        "errors": {name: _finite_or_none(solution.errors[name]) for name in solution.states},
+        "corner_error": _finite_or_none(solution.corner_error),
     }
 
 
-def _names(solution: SolutionCore, given: argparse.Namespace) -> tuple[str, ...]:
-    """What is evaluated."""
-    return solution.states if given.states == "all" else solution.unknowns
+def _finite_or_none(error: float) -> float | None:
+    return float(error) if np.isfinite(error) else None
+
+
+def _names(solution: SolutionCore, arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The states that are evaluated."""
+    return solution.states if arguments.states == "all" else solution.unknowns
 
 
 def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str, Array]:
@@ -184,27 +210,9 @@ def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str,
     return axes | {name: solution[name].grid(axes) for name in names}
 
 
-def _values(solution: SolutionCore, given: argparse.Namespace) -> dict[str, float]:
-    """Values at one point, by name."""
-    if not given.at:
+def _states_at(solution: SolutionCore, arguments: argparse.Namespace) -> dict[str, float]:
+    """The states at the point asked for, by name; nothing without a point."""
+    if not arguments.at:
         return {}
-    at = pairs_of("--at", given.at, float)
-    return {name: float(solution[name](at)) for name in _names(solution, given)}
-
-
-def pairs_of(
-    option: str, texts: Sequence[str] | None, read: Callable[[str], Any], form: str = _PAIR
-) -> dict[str, Any]:
-    """Values by name from texts of a form."""
-    values: dict[str, Any] = {}
-    for text in texts or ():
-        name, _, value = text.rpartition("=")
-        if name in values:
-            raise OptionError(f"{option}: {text!r} has a name that is given twice")
-        try:
-            values[name] = read(value)
-        except (ValueError, RecursionError):
-            name = ""
-        if not name:
-            raise OptionError(f"{option}: {text!r} cannot be read", remedy=f"write {form}")
-    return values
+    at = pairs_of("--at", arguments.at, float)
+    return {name: float(solution[name](at)) for name in _names(solution, arguments)}

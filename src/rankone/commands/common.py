@@ -1,0 +1,220 @@
+"""What commands share: their parsers, problem files and saved solutions, summaries, exit status."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from rankone.interface.solution import Solution
+
+__all__ = [
+    "BAD_INPUT",
+    "FAILURE",
+    "PROBLEM_HELP",
+    "SOLVED_HELP",
+    "SUCCESS",
+    "Commands",
+    "add_command",
+    "add_model_arguments",
+    "add_solve_rtol",
+    "add_states",
+    "complain",
+    "finite_or_none",
+    "is_saved",
+    "may_be_written",
+    "solution_of",
+    "status_of",
+    "summary",
+    "toml_help",
+]
+
+SUCCESS = 0
+"""Exit status: the measured error is within the tolerance."""
+FAILURE = 1
+"""Exit status: it is not, or is not known."""
+BAD_INPUT = 2
+"""Exit status: an argument or a file is wrong."""
+PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
+SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
+_DEFAULT_RTOL = 1e-6
+"""Relative tolerance for a problem file."""
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def add_command(
+    commands: Commands,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    *,
+    usage: str | None = None,
+    help: str,
+    description: str,
+    epilog: str | None = None,
+) -> argparse.ArgumentParser:
+    """Add the parser of a command; ``run`` gets its arguments and returns the exit status."""
+    parser = commands.add_parser(
+        name,
+        usage=usage,
+        help=help,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter if epilog else argparse.HelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_solve_rtol(parser: argparse.ArgumentParser) -> None:
+    """Add the tolerance at which a command solves a problem file first."""
+    parser.add_argument(
+        "--rtol", type=float, help="relative tolerance for a problem file (default: 1e-6)"
+    )
+
+
+def add_states(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of what is evaluated."""
+    parser.add_argument(
+        "--states",
+        choices=("unknowns", "all"),
+        help="all: derivatives that are states (x_t) as well (default: unknowns)",
+    )
+
+
+def add_model_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what commands take that write a model or a page."""
+    add_solve_rtol(parser)
+    parser.add_argument("--method", help="the engine (default: auto)")
+    parser.add_argument(
+        "--model-rtol",
+        metavar="RTOL",
+        type=float,
+        help="by how much the model may differ from the solution, to be smaller (default: not)",
+    )
+    parser.add_argument(
+        "--allow-failed",
+        action="store_true",
+        help="write it also if the error is not within the tolerance (status 1)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+
+
+def toml_help() -> str:
+    """The layout of a TOML file, for the help."""
+    from rankone.frontend.problem_files import TOML_LAYOUT
+
+    return "layout of a TOML file:\n" + "".join(
+        f"  {line}\n" if line else "\n" for line in TOML_LAYOUT.splitlines()
+    )
+
+
+def is_saved(path: Path) -> bool:
+    """Whether a name is that of a saved solution."""
+    return path.suffix in (".npz", ".nc")
+
+
+def solution_of(
+    path: Path, rtol: float | None, method: str | None = None, effort: str | float = "normal"
+) -> Solution:
+    """Load a saved solution, or solve a problem file.
+
+    Raises
+    ------
+    OptionError
+        If a tolerance or a method is given for a saved solution.
+    StorageError, ProblemError
+        If there is no such file, or it holds something else.
+    """
+    import rankone
+    from rankone.frontend.problem_files import load_problem
+    from rankone.support.budget import preparing
+    from rankone.support.errors import OptionError, ProblemError
+
+    if is_saved(path):
+        for option, argument in (("--rtol", rtol), ("--method", method)):
+            if argument is not None:
+                raise OptionError(
+                    f"{option} is for problem files; `{path}` is solved already",
+                    remedy=f"leave {option} out, or solve again",
+                )
+        return rankone.load(path)
+    if path.suffix not in (".py", ".toml"):
+        raise ProblemError(
+            f"`{path}` is neither a saved solution nor a problem file",
+            term=path,
+            remedy="give an .npz, .nc, .py or .toml file",
+        )
+    with preparing(None):
+        compiled = rankone.compile(load_problem(path))
+    rtol = _DEFAULT_RTOL if rtol is None else rtol
+    engine = "auto" if method is None else method
+    return compiled.solve(rtol=rtol, method=engine, effort=effort)  # type: ignore[arg-type]
+
+
+def may_be_written(solution: Solution, arguments: argparse.Namespace) -> bool:
+    """Whether to write a model of a solution; if not, say so on the standard error stream."""
+    if solution.success or arguments.allow_failed:
+        return True
+    again = "solve again" if is_saved(arguments.file) else "another --rtol"
+    complain(
+        f"error: nothing was written: {solution.message}; remedy: {again}, or --allow-failed to "
+        "write it as it is"
+    )
+    return False
+
+
+def status_of(solution: Solution) -> int:
+    """The exit status; a failure is reported on the standard error stream."""
+    if solution.success:
+        return SUCCESS
+    complain(f"warning: the error is not within the tolerance: {solution.message}")
+    return FAILURE
+
+
+def complain(text: str) -> None:
+    """Print one line on the standard error stream."""
+    print(f"rankone: {text}", file=sys.stderr)
+
+
+def summary(solution: Solution) -> dict[str, object]:
+    """How good a solution is and how it was computed, as JSON; unknown numbers are null."""
+    measured = solution.outcome.measured
+    return {
+        "success": solution.success,
+        "status": solution.status.name.lower(),
+        "message": solution.message,
+        "method": solution.method,
+        "rtol": solution.rtol,
+        "error": finite_or_none(solution.error),
+        "errors": {name: finite_or_none(error) for name, error in solution.errors.items()},
+        "corner_error": finite_or_none(solution.corner_error),
+        "checked": measured
+        and {
+            "trajectories": measured.points,
+            "cover": measured.cover,
+            "unknowns": [
+                solution.states[i] for i in measured.counted or range(len(solution.states))
+            ],
+            "quantile95": measured.quantile,
+            "worst": dict(zip(solution.parameters, measured.worst, strict=False)),
+        },
+        "unknowns": list(solution.unknowns),
+        "time": None if solution.metadata.timeless else list(solution.time),
+        "parameters": {name: list(interval) for name, interval in solution.parameters.items()},
+        "slabs": len(solution.ranks),
+        "rank": solution.rank,
+        "nodes": list(solution.nodes),
+        "timings": solution.timings,
+        "version": solution.metadata.version,
+        "units": dict(solution.metadata.units),
+    }
+
+
+def finite_or_none(x: float) -> float | None:
+    """A number that JSON can hold, or None."""
+    return float(x) if math.isfinite(x) else None
