@@ -9,7 +9,7 @@ parameters as further coordinates, one variational statement holds for all of th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import sympy as sp
 
@@ -64,14 +64,14 @@ class Stage:
         names = (state.name for state in self.states)
         return initial_texts(names, self.coordinates[0].lower, self.initial)
 
-    def _jump_latex(self) -> list[str]:
-        return list(jump_latex(self.functions, self.jumps, self.coordinates[0].symbol))
+    def _jump_texts(self) -> Iterator[str]:
+        return jump_texts(self.functions, self.jumps, self.coordinates[0].name)
 
-    def _jump_texts(self) -> list[str]:
-        return list(jump_texts(self.functions, self.jumps, self.coordinates[0].name))
-
-    def _initial_latex(self) -> list[str]:
-        return initial_latex(self.functions, self.coordinates[0].lower, self.initial)
+    def _conditions_latex(self) -> list[str]:
+        """Initial values and jumps."""
+        clock = self.coordinates[0]
+        lines = initial_latex(self.functions, clock.lower, self.initial)
+        return [*lines, *jump_latex(self.functions, self.jumps, clock.symbol)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,22 +89,23 @@ class FirstOrderSystem(Stage):
     rhs: tuple[sp.Expr, ...]
 
     def piecewise(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
-        """Rates, initial values and values after jumps with piecewise functions in them.
+        """Rates, initial values and values after jumps that have piecewise functions.
 
-        Each after what it is and the number of the user's equation, if there is one.
+        Yields a description, the number of the user's equation, if there is one, and the
+        expression.
         """
-        for state, origin, rate in zip(self.states, self.origins, self.rhs, strict=True):
+        names = [quote(state.expression) for state in self.states]
+        for name, origin, rate in zip(names, self.origins, self.rhs, strict=True):
             if rate.has(sp.Piecewise):
-                yield f"the derivative of {quote(state.expression)}", origin, rate
-        for state, value in zip(self.states, self.initial, strict=True):
-            if value.has(sp.Piecewise):
-                yield f"the initial value of {quote(state.expression)}", None, value
+                yield f"the derivative of {name}", origin, rate
+        for name, start in zip(names, self.initial, strict=True):
+            if start.has(sp.Piecewise):
+                yield f"the initial value of {name}", None, start
         for jump in self.jumps:
             at = f"{self.coordinates[0].name} = {number(jump.time)}"
-            for state, value in zip(self.states, jump.values, strict=True):
-                if value.has(sp.Piecewise):
-                    what = f"the value of {quote(state.expression)} after the jump at {at}"
-                    yield what, None, value
+            for name, after in zip(names, jump.values, strict=True):
+                if after.has(sp.Piecewise):
+                    yield f"the value of {name} after the jump at {at}", None, after
 
     def _equations(self) -> list[sp.Eq]:
         t = self.coordinates[0].symbol
@@ -120,7 +121,7 @@ class FirstOrderSystem(Stage):
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._equations()]
-        return aligned_equations([*lines, *self._initial_latex(), *self._jump_latex()])
+        return aligned_equations([*lines, *self._conditions_latex()])
 
 
 def first_order(problem: Problem) -> FirstOrderSystem:
@@ -156,7 +157,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     initial = tuple(problem.initial.values())
     if jumps and at_start(jumps[0], problem.time):  # evaluation there is from the right
         before = dict(zip(states_of_time, initial, strict=True))
-        initial = tuple(value.xreplace(before) for value in jumps[0].values)
+        initial = tuple(after.xreplace(before) for after in jumps[0].values)
         jumps = jumps[1:]
     return FirstOrderSystem(
         coordinates=problem.coordinates,
@@ -180,17 +181,10 @@ def _solved(form: MassForm) -> tuple[list[sp.Expr], list[int | None]]:
         ]
         return [sp.Add(*terms) for terms in quotients], [e + 1 for e in order]
     inverse = form.matrix.inv().to_Matrix()
-    solved = [
-        sp.Add(
-            *[
-                sp.Mul(-entry, term)
-                for entry, terms in zip(inverse.row(i), form.remainders, strict=True)
-                if entry != 0
-                for term in terms
-            ]
-        )
-        for i in unknowns
-    ]
+    solved = []
+    for i in unknowns:
+        pairs = zip(inverse.row(i), form.remainders, strict=True)
+        solved.append(sp.Add(*[sp.Mul(-a, term) for a, r in pairs if a != 0 for term in r]))
     return solved, [None for _ in unknowns]
 
 
@@ -243,7 +237,7 @@ class WeakForm(Stage):
             rf"\, {measures} &= 0"
             for u, residual in zip(self.functions, self.residuals, strict=True)
         ]
-        return aligned_equations([*lines, *self._initial_latex(), *self._jump_latex()])
+        return aligned_equations([*lines, *self._conditions_latex()])
 
 
 def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
@@ -263,7 +257,14 @@ def weak_form(system: FirstOrderSystem | Problem) -> WeakForm:
         system = first_order(system)
     remedy = "give a problem or first_order(problem); what is compiled has `.weak_form`"
     check_kind("weak_form", system, FirstOrderSystem, Problem, remedy=remedy)
-    rates = [sp.Derivative(u, system.coordinates[0].symbol) for u in system.functions]
-    shared = {field.name: getattr(system, field.name) for field in fields(Stage)}
-    residuals = tuple(rate - f for rate, f in zip(rates, system.rhs, strict=True))
-    return WeakForm(**shared, residuals=residuals)
+    t = system.coordinates[0].symbol
+    pairs = zip(system.functions, system.rhs, strict=True)
+    return WeakForm(
+        coordinates=system.coordinates,
+        states=system.states,
+        functions=system.functions,
+        initial=system.initial,
+        origins=system.origins,
+        residuals=tuple(sp.Derivative(u, t) - f for u, f in pairs),
+        jumps=system.jumps,
+    )

@@ -25,10 +25,11 @@ from rankone.symbolic.splitting import Indivisible, Splitter
 
 __all__ = ["Lifting", "NotLiftable", "lift"]
 
-_MOST = 60
-"""Most unknowns that are added."""
-_ROOTS = 3
-"""Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q."""
+_MOST_UNKNOWNS = 60
+"""Unknowns that may be added; a right-hand side that needs more gains nothing from lifting."""
+_MOST_ROOT = 3
+"""Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q: the
+degree of z' grows with q."""
 
 
 class NotLiftable(Exception):
@@ -46,9 +47,9 @@ class Lifting:
     Attributes
     ----------
     system : FirstOrderSystem
-        The states of before, then the lifted ones.
+        The original states, then the lifted ones.
     meanings : tuple of Expr
-        What each lifted state is, in the states of before.
+        Each lifted state as an expression of the original states.
     invariants : tuple of Expr
         Expressions of all states that vanish along every trajectory.
     """
@@ -85,56 +86,56 @@ def lift(system: FirstOrderSystem) -> Lifting:
     NotLiftable
         If a function has no lifted form: an absolute value, a table, a function of the user.
     """
-    return _Lifter(system).lifted()
+    return _Lifter(system).lift()
 
 
 class _Lifter:
-    """The working state: what was lifted, and the rates of all states so far."""
+    """The working state: what was lifted so far, and the rates of all states."""
 
     def __init__(self, system: FirstOrderSystem) -> None:
         self.system = system
         self.time = system.coordinates[0].symbol
-        self.taken = {s.name for s in system.states} | {c.name for c in system.coordinates}
-        self.before = [sp.Symbol(state.name, real=True) for state in system.states]
-        self.states = set(self.before)  # lifted ones, too
-        self.splitter = Splitter(system.coordinates, self.before)
-        self.new: dict[sp.Expr, sp.Symbol] = {}  # meanings and the states that stand for them
-        self.rates: list[sp.Expr] = []  # polynomials: of the states of before, then the lifted
+        self.names = {s.name for s in system.states} | {c.name for c in system.coordinates}
+        self.original = [sp.Symbol(state.name, real=True) for state in system.states]
+        self.states = set(self.original)  # lifted ones, too
+        self.splitter = Splitter(system.coordinates, self.original)
+        self.lifted: dict[sp.Expr, sp.Symbol] = {}  # meanings and the states that stand for them
+        self.rates: list[sp.Expr] = []  # polynomials: of the original states, then the lifted
         self.invariants: list[sp.Expr] = []
         self.reciprocals: list[tuple[sp.Symbol, sp.Expr]] = []
         self.waiting: list[Callable[[], sp.Expr]] = []
 
-    def lifted(self) -> Lifting:
+    def lift(self) -> Lifting:
         """Lift until every rate is polynomial."""
         system = self.system
-        plain = dict(zip(system.functions, self.before, strict=True))
+        plain = dict(zip(system.functions, self.original, strict=True))
         functions = {symbol: u for u, symbol in plain.items()}
         try:
             rates = [f.xreplace(plain) for f in system.rhs]
             self._check(rates)
-            found = [self.polynomial(rate) for rate in rates]
-            self.rates = [self.reduced(rate) for rate in found]
+            polynomials = [self.polynomial(rate) for rate in rates]
+            self.rates = [self.reduced(rate) for rate in polynomials]
             while self.waiting:
                 self.rates.append(self.reduced(self.waiting.pop(0)()))
-        except NotLiftable as part:
-            raise NotLiftable(part.expression.xreplace(functions)) from None
-        functions |= {s: sp.Function(s.name)(self.time) for s in self.new.values()}
-        start = dict(zip(self.before, system.initial, strict=True))
+        except NotLiftable as error:
+            raise NotLiftable(error.expression.xreplace(functions)) from None
+        functions |= {s: sp.Function(s.name)(self.time) for s in self.lifted.values()}
+        start = dict(zip(self.original, system.initial, strict=True))
         start[self.time] = exact(sp.Float(system.coordinates[0].lower))
-        lifted = [functions[symbol] for symbol in self.new.values()]
-        made = [State(u.func.__name__, u, Role.LIFTED) for u in lifted]
+        lifted = [functions[symbol] for symbol in self.lifted.values()]
+        states = [State(u.func.__name__, u, Role.LIFTED) for u in lifted]
         jumps = tuple(self._jumped(jump, plain, functions) for jump in system.jumps)
         return Lifting(
             replace(
                 system,
-                states=(*system.states, *made),
+                states=(*system.states, *states),
                 functions=(*system.functions, *lifted),
                 rhs=tuple(rate.xreplace(functions) for rate in self.rates),
-                initial=(*system.initial, *(m.subs(start, simultaneous=True) for m in self.new)),
+                initial=(*system.initial, *(m.subs(start, simultaneous=True) for m in self.lifted)),
                 origins=(*system.origins, *(None for _ in lifted)),
                 jumps=jumps,
             ),
-            tuple(meaning.xreplace(functions) for meaning in self.new),
+            tuple(meaning.xreplace(functions) for meaning in self.lifted),
             tuple(invariant.xreplace(functions) for invariant in self.invariants),
         )
 
@@ -145,23 +146,23 @@ class _Lifter:
         functions: Mapping[sp.Symbol, sp.Expr],
     ) -> Jump:
         """The same jump, after which lifted states are again what they stand for."""
-        after = {s: v.xreplace(plain) for s, v in zip(self.before, jump.values, strict=True)}
-        after = {state: value for state, value in after.items() if state != value}
+        after = {s: v.xreplace(plain) for s, v in zip(self.original, jump.values, strict=True)}
+        after = {s: v for s, v in after.items() if s != v}
         at: dict[sp.Symbol, sp.Expr] = {**after, self.time: exact(sp.Float(jump.time))}
         lifted = [
             meaning.subs(at, simultaneous=True) if meaning.free_symbols & set(after) else state
-            for meaning, state in self.new.items()
+            for meaning, state in self.lifted.items()
         ]
-        return Jump(jump.time, (*jump.values, *(value.xreplace(functions) for value in lifted)))
+        return Jump(jump.time, (*jump.values, *(v.xreplace(functions) for v in lifted)))
 
     def _check(self, rates: Sequence[sp.Expr]) -> None:
         """Raise NotLiftable for a function without a rule, the innermost one."""
-        known = {*_RULES, *_RATIOS, "Pow"}
+        liftable = {*_RULES, *_RATIOS, "Pow"}
         for rate in rates:
-            for part in sp.postorder_traversal(rate):
-                function = isinstance(part, sp.Function | sp.Piecewise | Relational)
-                if function and type(part).__name__ not in known and not self._separates(part):
-                    raise NotLiftable(part)
+            for node in sp.postorder_traversal(rate):
+                function = isinstance(node, sp.Function | sp.Piecewise | Relational)
+                if function and type(node).__name__ not in liftable and not self._separates(node):
+                    raise NotLiftable(node)
 
     # -- polynomials of states ---------------------------------------------------------------
 
@@ -214,12 +215,12 @@ class _Lifter:
         while waiting:
             check_time()
             monomial, coefficient = waiting.pop()
-            for leading, rest in rules:
+            for leading, replacement in rules:
                 if all(m >= power for m, power in zip(monomial, leading, strict=True)):
-                    left = [m - power for m, power in zip(monomial, leading, strict=True)]
+                    quotient = [m - power for m, power in zip(monomial, leading, strict=True)]
                     waiting += [
-                        (tuple(a + b for a, b in zip(left, other, strict=True)), coefficient * c)
-                        for other, c in rest.items()
+                        (tuple(a + b for a, b in zip(quotient, m, strict=True)), coefficient * c)
+                        for m, c in replacement.items()
                     ]
                     break
             else:
@@ -232,7 +233,7 @@ class _Lifter:
         )
 
     def _ordered(self) -> list[sp.Symbol]:
-        return [*self.before, *self.new.values()]
+        return [*self.original, *self.lifted.values()]
 
     def _varies(self, expression: sp.Expr) -> bool:
         """Whether there are states in an expression."""
@@ -240,28 +241,28 @@ class _Lifter:
 
     def derivative(self, expression: sp.Expr) -> sp.Expr:
         """The derivative over time along trajectories, a polynomial of states."""
-        parts = [self.polynomial(expression.diff(self.time))]
-        for state, rate in zip(self.before, self.rates, strict=False):
+        terms = [self.polynomial(expression.diff(self.time))]
+        for state, rate in zip(self.original, self.rates, strict=False):
             slope = expression.diff(state)
             if slope != 0:
-                parts.append(self.polynomial(slope) * rate)
-        return sp.Add(*parts)
+                terms.append(self.polynomial(slope) * rate)
+        return sp.Add(*terms)
 
     def unknown(self, meaning: sp.Expr, prefix: str, rate: Callable[[sp.Expr], sp.Expr]) -> sp.Expr:
         """The state that stands for an expression; ``rate`` gives its rate from the state."""
-        if meaning not in self.new:
-            if len(self.new) == _MOST:
+        if meaning not in self.lifted:
+            if len(self.lifted) == _MOST_UNKNOWNS:
                 raise NotLiftable(meaning)
-            name, number = prefix, 1
-            while name in self.taken:
-                number += 1
-                name = f"{prefix}{number}"
-            self.taken.add(name)
+            name, suffix = prefix, 1
+            while name in self.names:
+                suffix += 1
+                name = f"{prefix}{suffix}"
+            self.names.add(name)
             state = sp.Symbol(name, real=True)
-            self.new[meaning] = state
+            self.lifted[meaning] = state
             self.states.add(state)
             self.waiting.append(lambda: rate(state))
-        return self.new[meaning]
+        return self.lifted[meaning]
 
     # -- what is lifted, and how -------------------------------------------------------------
 
@@ -270,7 +271,7 @@ class _Lifter:
             return self.polynomial(sp.exp(exponent * sp.log(base)))
         if base.is_number:
             return self.exponential(exponent * sp.log(base))
-        if exponent.is_Rational and exponent.q <= _ROOTS:
+        if exponent.is_Rational and exponent.q <= _MOST_ROOT:
             if exponent == -1:
                 saturating = self._saturating(sp.S.One, base)
                 if saturating is not None:
@@ -297,7 +298,7 @@ class _Lifter:
         return z
 
     def _product(self, product: sp.Mul) -> sp.Expr:
-        """A product, of which a factor may be a reciprocal that saturates with another one."""
+        """A product; a reciprocal in it may saturate with another factor."""
         for factor in product.args:
             base, exponent = factor.as_base_exp()
             if exponent == -1:
@@ -307,31 +308,31 @@ class _Lifter:
         powers = [factor for factor in product.args if self._is_general_power(factor)]
         if len(powers) < 2:
             return sp.Mul(*map(self.polynomial, product.args))
-        together = [power.as_base_exp() for power in powers]
+        bases = [power.as_base_exp() for power in powers]
         state = self.unknown(
             sp.Mul(*powers),
             "p",
-            lambda y: y * sp.Add(*(e * self._root(b, 1) * self.derivative(b) for b, e in together)),
+            lambda y: y * sp.Add(*(e * self._root(b, 1) * self.derivative(b) for b, e in bases)),
         )
         return state * self.polynomial(product / sp.Mul(*powers))
 
     def _is_general_power(self, factor: sp.Expr) -> bool:
-        """Whether a factor is a power that is an unknown of its own, as those of roots are not."""
+        """Whether a power becomes an unknown of its own: no integer power, and no small root."""
         base, exponent = factor.as_base_exp()
         fixed = not self._varies(exponent) and self.time not in exponent.free_symbols
-        rooted = exponent.is_Rational and exponent.q <= _ROOTS
+        rooted = exponent.is_Rational and exponent.q <= _MOST_ROOT
         return bool(factor.is_Pow and self._varies(base) and fixed and not rooted)
 
     def _saturating(self, factor: sp.Expr, base: sp.Expr) -> sp.Expr | None:
-        """``factor/(a + m)`` with a fixed a and m an exponential or a power: a logistic, or Hill's.
+        """``factor/(a + m)``, a fixed, m an exponential or a power: a logistic or Hill function.
 
         With r = a/(a + m), m/(a + m) is 1 - r, and r' = -r*(1 - r)*(log m)', without m itself.
         """
-        parts = [p for p in sp.Add.make_args(base) if self._varies(p) or p.has(self.time)]
-        fixed = base - sp.Add(*parts)
-        if len(parts) != 1 or fixed == 0:
+        terms = [p for p in sp.Add.make_args(base) if self._varies(p) or p.has(self.time)]
+        fixed = base - sp.Add(*terms)
+        if len(terms) != 1 or fixed == 0:
             return None
-        (m,) = parts
+        (m,) = terms
         _, varying = m.as_independent(*self.states, self.time, as_Add=False)
         inner, power = varying.as_base_exp()
         if self._varies(power) or power.has(self.time):  # exp(A), as SymPy writes powers of e
@@ -346,32 +347,31 @@ class _Lifter:
         return self.polynomial(factor / fixed) * r
 
     def _of_log(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
-        """The derivative of ``exponent*log(base)`` with a fixed base or a fixed exponent."""
+        """The derivative of ``exponent*log(base)``; the base or the exponent is fixed."""
         if base is sp.E:
             return self.derivative(exponent)
         return exponent * self._root(base, 1) * self.derivative(base)
 
     def exponential(self, argument: sp.Expr) -> sp.Expr:
-        """``exp(argument)``; what of a sum separates stays outside."""
-        inside: list[sp.Expr] = []
-        outside: list[sp.Expr] = []
-        for part in sp.Add.make_args(sp.expand_mul(argument)):
-            alone = len(part.free_symbols) < 2 and not self._varies(part)
-            (outside if alone else inside).append(part)
-        rest = sp.Add(*inside)
-        known = sp.exp(sp.Add(*outside))
-        return known * self.unknown(sp.exp(rest), "e", lambda y: y * self.derivative(rest))
+        """``exp(argument)``; terms of one coordinate are a factor of their own."""
+        mixed_terms: list[sp.Expr] = []
+        single_terms: list[sp.Expr] = []
+        for term in sp.Add.make_args(sp.expand_mul(argument)):
+            single = len(term.free_symbols) < 2 and not self._varies(term)
+            (single_terms if single else mixed_terms).append(term)
+        mixed = sp.Add(*mixed_terms)
+        lifted = self.unknown(sp.exp(mixed), "e", lambda y: y * self.derivative(mixed))
+        return sp.exp(sp.Add(*single_terms)) * lifted
 
-    def circular(self, argument: sp.Expr, wanted: type, sign: int) -> sp.Expr:
-        """Sine and cosine, or the hyperbolic ones, in pairs."""
+    def circular(self, argument: sp.Expr, function: type, sign: int) -> sp.Expr:
+        """Sine or cosine, or a hyperbolic one; they are lifted in pairs."""
         sine, cosine = (sp.sin, sp.cos) if sign < 0 else (sp.sinh, sp.cosh)
-        both = sine(argument), cosine(argument)
-        known = both[0] in self.new
-        c = self.unknown(both[1], "c", lambda _: sign * s * self.derivative(argument))
-        s = self.unknown(both[0], "s", lambda _: c * self.derivative(argument))
-        if not known:
+        is_first = sine(argument) not in self.lifted
+        c = self.unknown(cosine(argument), "c", lambda _: sign * s * self.derivative(argument))
+        s = self.unknown(sine(argument), "s", lambda _: c * self.derivative(argument))
+        if is_first:
             self.invariants.append(c**2 - sign * s**2 - 1)
-        return s if wanted is sine else c
+        return s if function is sine else c
 
 
 _Terms = dict[tuple[int, ...], sp.Expr]
@@ -398,7 +398,7 @@ def _terms(polynomial: sp.Expr, gens: Sequence[sp.Symbol]) -> _Terms:
 def _rule_of(
     r: sp.Symbol, base: sp.Expr, gens: Sequence[sp.Symbol]
 ) -> tuple[tuple[int, ...], _Terms] | None:
-    """The leading monomial of r*base, and what it is by r*base = 1; None if that is of no use."""
+    """The leading monomial of r*base, and what replaces it by r*base = 1; None if no gain."""
     if r not in gens or not base.is_polynomial(*gens):
         return None
     terms = {m: c for m, c in _terms(r * base, gens).items() if c != 0}
@@ -407,9 +407,9 @@ def _rule_of(
     if not coefficient.is_number or sum(leading) < 2:
         return None
     constant = (0,) * len(gens)
-    rest = {monomial: -c / coefficient for monomial, c in terms.items()}
-    rest[constant] = rest.get(constant, sp.S.Zero) + 1 / coefficient
-    return leading, rest
+    replacement = {monomial: -c / coefficient for monomial, c in terms.items()}
+    replacement[constant] = replacement.get(constant, sp.S.Zero) + 1 / coefficient
+    return leading, replacement
 
 
 def _rule(

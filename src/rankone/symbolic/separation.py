@@ -7,6 +7,7 @@ that depends on nothing but the mathematics.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
@@ -23,10 +24,11 @@ from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Split
 
 __all__ = ["separate"]
 
-_IN_RANGE = sp.Integer(10) ** 150
-"""Coefficients up to this, and down to its reciprocal, can be those of separated terms."""
-_HIGH = 8
-"""Powers from which on they may be why a number is out of range."""
+_LARGEST_COEFFICIENT = sp.Integer(10) ** 150
+"""Largest coefficient of a separated term, and with its reciprocal the smallest: the product of
+two is still a floating-point number."""
+_HIGH_POWER = 8
+"""Least power that explains an extreme coefficient; units of lower powers do not reach it."""
 _AS_IT_IS = "method='cross' takes it as it is; for the other methods"
 
 
@@ -99,12 +101,12 @@ class _Separation:
         for term in sp.Add.make_args(expression.xreplace(self.plain)):
             try:
                 split = self.splitter.split(term)
-                for monomial, number in split.items():
+                for monomial, coefficient in split.items():
                     self._check_powers(monomial)
-                    self._check_range(term, monomial, number)
+                    self._check_range(term, monomial, coefficient)
             except Indivisible as reason:
-                shown = term if initial else -term  # the sign it has in f
-                self.general.append(self._explained(reason, shown, state, initial=initial))
+                signed = term if initial else -term  # the sign it has in f
+                self.general.append(self._explained(reason, signed, state, initial=initial))
                 continue
             sums.append(split)
         return MonomialSum.total(sums)
@@ -114,25 +116,26 @@ class _Separation:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
 
-    def _check_range(self, term: sp.Expr, monomial: Monomial, number: sp.Expr) -> None:
-        """Leave (x/1e6)**60 as it is: 1e-360*x**60 is nothing that floating point holds."""
-        if not number.is_comparable or 1 / _IN_RANGE < abs(number) < _IN_RANGE:
+    def _check_range(self, term: sp.Expr, monomial: Monomial, coefficient: sp.Expr) -> None:
+        """Leave (x/1e6)**60 as it is: floating point does not hold the number of 1e-360*x**60."""
+        largest = _LARGEST_COEFFICIENT
+        if not coefficient.is_comparable or 1 / largest < abs(coefficient) < largest:
             return
         powers = (p.exp for f in monomial.factors for p in f.atoms(sp.Pow) if p.exp.is_Integer)
-        if max((sum(power for _, power in monomial.powers), *map(abs, powers))) >= _HIGH:
+        if max((sum(power for _, power in monomial.powers), *map(abs, powers))) >= _HIGH_POWER:
             raise Indivisible(term, "out of range")
 
     def _explained(
         self, reason: Indivisible, term: sp.Expr, state: int, *, initial: bool
     ) -> GeneralTerm:
         """The term with the reason why it does not split; an error if it is not real."""
-        part = reason.part.xreplace(self.written)
+        culprit = reason.expression.xreplace(self.written)
         written = term.xreplace(self.written)
-        within = "" if part == written else f" in the term {quote(written)}"
+        within = "" if culprit == written else f" in the term {quote(written)}"
         where = f"initial value of {quote(self.weak.states[state].expression)}: "
-        message = f"{where if initial else ''}{'' if within else 'term '}{quote(part)}{within} "
+        message = f"{where if initial else ''}{'' if within else 'term '}{quote(culprit)}{within} "
         equation = None if initial else self.weak.origins[state]
-        among = [c for c in self.coordinates if c.symbol in reason.part.free_symbols]
+        among = [c for c in self.coordinates if c.symbol in reason.expression.free_symbols]
         if reason.reason == "not real":
             boxes = [f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in among]
             raise ProblemError(
@@ -142,10 +145,10 @@ class _Separation:
                 remedy="change the box",
             ) from None
         if reason.reason == "not polynomial":
-            states = [e for s, e in self.written.items() if s in reason.part.free_symbols]
+            states = [e for s, e in self.written.items() if s in reason.expression.free_symbols]
             message += f"is not polynomial in {listing(states)}"
             way_out = (
-                "take the function as a further unknown with an equation of its own, "
+                "make the function a further unknown with an equation of its own, "
                 "such as s = sin(x) with s' = cos(x) x'"
             )
         elif reason.reason == "out of range":
@@ -168,15 +171,15 @@ class _Separation:
     # -- factors ----------------------------------------------------------------------------
 
     def _factors(self, sums: Sequence[MonomialSum]) -> list[list[sp.Expr]]:
-        """Return for each dimension its distinct factors: one, then in SymPy's order."""
+        """For each dimension its distinct factors: one, then the others in SymPy's order."""
         distinct: list[dict[sp.Expr, None]] = [{} for _ in self.coordinates]
         for terms in sums:
             for product in terms:
-                for found, factor in zip(distinct, product.factors, strict=True):
-                    found[factor] = None
+                for factors, factor in zip(distinct, product.factors, strict=True):
+                    factors[factor] = None
         return [
-            [sp.S.One, *sorted((f for f in found if f is not sp.S.One), key=sp.default_sort_key)]
-            for found in distinct
+            [sp.S.One, *sorted((f for f in factors if f is not sp.S.One), key=sp.default_sort_key)]
+            for factors in distinct
         ]
 
     def _check_factors(
@@ -184,8 +187,8 @@ class _Separation:
     ) -> None:
         for j, (coordinate, distinct) in enumerate(zip(self.coordinates, factors, strict=True)):
             for factor in distinct:
-                wrong = located_defect(factor, coordinate, j)
-                if wrong is None:
+                defect = located_defect(factor, coordinate, j)
+                if defect is None:
                     continue
                 users = [
                     i for i, r in enumerate(residuals) if any(m.factors[j] == factor for m in r)
@@ -195,7 +198,7 @@ class _Separation:
                 if users and origin is None:
                     where = "after solving for the derivatives, "
                 raise ProblemError(
-                    where + wrong,
+                    where + defect,
                     equation=origin,
                     term=factor,
                     remedy="change the interval so that the factor is finite and real on it",
@@ -237,16 +240,16 @@ class _Separation:
     def _number(self, number: sp.Expr, state: int) -> Fraction | float:
         """A coefficient: exact if it is rational."""
         try:
-            value = float(number)
+            nearest = float(number)
         except (TypeError, OverflowError):
-            value = float("nan")
-        lost = abs(value) < sys.float_info.min and number != 0
-        if lost or not abs(value) < float("inf"):
-            what = "too small for a floating-point number" if lost else "not a finite real number"
+            nearest = math.nan
+        lost = abs(nearest) < sys.float_info.min and number != 0
+        if lost or not math.isfinite(nearest):
+            fault = "too small for a floating-point number" if lost else "not a finite real number"
             raise ProblemError(
-                f"coefficient {quote(number)} is {what}",
+                f"coefficient {quote(number)} is {fault}",
                 equation=self.weak.origins[state],
                 term=number,
                 remedy="rescale the equations or change the coefficients",
             )
-        return Fraction(int(number.p), int(number.q)) if number.is_Rational else value
+        return Fraction(int(number.p), int(number.q)) if number.is_Rational else nearest

@@ -10,8 +10,7 @@ polynomial in the number of terms.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import reduce
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import sympy as sp
 
@@ -50,10 +49,10 @@ class MonomialSum(dict[Monomial, sp.Expr]):
     @classmethod
     def of(cls, terms: Iterable[tuple[Monomial, sp.Expr]]) -> MonomialSum:
         """Add up coefficients times monomials."""
-        total: dict[Monomial, sp.Expr] = {}
-        for monomial, number in terms:
-            total[monomial] = total[monomial] + number if monomial in total else number
-        return cls((monomial, number) for monomial, number in total.items() if number != 0)
+        coefficients: dict[Monomial, sp.Expr] = {}
+        for monomial, c in terms:
+            coefficients[monomial] = coefficients[monomial] + c if monomial in coefficients else c
+        return cls((monomial, c) for monomial, c in coefficients.items() if c != 0)
 
     @classmethod
     def total(cls, sums: Iterable[MonomialSum]) -> MonomialSum:
@@ -61,20 +60,21 @@ class MonomialSum(dict[Monomial, sp.Expr]):
         return cls.of(term for terms in sums for term in terms.items())
 
     def times(
-        self, other: MonomialSum, product: Callable[[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]]
+        self, factor: MonomialSum, product: Callable[[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]]
     ) -> MonomialSum:
-        """Multiply out; ``product`` gives that of two factors as (number, factor)."""
-        result = []
-        for a, a_number in self.items():
-            for b, b_number in other.items():
-                number = a_number * b_number
-                factors = []
+        """Multiply out; ``product`` gives that of two functions as (number, function)."""
+        terms = []
+        for a, a_coefficient in self.items():
+            for b, b_coefficient in factor.items():
+                coefficient = a_coefficient * b_coefficient
+                functions = []
                 for f, g in zip(a.factors, b.factors, strict=True):
-                    scale, factor = product(f, g)
-                    number *= scale
-                    factors.append(factor)
-                result.append((Monomial(tuple(factors), _times(a.powers, b.powers)), number))
-        return MonomialSum.of(result)
+                    scale, fg = product(f, g)
+                    coefficient *= scale
+                    functions.append(fg)
+                powers = _times(a.powers, b.powers)
+                terms.append((Monomial(tuple(functions), powers), coefficient))
+        return MonomialSum.of(terms)
 
 
 def _times(a: Powers, b: Powers) -> Powers:
@@ -97,12 +97,18 @@ _ADDITION = {
 
 
 _LARGE_EXPONENT = 30
-_HIGHEST_FACTORED = 20
-"""Powers up to which a sum is factored."""
-_ORDINARY = sp.Integer(10) ** 30
+"""Exponents above this are counted from their largest value, so that no factor overflows."""
+_MOST_FACTORED_POWER = 20
+"""Powers up to which SymPy factors a sum in no time; it takes minutes for higher ones."""
+_ORDINARY_RATIO = sp.Integer(10) ** 30
 """Numbers up to this, and down to its reciprocal, are pulled out of factors."""
-_MOST_TERMS, _HIGHEST_POWER = 1500, 64
-"""Products that a product of two sums may come to, and the highest power of a mixed expression."""
+_MOST_TERMS = 1500
+"""Products that two multiplied sums may come to: each takes some milliseconds to compile."""
+_MOST_MULTIPLIED_POWER = 64
+"""Highest power of a mixed expression that is multiplied out."""
+
+
+Reason = Literal["couples", "not polynomial", "not real", "out of range", "too many terms"]
 
 
 class Indivisible(Exception):
@@ -110,17 +116,17 @@ class Indivisible(Exception):
 
     Attributes
     ----------
-    part : Expr
+    expression : Expr
         The smallest expression that cannot be split.
-    reason : {"couples", "not polynomial", "not real", "out of range", "too many terms"}
+    reason : str
         It couples coordinates, is not polynomial in the states, a root or logarithm leaves the
         real numbers, or it has too many terms when it is multiplied out.
     """
 
-    def __init__(self, part: sp.Expr, reason: str) -> None:
-        super().__init__(part, reason)
-        self.part = part
-        self.reason = reason
+    def __init__(self, expression: sp.Expr, reason: Reason) -> None:
+        super().__init__(expression, reason)
+        self.expression = expression
+        self.reason: Reason = reason
 
 
 class _TooManyTerms(Exception):
@@ -169,7 +175,7 @@ class Splitter:
                 return MonomialSum({state: sp.S.One})
             return self._function(expression, self._dimension[expression])
         if expression.is_Add:
-            return MonomialSum.total(self.split(part) for part in expression.args)
+            return MonomialSum.total(map(self.split, expression.args))
         if expression.is_Mul:
             return self._split_product(expression)
         symbols = expression.free_symbols
@@ -188,34 +194,34 @@ class Splitter:
 
     def _split_product(self, expression: sp.Expr) -> MonomialSum:
         """Multiply out, after collecting what depends on the same coordinate alone."""
-        number: list[sp.Expr] = []
-        alone: dict[int, list[sp.Expr]] = {}
+        constants: list[sp.Expr] = []
+        functions: dict[int, list[sp.Expr]] = {}
         mixed: list[sp.Expr] = []
-        for part in expression.args:
-            symbols = part.free_symbols
+        for factor in expression.args:
+            symbols = factor.free_symbols
             dimension = self._only_dimension(symbols)
             if not symbols:
-                number.append(part)
+                constants.append(factor)
             elif dimension is not None:
-                alone.setdefault(dimension, []).append(part)
+                functions.setdefault(dimension, []).append(factor)
             else:
-                mixed.append(part)
-        pieces = [self._number(exact(sp.Mul(*number)))]
-        for dimension, parts in alone.items():
+                mixed.append(factor)
+        sums = [self._number(exact(sp.Mul(*constants)))]
+        for dimension, factors in functions.items():
             symbol = self._coordinates[dimension].symbol
-            if all(_is_sum_of_monomials(part, symbol) for part in parts):
-                pieces += map(self.split, parts)
+            if all(_is_sum_of_monomials(factor, symbol) for factor in factors):
+                sums += map(self.split, factors)
             else:
-                pieces.append(self._function(sp.Mul(*parts), dimension))
-        return self._product(*pieces, *map(self.split, mixed))
+                sums.append(self._function(sp.Mul(*factors), dimension))
+        return self._product(*sums, *map(self.split, mixed))
 
     def _product(self, *sums: MonomialSum) -> MonomialSum:
-        return reduce(self._times_two, sums)
-
-    def _times_two(self, left: MonomialSum, right: MonomialSum) -> MonomialSum:
-        if len(left) * len(right) > _MOST_TERMS:
-            raise _TooManyTerms
-        return left.times(right, self._product_of)
+        product, *factors = sums
+        for factor in factors:
+            if len(product) * len(factor) > _MOST_TERMS:
+                raise _TooManyTerms
+            product = product.times(factor, self._product_of)
+        return product
 
     def _number(self, number: sp.Expr) -> MonomialSum:
         return MonomialSum.of([(self._one, number)])
@@ -240,33 +246,33 @@ class Splitter:
 
     def _function(self, expression: sp.Expr, dimension: int) -> MonomialSum:
         """Return a function of one coordinate as a sum with one product."""
-        number, factor = self._normalise(expression)
+        coefficient, factor = self._normalise(expression)
         factors = list(self._one.factors)
         factors[dimension] = factor
-        return MonomialSum.of([(Monomial(tuple(factors), ()), number)])
+        return MonomialSum.of([(Monomial(tuple(factors), ()), coefficient)])
 
     def _normalise(self, expression: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
         """Pull out numbers, so that equal factors look equal: 1/(2*k + 2) is 1/(k + 1) / 2.
 
-        That of (k/310.15)**125 stays, where the two are a power of a number near one.
+        The number of (k/310.15)**125 stays: together they are a power of a number near one.
         """
         if expression not in self._normal:
-            number, rest = expression.as_coeff_Mul()
-            number = exact(number)
-            parts = []
-            for part in sp.Mul.make_args(rest):
-                if not part.free_symbols:
-                    number *= exact(part)
+            coefficient, cofactor = expression.as_coeff_Mul()
+            coefficient = exact(coefficient)
+            factors = []
+            for factor in sp.Mul.make_args(cofactor):
+                if not factor.free_symbols:
+                    coefficient *= exact(factor)
                     continue
-                base, exponent = part.as_base_exp()
+                base, exponent = factor.as_base_exp()
                 if base.is_Add and exponent.is_Integer:
                     leading, base = _monic(base)
-                    number *= leading**exponent
-                    part = base**exponent
-                parts.append(part)
-            ordinary = 1 / _ORDINARY <= abs(number) <= _ORDINARY
+                    coefficient *= leading**exponent
+                    factor = base**exponent
+                factors.append(factor)
+            is_ordinary = 1 / _ORDINARY_RATIO <= abs(coefficient) <= _ORDINARY_RATIO
             self._normal[expression] = (
-                (number, sp.Mul(*parts)) if ordinary else (sp.S.One, expression)
+                (coefficient, sp.Mul(*factors)) if is_ordinary else (sp.S.One, expression)
             )
         return self._normal[expression]
 
@@ -279,15 +285,15 @@ class Splitter:
             if base.free_symbols:
                 raise self._indivisible(expression)
             return self._split_exponential(base, exponent, expression)
-        if exponent.is_Integer and exponent > _HIGHEST_POWER:
+        if exponent.is_Integer and exponent > _MOST_MULTIPLIED_POWER:
             raise _TooManyTerms
         if exponent.is_Integer and exponent > 0:
             return self._product(*[self.split(base)] * int(exponent))
-        number, product = self._single(base, expression)
+        coefficient, product = self._single(base, expression)
         if not exponent.is_Integer:
-            number, product = self._positive(number, product, expression)
+            coefficient, product = self._positive(coefficient, product, expression)
         factors = []
-        coefficient = number**exponent
+        coefficient **= exponent
         for factor in product.factors:
             scale, normal = self._normalise(factor**exponent)
             coefficient *= scale
@@ -301,49 +307,45 @@ class Splitter:
     def _split_exponential(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> MonomialSum:
         """base**(a(t) + b(k) + c) = base**c base**a(t) base**b(k).
 
-        Parts that are large are counted from their largest value, so that no factor overflows.
+        Large exponents are counted from their largest value, so that no factor overflows.
         """
-        constant, parts = self._by_coordinate(exponent, whole)
+        constant, exponents = self._by_coordinate(exponent, whole)
         functions = []
-        for dimension, part in parts.items():
-            offset = self._offset(part, dimension)
-            functions.append(self._function(base ** (part - offset), dimension))
+        for dimension, summand in exponents.items():
+            top = largest(summand, self._coordinates[dimension])
+            offset = sp.Integer(round(top)) if abs(top) > _LARGE_EXPONENT else sp.S.Zero
+            functions.append(self._function(base ** (summand - offset), dimension))
             constant += offset
         return self._product(self._number(base**constant), *functions)
-
-    def _offset(self, part: sp.Expr, dimension: int) -> sp.Expr:
-        """The largest exponent on the interval as an integer, if it is large, 0 for others."""
-        value = largest(part, self._coordinates[dimension])
-        return sp.Integer(round(value)) if abs(value) > _LARGE_EXPONENT else sp.S.Zero
 
     def _single(self, expression: sp.Expr, whole: sp.Expr) -> tuple[sp.Expr, Monomial]:
         """Return an expression as one (number, product), factoring it if need be."""
         terms = self.split(expression)
         if len(terms) > 1:
             powers = (p.exp for p in expression.atoms(sp.Pow) if p.exp.is_Integer)
-            if max(map(abs, powers), default=0) > _HIGHEST_FACTORED:
-                raise self._indivisible(whole)  # SymPy takes minutes
+            if max(map(abs, powers), default=0) > _MOST_FACTORED_POWER:
+                raise self._indivisible(whole)
             factored = sp.factor(exact(expression))
             if factored.is_Add:
                 raise self._indivisible(whole)
-            pieces = []
-            for part in sp.Mul.make_args(factored):
-                base, _ = part.as_base_exp()
+            sums = []
+            for factor in sp.Mul.make_args(factored):
+                base, _ = factor.as_base_exp()
                 dimension = self._only_dimension(base.free_symbols)
                 if dimension is not None:
-                    pieces.append(self._function(part, dimension))
+                    sums.append(self._function(factor, dimension))
                 elif base.is_Add:
                     raise self._indivisible(whole)
                 else:
-                    pieces.append(self.split(part))
-            terms = self._product(*pieces)
+                    sums.append(self.split(factor))
+            terms = self._product(*sums)
         if len(terms) != 1:
             raise self._indivisible(whole)
-        ((product, number),) = terms.items()
-        return number, product
+        ((product, coefficient),) = terms.items()
+        return coefficient, product
 
     def _positive(
-        self, number: sp.Expr, product: Monomial, whole: sp.Expr
+        self, coefficient: sp.Expr, product: Monomial, whole: sp.Expr
     ) -> tuple[sp.Expr, Monomial]:
         """Flip signs so that every factor is nonnegative on its interval."""
         if product.powers:
@@ -351,11 +353,11 @@ class Splitter:
         factors = []
         for factor, coordinate in zip(product.factors, self._coordinates, strict=True):
             direction = sign(factor, coordinate)
-            number *= direction
+            coefficient *= direction
             factors.append(factor if direction > 0 else -factor)
-        if not number > 0:
+        if not coefficient > 0:
             raise Indivisible(whole, "not real")
-        return number, Monomial(tuple(factors), ())
+        return coefficient, Monomial(tuple(factors), ())
 
     # -- functions --------------------------------------------------------------------------
 
@@ -365,15 +367,17 @@ class Splitter:
         if isinstance(expression, sp.Piecewise):
             return self._split_piecewise(expression)
         if expression.func in _ADDITION:
-            constant, parts = self._by_coordinate(expression.args[0], expression)
-            return self._expand_addition(expression.func, constant, list(parts.items()))
+            constant, summands = self._by_coordinate(expression.args[0], expression)
+            return self._expand_addition(expression.func, constant, list(summands.items()))
         if isinstance(expression, sp.log):
-            number, product = self._single(expression.args[0], expression)
-            number, product = self._positive(number, product, expression)
-            return MonomialSum.total([self._number(sp.log(number)), *self._each(sp.log, product)])
+            coefficient, product = self._single(expression.args[0], expression)
+            coefficient, product = self._positive(coefficient, product, expression)
+            return MonomialSum.total(
+                [self._number(sp.log(coefficient)), *self._each(sp.log, product)]
+            )
         if isinstance(expression, sp.Abs):
-            number, product = self._single(expression.args[0], expression)
-            return self._product(self._number(abs(number)), *self._each(sp.Abs, product))
+            coefficient, product = self._single(expression.args[0], expression)
+            return self._product(self._number(abs(coefficient)), *self._each(sp.Abs, product))
         raise self._indivisible(expression)
 
     def _each(self, function: Callable[[sp.Expr], sp.Expr], product: Monomial) -> list[MonomialSum]:
@@ -385,16 +389,16 @@ class Splitter:
         self,
         function: Callable[[sp.Expr], sp.Expr],
         constant: sp.Expr,
-        parts: list[tuple[int, sp.Expr]],
+        summands: list[tuple[int, sp.Expr]],
     ) -> MonomialSum:
-        """Apply the addition theorem of a function to a sum of one part for each coordinate."""
-        (dimension, part), *others = parts
-        if not others:
-            return self._function(function(part + constant), dimension)
+        """Apply the addition theorem of a function to a sum of one term for each coordinate."""
+        (dimension, first), *remaining = summands
+        if not remaining:
+            return self._function(function(first + constant), dimension)
         terms = []
         for g, h, direction in _ADDITION[function]:
-            first = self._function(direction * g(part), dimension)
-            terms.append(self._product(first, self._expand_addition(h, constant, others)))
+            g_first = self._function(direction * g(first), dimension)
+            terms.append(self._product(g_first, self._expand_addition(h, constant, remaining)))
         return MonomialSum.total(terms)
 
     def _split_piecewise(self, expression: sp.Piecewise) -> MonomialSum:
@@ -419,19 +423,19 @@ class Splitter:
     ) -> tuple[sp.Expr, dict[int, sp.Expr]]:
         """Write a + b(t) + c(k) as the number a and one function for each dimension."""
         constant = sp.S.Zero
-        parts: dict[int, sp.Expr] = {}
-        for product, number in self.split(expression).items():
+        functions: dict[int, sp.Expr] = {}
+        for product, coefficient in self.split(expression).items():
             present = [i for i, factor in enumerate(product.factors) if factor is not sp.S.One]
             if product.powers:
                 raise Indivisible(whole, "not polynomial")
             if len(present) > 1:
                 raise Indivisible(whole, "couples")
             if present:
-                part = number * product.factors[present[0]]
-                parts[present[0]] = parts.get(present[0], sp.S.Zero) + part
+                function = coefficient * product.factors[present[0]]
+                functions[present[0]] = functions.get(present[0], sp.S.Zero) + function
             else:
-                constant += number
-        return constant, dict(sorted(parts.items()))
+                constant += coefficient
+        return constant, dict(sorted(functions.items()))
 
     def _indivisible(self, expression: sp.Expr) -> Indivisible:
         mixed = not expression.free_symbols.isdisjoint(self._state)
