@@ -6,30 +6,35 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
-from mpmath.libmp import fzero, mpf_abs, mpf_add, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
+from mpmath.libmp import mpf_abs, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
 
-from rankone.agreement.precise import PRECISION, NoValueError, Number, Program, number
+from rankone.agreement.precise import PRECISION, NoValueError, Number, Program, number, total
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote
 
-__all__ = ["LOST", "Comparison", "check_outputs", "sides"]
-
+__all__ = ["LOST_SHARE", "Comparison", "check_outputs", "sides"]
 
 _STEP = number(1e-35)
+"""Step of difference quotients: half of the hundred digits remain in the difference."""
 _TOLERANCE = 1e-13
-"""Residuals below this part of the terms are rounding. A larger one is compared with what relative
-errors of this size in all intermediate results do."""
+"""Residuals below this share of the terms are rounding. A larger one is compared with the effect of
+relative errors of this size in all intermediate results."""
 _LAST_DIGITS = 1e-90
 """Relative error of the evaluation itself, in which log(1 + 1e-178) has no digits either."""
-_RUNS, _SEED, _FACTOR = 4, 1914, 10.0
-"""Runs with disturbed intermediate results; the largest residual in units of their spread."""
-LOST = 0.01
-"""A residual above this part of the largest value leaves no digits that count."""
-_BELOW_ALL = 1e-30
-"""Residuals below this part of the terms do not matter, for example between two steep steps."""
-_TINY, _UNDERFLOW = 1e-120, 1e-280
-"""Residuals below these are underflow: relative to the largest terms, and absolute."""
+_RUNS = 4
+"""Evaluations with disturbed intermediate results: few, as only the largest effect counts."""
+_SEED = 1914
+_SPREAD_RATIO = 10.0
+"""Largest residual over that effect: a few runs do not meet the worst errors."""
+LOST_SHARE = 0.01
+"""A residual above this share of the largest value leaves no digits that count."""
+_NEGLIGIBLE_SHARE = 1e-30
+"""Residuals below this share of the terms do not matter, for example between two steep steps."""
+_TINY_SHARE = 1e-120
+"""Residuals below this share of the largest terms are underflow."""
+_UNDERFLOW = 1e-280
+"""Residuals below this are underflow: products of floating-point numbers end near 1e-308."""
 
 
 def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:
@@ -38,15 +43,15 @@ def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:
 
 
 class Comparison:
-    """The difference of two expressions where leaves have values.
+    """The difference of two expressions where their leaves have values.
 
     Parameters
     ----------
     left, right : Expr
     leaves : sequence of Expr
-        What has values: symbols, functions of time, derivatives.
+        Symbols, functions of time and derivatives, whose values are given.
     computed : sequence of Expr
-        Those that generated code gave the values of.
+        The leaves whose values generated code has computed.
     """
 
     def __init__(
@@ -66,28 +71,26 @@ class Comparison:
         """How many operations an evaluation takes."""
         return self._program.operations
 
-    def residual(self, values: Sequence[Number]) -> tuple[float, float]:
+    def residual(self, point: Sequence[Number]) -> tuple[float, float]:
         """The difference, and the sum of the absolute values of all terms."""
-        residual, size, _ = self._sums(self._program(values))
+        residual, size, _ = self._sums(self._program(point))
         return to_float(residual), to_float(size)
 
     def slope(
-        self,
-        here: Sequence[Number],
-        direction: Sequence[Number],
-        noise: int | None = None,
+        self, here: Sequence[Number], direction: Sequence[Number], seed: int | None = None
     ) -> Number:
         """The derivative of the residual along a direction, from a difference of tiny step.
 
-        ``noise`` is the seed of intermediate errors that are the same at both points.
+        With a ``seed``, intermediate results are disturbed, in the same way at both points.
         """
         pairs = zip(here, direction, strict=True)
-        there = [mpf_add(x, mpf_mul(_STEP, v, PRECISION, "n"), PRECISION, "n") for x, v in pairs]
-        before, after = (
-            self._sums(self._program(values, _generator(noise), _TOLERANCE))[0]
-            for values in (here, there)
-        )
-        slope: Number = mpf_div(mpf_sub(after, before, PRECISION, "n"), _STEP, PRECISION, "n")
+        there = [total(x, mpf_mul(_STEP, v, PRECISION, "n")) for x, v in pairs]
+        residuals = []
+        for point in (here, there):
+            noise = None if seed is None else np.random.default_rng([_SEED, seed])
+            residuals.append(self._sums(self._program(point, noise, _TOLERANCE))[0])
+        change = mpf_sub(residuals[1], residuals[0], PRECISION, "n")
+        slope: Number = mpf_div(change, _STEP, PRECISION, "n")
         return slope
 
     def slope_spread(
@@ -98,45 +101,48 @@ class Comparison:
             sum(to_float(self.slope(here, direction, run)) for direction in directions)
             for run in range(_RUNS)
         ]
-        return float(max(abs(value - exact) for value in sums))
+        return float(max(abs(disturbed - exact) for disturbed in sums))
 
     def beyond_rounding(
-        self, points: Iterable[Sequence[Number]], lost: float = LOST, nothing: float | None = None
+        self,
+        points: Iterable[Sequence[Number]],
+        lost: float = LOST_SHARE,
+        negligible: float | None = None,
     ) -> tuple[int, float] | None:
-        """The first point at which the residual is larger than rounding explains, and it.
+        """The first point at which rounding does not explain the residual, and the residual.
 
-        Rounding is no excuse for more than the part ``lost`` of the largest value that was
-        computed, unless that is below ``nothing``; where that is zero, of each value on its own.
-        Where the expressions have no value nothing is said.
+        A residual above the share ``lost`` of the largest computed value is never rounding, unless
+        it is below ``negligible``. If that is zero, each point counts on its own. Points at which
+        the expressions have no value are left out.
         """
-        values = list(points)
-        at = [self._sums_at(point) for point in values]
-        sums = {k: tuple(map(to_float, found)) for k, found in enumerate(at) if found is not None}
-        floor = max(_TINY * max((size for _, size, _ in sums.values()), default=0.0), _UNDERFLOW)
+        leaves = list(points)
+        exact_sums = [self._sums_at(point) for point in leaves]
+        sums = {k: tuple(map(to_float, s)) for k, s in enumerate(exact_sums) if s is not None}
+        largest_size = max((size for _, size, _ in sums.values()), default=0.0)
+        floor = max(_TINY_SHARE * largest_size, _UNDERFLOW)
         for k, (residual, size, _) in sums.items():
             if abs(residual) > max(_TOLERANCE * size, floor):
-                spread = self._spread(values[k], residual)
-                if spread is not None and abs(residual) > _FACTOR * spread:
+                spread = self._spread(leaves[k], residual)
+                if spread is not None and abs(residual) > _SPREAD_RATIO * spread:
                     return k, residual
-        largest = max((abs(part) for *_, part in sums.values()), default=0.0)
-        terms = max((size for _, size, _ in sums.values()), default=0.0)
-        least = max(floor, nothing or 0.0, _BELOW_ALL * terms)
-        for k, (residual, _, part) in sums.items():
-            value = abs(part) if nothing == 0.0 else largest
-            if abs(residual) > max(lost * value, least):
-                unsure = self._spread(values[k], residual, _LAST_DIGITS)
-                if unsure is not None and abs(residual) > _FACTOR * unsure:
+        largest = max((abs(computed) for *_, computed in sums.values()), default=0.0)
+        least = max(floor, negligible or 0.0, _NEGLIGIBLE_SHARE * largest_size)
+        for k, (residual, _, computed) in sums.items():
+            scale = abs(computed) if negligible == 0.0 else largest
+            if abs(residual) > max(lost * scale, least):
+                spread = self._spread(leaves[k], residual, _LAST_DIGITS)
+                if spread is not None and abs(residual) > _SPREAD_RATIO * spread:
                     return k, residual
         return None
 
     def _spread(
-        self, values: Sequence[Number], exact: float, size: float = _TOLERANCE
+        self, point: Sequence[Number], exact: float, size: float = _TOLERANCE
     ) -> float | None:
         """How far rounding of a size moves the residual; None if that cannot be told."""
-        rng = np.random.default_rng(_SEED)
+        noise = np.random.default_rng(_SEED)
         spread = 0.0
         for _ in range(_RUNS):
-            sums = self._sums_at(values, rng, size)
+            sums = self._sums_at(point, noise, size)
             if sums is None:
                 return None
             spread = max(spread, abs(to_float(sums[0]) - exact))
@@ -144,32 +150,23 @@ class Comparison:
 
     def _sums_at(
         self,
-        values: Sequence[Number],
+        point: Sequence[Number],
         noise: np.random.Generator | None = None,
         size: float = _TOLERANCE,
     ) -> tuple[Number, Number, Number] | None:
-        """Residual, size of the terms and what was computed; None where there is no value."""
+        """Residual, size of the terms, computed terms; None where they have no value."""
         try:
-            sums = self._sums(self._program(values, noise, size))
-            for value in sums:
-                to_float(value)
+            sums = self._sums(self._program(point, noise, size))
+            for each in sums:
+                to_float(each)
         except (NoValueError, OverflowError):
             return None
         return sums
 
     def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number, Number]:
-        residual, size, computed = fzero, fzero, fzero
-        for i, term in enumerate(terms):
-            signed = term if i < self._left else mpf_neg(term)
-            residual = mpf_add(residual, signed, PRECISION, "n")
-            size = mpf_add(size, mpf_abs(term), PRECISION, "n")
-            if i in self._computed:
-                computed = mpf_add(computed, signed, PRECISION, "n")
-        return residual, size, computed
-
-
-def _generator(seed: int | None) -> np.random.Generator | None:
-    return None if seed is None else np.random.default_rng([_SEED, seed])
+        signed = [*terms[: self._left], *map(mpf_neg, terms[self._left :])]
+        computed = total(*(signed[i] for i in self._computed))
+        return total(*signed), total(*map(mpf_abs, terms)), computed
 
 
 def check_outputs(
@@ -177,16 +174,16 @@ def check_outputs(
     values: Mapping[sp.Expr, Array],
     function: Callable[[int], Sequence[Array]],
 ) -> None:
-    """Compare quantities with what was written, at points.
+    """Compare computed quantities of interest with their expressions, at points.
 
     Parameters
     ----------
     expressions : mapping of str to Expr
-        The quantities by how messages name them.
+        The quantities, by their names in messages.
     values : mapping of Expr to ndarray (m,)
-        What the symbols are at the points.
+        The values of the symbols at the points.
     function : callable
-        From the number of a point to the computed value of each quantity.
+        From the index of a point to the computed value of each quantity.
 
     Raises
     ------
@@ -195,19 +192,19 @@ def check_outputs(
     """
     computed = sp.Dummy()
     leaves = [*values, computed]
-    compared = [Comparison(computed, value, leaves, [computed]) for value in expressions.values()]
     count = len(next(iter(values.values())))
-    results = np.array([[float(np.ravel(v)[0]) for v in function(k)] for k in range(count)])
-    for i, (name, comparison) in enumerate(zip(expressions, compared, strict=True)):
-        columns = [*values.values(), results[:, i]]
+    outputs = np.array([[float(np.ravel(x)[0]) for x in function(k)] for k in range(count)])
+    for i, (name, expression) in enumerate(expressions.items()):
+        columns = [*values.values(), outputs[:, i]]
         finite = np.flatnonzero(np.isfinite(columns).all(axis=0))
         points = ([number(column[k]) for column in columns] for k in finite)
-        wrong = comparison.beyond_rounding(points)
-        if wrong is not None:
+        comparison = Comparison(computed, expression, leaves, [computed])
+        disagreement = comparison.beyond_rounding(points)
+        if disagreement is not None:
             raise OptionError(
-                f"{name}, {quote(expressions[name])}, is not computed as it is written: it is off "
-                f"by {wrong[1]:.3g}",
-                term=expressions[name],
+                f"{name}, {quote(expression)}, is not computed as it is written: it is off by "
+                f"{disagreement[1]:.3g}",
+                term=expression,
                 remedy="write it in another way, or change the units so that its numbers are "
                 "closer to 1",
             )

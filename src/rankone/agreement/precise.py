@@ -5,8 +5,9 @@ Nothing here is shared with the printer of generated code: this is what that cod
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import cast
 
 import mpmath
 import numpy as np
@@ -14,20 +15,23 @@ import sympy as sp
 from mpmath.libmp import fone, from_float, fzero, mpf_add, mpf_div, mpf_mul, mpf_pow_int
 from sympy.core.relational import Relational
 
-__all__ = ["PRECISION", "NoValueError", "Number", "Program", "number"]
+__all__ = ["PRECISION", "NoValueError", "Number", "Program", "number", "product", "total"]
 
 _DIGITS = 100
 PRECISION = 336
-"""Bits of the numbers."""
+"""Bits of the numbers: a hundred decimal digits."""
 _CONTEXT = mpmath.MPContext()
 _CONTEXT.dps = _DIGITS
-_LARGEST_EXPONENT = 1e300
-"""Logarithms up to which a number is computed."""
-_SMALL_POWER = 1000
+_LARGEST_ARGUMENT = 1e300
+"""Arguments and logarithms up to which growing functions are evaluated: mpmath takes forever
+beyond."""
+_MOST_MULTIPLIED_POWER = 1000
 """Integer exponents up to which powers are products."""
 
 Number = tuple[int, int, int, int]
 """A floating-point number of mpmath: sign, mantissa, exponent, bits."""
+Operation = Callable[..., Number | bool]
+"""A function of the values of subexpressions; conditions have truth values."""
 
 
 class NoValueError(Exception):
@@ -41,14 +45,14 @@ class Program:
     ----------
     expressions : sequence of Expr
     leaves : sequence of Expr
-        What has values: symbols, functions of time, derivatives.
+        Symbols, functions of time and derivatives, whose values are given.
     """
 
     def __init__(self, expressions: Sequence[sp.Basic], leaves: Sequence[sp.Expr]) -> None:
-        self._place: dict[sp.Basic, int] = {leaf: i for i, leaf in enumerate(leaves)}
-        self._inputs = len(self._place)
-        self._steps: list[tuple[Callable[..., Any], tuple[int, ...]]] = []
-        self._results = [self._added(expression) for expression in expressions]
+        self._register: dict[sp.Basic, int] = {leaf: i for i, leaf in enumerate(leaves)}
+        self._inputs = len(self._register)
+        self._steps: list[tuple[Operation, tuple[int, ...]]] = []
+        self._outputs = [self._added(expression) for expression in expressions]
 
     @property
     def operations(self) -> int:
@@ -56,220 +60,214 @@ class Program:
         return len(self._steps)
 
     def __call__(
-        self, values: Sequence[Number], noise: np.random.Generator | None = None, size: float = 0.0
+        self, leaves: Sequence[Number], noise: np.random.Generator | None = None, size: float = 0.0
     ) -> list[Number]:
         """The values of the expressions.
 
         Parameters
         ----------
-        values : sequence of Number
-            Those of the leaves.
+        leaves : sequence of Number
+            The values of the leaves.
         noise : Generator, optional
-            Every intermediate result is off by a random part of up to ``size``, so that the
-            results show what rounding does to them (Parker, Monte Carlo arithmetic, UCLA 1997).
+            Every intermediate result is off by a random part of up to ``size``, which shows what
+            rounding does to the final ones (Parker, Monte Carlo arithmetic, UCLA 1997).
 
         Raises
         ------
         NoValueError
             If there is no real value, or none that can be computed.
         """
-        results: list[Any] = list(values)
+        registers: list[Number | bool] = list(leaves)
         if noise is not None:
-            errors = noise.uniform(-size, size, len(results) + len(self._steps)).tolist()
-            results = [_disturbed(v, e) for v, e in zip(results, errors, strict=False)]
-        for step, (function, places) in enumerate(self._steps):
+            errors = noise.uniform(-size, size, len(leaves) + len(self._steps)).tolist()
+            registers = [_disturbed(x, e) for x, e in zip(leaves, errors, strict=False)]
+        for step, (function, sources) in enumerate(self._steps):
             try:
-                value = function(*(results[i] for i in places))
+                outcome = function(*(registers[i] for i in sources))
             except (ArithmeticError, ValueError, MemoryError) as error:
                 raise NoValueError from error
-            if noise is not None and type(value) is tuple:
-                value = _disturbed(value, errors[self._inputs + step])
-            results.append(value)
-        return [results[i] for i in self._results]
+            if noise is not None and isinstance(outcome, tuple):
+                outcome = _disturbed(outcome, errors[self._inputs + step])
+            registers.append(outcome)
+        return cast(list[Number], [registers[i] for i in self._outputs])
 
     def _added(self, root: sp.Basic) -> int:
-        """The place of an expression, after those of its parts; without recursion."""
+        """The register of an expression, after those of its operands; without recursion."""
         waiting = [root]
         while waiting:
             expression = waiting[-1]
-            if expression in self._place:
+            if expression in self._register:
                 waiting.pop()
                 continue
-            parts = _parts(expression)
-            missing = [part for part in parts if part not in self._place]
+            operands = _operands(expression)
+            missing = [operand for operand in operands if operand not in self._register]
             if missing:
                 waiting += missing
                 continue
-            self._place[expression] = self._inputs + len(self._steps)
-            self._steps.append((_operation(expression), tuple(self._place[p] for p in parts)))
+            self._register[expression] = self._inputs + len(self._steps)
+            sources = tuple(self._register[operand] for operand in operands)
+            self._steps.append((_operation(expression), sources))
             waiting.pop()
-        return self._place[root]
+        return self._register[root]
 
 
-def number(value: float) -> Number:
+def number(real: float) -> Number:
     """A floating-point number as one of mpmath."""
-    converted: Number = from_float(float(value))
-    return converted
+    return cast(Number, from_float(float(real)))
 
 
-def _disturbed(value: Number, error: float) -> Number:
-    result: Number = mpf_mul(value, mpf_add(fone, from_float(error)), PRECISION, "n")
-    return result
+def _folding(operation: Callable[..., Number], neutral: Number) -> Callable[..., Number]:
+    """A sum or a product of any number of operands."""
+
+    def fold(*operands: Number) -> Number:
+        accumulated = neutral
+        for operand in operands:
+            accumulated = operation(accumulated, operand, PRECISION, "n")
+        return accumulated
+
+    return fold
 
 
-def _parts(expression: sp.Basic) -> tuple[sp.Basic, ...]:
-    """What an operation is applied to."""
+total = _folding(mpf_add, fzero)
+product = _folding(mpf_mul, fone)
+
+
+def _disturbed(exact: Number, error: float) -> Number:
+    return cast(Number, mpf_mul(exact, mpf_add(fone, from_float(error)), PRECISION, "n"))
+
+
+def _operands(expression: sp.Basic) -> tuple[sp.Basic, ...]:
+    """The subexpressions that an operation is applied to."""
     if isinstance(expression, sp.Piecewise):
-        return tuple(part for pair in expression.args for part in pair.args)
+        return tuple(operand for branch in expression.args for operand in branch.args)
     if isinstance(expression, sp.Number | sp.NumberSymbol):
         return ()
-    return expression.args[:1] if _is_product(expression) else tuple(expression.args)
+    return expression.args[:1] if _is_integer_power(expression) else tuple(expression.args)
 
 
-def _is_product(expression: sp.Basic) -> bool:
-    """Whether a power is that of an ordinary integer."""
+def _is_integer_power(expression: sp.Basic) -> bool:
+    """Whether the exponent of a power is an integer that allows multiplication."""
     whole = expression.is_Pow and expression.exp.is_Integer
-    return bool(whole and abs(expression.exp) <= _SMALL_POWER)
+    return bool(whole and abs(expression.exp) <= _MOST_MULTIPLIED_POWER)
 
 
-def _operation(expression: sp.Basic) -> Callable[..., Any]:
-    """The function of the values of the parts."""
-    if not _parts(expression):
+def _operation(expression: sp.Basic) -> Operation:
+    """The function of the values of the operands."""
+    if not _operands(expression):
         return _constant(expression)
     if expression.is_Add:
-        return _sum
+        return total
     if expression.is_Mul:
-        return _product
+        return product
     if expression.is_Pow:
-        return _integer_power(int(expression.exp)) if _is_product(expression) else _power
-    kind = type(expression).__name__
+        return _integer_power(int(expression.exp)) if _is_integer_power(expression) else _power
     if isinstance(expression, Relational):
         return _RELATIONS[expression.rel_op]
     if hasattr(expression, "_imp_"):
         return _of_user(expression)
-    return _FUNCTIONS[kind] if kind in _FUNCTIONS else _by_sympy(expression.func)
+    return _FUNCTIONS.get(type(expression).__name__) or _by_sympy(expression.func)
 
 
-def _constant(expression: sp.Basic) -> Callable[[], Any]:
+def _constant(expression: sp.Basic) -> Operation:
     if expression in (sp.true, sp.false):
         truth = bool(expression)
         return lambda: truth
     if isinstance(expression, sp.Rational):
-        p, q = (_CONTEXT.mpf(int(part))._mpf_ for part in (expression.p, expression.q))
-        value = mpf_div(p, q, PRECISION, "n")
+        p, q = (_CONTEXT.mpf(int(n))._mpf_ for n in (expression.p, expression.q))
+        constant: Number = mpf_div(p, q, PRECISION, "n")
     else:
-        value = _real(sp.N(expression, _DIGITS))
-    return lambda: value
+        constant = _real(sp.N(expression, _DIGITS))
+    return lambda: constant
 
 
-def _real(value: sp.Expr) -> Number:
+def _real(decimal: sp.Expr) -> Number:
     """A number of SymPy as one of mpmath."""
-    if not value.is_Float and not value.is_Rational:
+    if not decimal.is_Float and not decimal.is_Rational:
         raise NoValueError
-    result: Number = _CONTEXT.mpf(value._to_mpmath(PRECISION))._mpf_
-    return result
+    return cast(Number, _CONTEXT.mpf(decimal._to_mpmath(PRECISION))._mpf_)
 
 
-def _sum(*terms: Number) -> Number:
-    total = fzero
-    for term in terms:
-        total = mpf_add(total, term, PRECISION, "n")
-    result: Number = total
-    return result
-
-
-def _product(*factors: Number) -> Number:
-    total = fone
-    for factor in factors:
-        total = mpf_mul(total, factor, PRECISION, "n")
-    result: Number = total
-    return result
-
-
-def _integer_power(exponent: int) -> Callable[[Number], Number]:
+def _integer_power(exponent: int) -> Operation:
     def power(base: Number) -> Number:
         if exponent < 0 and base == fzero:
             raise NoValueError
-        result: Number = mpf_pow_int(base, exponent, PRECISION, "n")
-        return result
+        return cast(Number, mpf_pow_int(base, exponent, PRECISION, "n"))
 
     return power
 
 
 def _power(base: Number, exponent: Number) -> Number:
     x, n = _CONTEXT.make_mpf(base), _CONTEXT.make_mpf(exponent)
-    if x and abs(n * _CONTEXT.log(abs(x))) > _LARGEST_EXPONENT:
+    if x and abs(n * _CONTEXT.log(abs(x))) > _LARGEST_ARGUMENT:
         raise NoValueError
-    return _wrapped(x**n)
+    return _unwrapped(x**n)
 
 
-def _wrapped(value: Any) -> Number:
-    """A value of mpmath as a plain number."""
-    if not isinstance(value, _CONTEXT.mpf) or not _CONTEXT.isfinite(value):
+def _unwrapped(wrapped: mpmath.mpf) -> Number:
+    """A real number of mpmath as a tuple."""
+    if not isinstance(wrapped, _CONTEXT.mpf) or not _CONTEXT.isfinite(wrapped):
         raise NoValueError
-    result: Number = value._mpf_
-    return result
+    return cast(Number, wrapped._mpf_)
 
 
-def _called(function: Callable[..., Any], *, growing: bool = False) -> Callable[..., Number]:
+def _called(function: Callable[..., mpmath.mpf], *, growing: bool = False) -> Operation:
     """A function of mpmath; growing ones have arguments up to a limit."""
 
     def call(*arguments: Number) -> Number:
-        values = [_CONTEXT.make_mpf(argument) for argument in arguments]
-        if growing and abs(values[0]) > _LARGEST_EXPONENT:
+        wrapped = [_CONTEXT.make_mpf(argument) for argument in arguments]
+        if growing and abs(wrapped[0]) > _LARGEST_ARGUMENT:
             raise NoValueError
-        return _wrapped(function(*values))
+        return _unwrapped(function(*wrapped))
 
     return call
 
 
-def _by_sympy(function: Callable[..., sp.Expr]) -> Callable[..., Number]:
+def _by_sympy(function: Callable[..., sp.Expr]) -> Operation:
     """A function that SymPy evaluates."""
 
     def call(*arguments: Number) -> Number:
-        values = [sp.Float(_CONTEXT.make_mpf(a), _DIGITS) for a in arguments]
-        return _real(sp.N(function(*values), _DIGITS))
+        floats = [sp.Float(_CONTEXT.make_mpf(argument), _DIGITS) for argument in arguments]
+        return _real(sp.N(function(*floats), _DIGITS))
 
     return call
 
 
-def _of_user(expression: sp.Basic) -> Callable[..., Number]:
+def _of_user(expression: sp.Basic) -> Operation:
     """A function of the user, or a table, at ordinary precision."""
     function = type(expression)._imp_
 
     def call(*arguments: Number) -> Number:
-        value = function(*(float(_CONTEXT.make_mpf(a)) for a in arguments))
-        return _wrapped(_CONTEXT.mpf(float(np.asarray(value))))
+        height = function(*(float(_CONTEXT.make_mpf(argument)) for argument in arguments))
+        return _unwrapped(_CONTEXT.mpf(float(np.asarray(height))))
 
     return call
 
 
-def _heaviside(x: Any, middle: Any) -> Any:
+def _heaviside(x: mpmath.mpf, middle: mpmath.mpf) -> mpmath.mpf:
     return middle if x == 0 else _CONTEXT.mpf(1 if x > 0 else 0)
 
 
-def _piecewise(*parts: Any) -> Number:
-    for value, condition in zip(parts[::2], parts[1::2], strict=True):
+def _piecewise(*branches: Number | bool) -> Number:
+    for expression, condition in zip(branches[::2], branches[1::2], strict=True):
         if condition:
-            result: Number = value
-            return result
+            return cast(Number, expression)
     raise NoValueError
 
 
-def _compared(relation: Callable[[Any, Any], bool]) -> Callable[[Number, Number], bool]:
-    return lambda a, b: relation(_CONTEXT.make_mpf(a), _CONTEXT.make_mpf(b))
+def _compared(relation: Callable[[mpmath.mpf, mpmath.mpf], bool]) -> Operation:
+    return lambda a, b: bool(relation(_CONTEXT.make_mpf(a), _CONTEXT.make_mpf(b)))
 
 
 _RELATIONS = {
-    "<": _compared(lambda a, b: bool(a < b)),
-    "<=": _compared(lambda a, b: bool(a <= b)),
-    ">": _compared(lambda a, b: bool(a > b)),
-    ">=": _compared(lambda a, b: bool(a >= b)),
-    "==": _compared(lambda a, b: bool(a == b)),
-    "!=": _compared(lambda a, b: bool(a != b)),
+    "<": _compared(operator.lt),
+    "<=": _compared(operator.le),
+    ">": _compared(operator.gt),
+    ">=": _compared(operator.ge),
+    "==": _compared(operator.eq),
+    "!=": _compared(operator.ne),
 }
 _ALIKE = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "asinh", "acosh", "atanh", "log")
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
+_FUNCTIONS: dict[str, Operation] = {
     **{name: _called(getattr(_CONTEXT, name)) for name in (*_ALIKE, "erf", "erfc", "sign")},
     **{name: _called(getattr(_CONTEXT, name), growing=True) for name in ("exp", "sinh", "cosh")},
     "gamma": _called(_CONTEXT.gamma, growing=True),

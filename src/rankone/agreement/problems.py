@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
-from mpmath.libmp import mpf_add, to_float
+from mpmath.libmp import to_float
 from sympy.core.function import AppliedUndef
 
-from rankone.agreement.comparison import LOST, Comparison, sides
-from rankone.agreement.precise import NoValueError, Number, number
+from rankone.agreement.comparison import LOST_SHARE, Comparison, sides
+from rankone.agreement.precise import NoValueError, Number, number, total
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Jump
 from rankone.ir.system import System
@@ -20,25 +20,47 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 
-__all__ = ["STILL", "DisagreementError", "Points", "check_problem", "disagreeing_rate"]
+__all__ = ["DisagreementError", "check_problem", "disagreeing_rate"]
 
-
+_POINTS = 20
+"""Points at which a problem is compared: over the horizon, the box and plausible states."""
+_FEWEST_POINTS = 3
+"""Points for equations of very many operations."""
+_MOST_OPERATIONS = 12000
+"""Operations at a hundred digits for all rates: some tenths of a second."""
 _DRIFTS = (0.0, 1e-3, 0.03, 0.3)
-"""Parts of the horizon over which states have moved from the start, at their first rate."""
+"""Shares of the horizon over which states have moved from the start, at their first rate."""
 _NOISE = (1e-9, 1e-5, 0.01, 0.3)
 """Relative distances of states from there. Zero states move too, except at still points."""
+_STILL_PERIOD = len(_DRIFTS)
+"""One point of this many is still: its states are those at the start, apart from the noise."""
 _LARGEST_DRIFT = 10.0
-"""In units of the largest initial value of a state."""
-STILL = len(_DRIFTS)
-"""One point in so many is still: its states are those at the start, apart from the noise."""
+"""Largest drift of a state, over its largest initial value: a first rate may be a short peak."""
+_JACOBIANS = 3
+"""Points at which the Jacobian is compared; each takes four evaluations."""
+_SLOPE_TOLERANCE = 1e-6
+"""Derivatives may be off by this share of their terms."""
+_NEGLIGIBLE_SLOPE = 1e-15
+"""Derivatives may be off by this share of the change of the states."""
+_SLOPE_SPREAD_RATIO = 1e5
+"""Derivatives may be off by this many times the effect of relative errors of 1e-13, so of 1e-8."""
+_NEGLIGIBLE_CHANGE = 1e-13
+"""Share of its size by which an error of a rate may move a state over the horizon."""
+_LIFTED_TOLERANCE = 1e-6
+"""Difference of a lifted rate, over the largest rate of the state, that exceeds rounding."""
 _SEED = 1937
+_REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
+
+
+class DisagreementError(ProblemError):
+    """Generated code differs from the problem by more than rounding."""
 
 
 @dataclass(frozen=True)
-class Points:
-    """Where a problem is looked at: times (m,), parameters (d, m), states and rates (n, m).
+class _Points:
+    """Where a problem is compared: times (m,), parameters (d, m), states and rates (n, m).
 
-    ``sizes`` (n,) are how large states are, as far as the start and the first rates tell.
+    ``sizes`` (n,) are the sizes of the states, as far as the start and the first rates tell.
     """
 
     time: Array
@@ -48,7 +70,7 @@ class Points:
     sizes: Array
 
     @classmethod
-    def of(cls, system: System, count: int) -> Points:
+    def of(cls, system: System, count: int) -> _Points:
         """Points over the horizon, the box and plausible states; the same for the same system."""
         rng = np.random.default_rng(_SEED)
         start, end = system.horizon
@@ -71,83 +93,194 @@ class Points:
         return cls(time, p, states, rates, np.abs(moved).max(axis=1))
 
 
-_TOLERANCE = 1e-6
-"""Differences beyond, relative to the largest rate of a state, are not those of rounding."""
-
-
 def disagreeing_rate(lifted: System, system: System) -> int | None:
     """The first state whose rate the lifted system has wrong; None where there is none.
 
-    Numbers of a system that is multiplied out may overflow where those of the system as it is
-    written do not.
+    A lifted system is multiplied out, and its numbers may overflow where those of the original
+    system do not.
     """
     with np.errstate(all="ignore"):
-        points = Points.of(system, _POINTS)
+        points = _Points.of(system, _POINTS)
         t, p, u = points.time, points.parameters, points.states
-        count = lifted.n_lifted
-        states = np.concatenate([u, np.ones((count, t.size))])
-        for _ in range(count):  # some stand for functions of others
+        states = np.concatenate([u, np.ones((lifted.n_lifted, t.size))])
+        for _ in range(lifted.n_lifted):  # some stand for functions of others
             states[len(u) :] = lifted.meanings(t, states, p)
         finite = np.isfinite(points.rates).all(axis=0) & np.isfinite(states).all(axis=0)
         rates = np.asarray(lifted.rhs(t, states, p), dtype=float)[: len(u)]
         size = np.abs(points.rates[:, finite]).max(axis=1, initial=0.0)
-        off = np.abs(rates - points.rates)[:, finite]
-        wrong = ~(off <= _TOLERANCE * size[:, None]).all(axis=1)
-    return int(np.argmax(wrong)) if wrong.any() else None
-
-
-_POINTS, _FEWEST = 20, 3
-"""Points at which a problem is looked at; the least number for one of very many operations."""
-_MOST_OPERATIONS = 12000
-"""Operations at a hundred digits for the rates."""
-_JACOBIANS = 3
-_SLOPE_TOLERANCE, _NOTHING, _FACTOR = 1e-6, 1e-15, 1e5
-"""Derivatives may be off by this part of their terms, and of the change of the states; or by so
-many times what rounding errors of 1e-10 do."""
-_UNSEEN = 1e-13
-"""Part of its size by which an error of a rate may move a state over the horizon."""
-_REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
-
-
-class DisagreementError(ProblemError):
-    """Generated code differs from the problem by more than rounding."""
+        errors = np.abs(rates - points.rates)[:, finite]
+        disagreeing = ~(errors <= _LIFTED_TOLERANCE * size[:, None]).all(axis=1)
+    return int(np.argmax(disagreeing)) if disagreeing.any() else None
 
 
 def check_problem(
-    problem: Problem, first_order: FirstOrderSystem, system: System, lost: float = LOST
+    problem: Problem, first_order: FirstOrderSystem, system: System, lost: float = LOST_SHARE
 ) -> None:
     """Compare rates, Jacobian, initial values and jumps with the problem as it was written.
 
     Parameters
     ----------
     lost : float
-        Part of the largest value of each that rounding may spoil.
+        Share of the largest value of each that rounding may spoil.
 
     Raises
     ------
     DisagreementError
         If one of them is off by more than rounding; the message names the equation.
     """
-    clock, *parameters = first_order.coordinates
-    states = [state.expression for state in first_order.states]
-    rates = [state.diff(clock.symbol) for state in states]
-    leaves = [clock.symbol, *(c.symbol for c in parameters), *states]
-    highest = [i for i, rate in enumerate(rates) if rate not in states]
-    written = [_written(e, r) for e, r in zip(problem.equations, problem.residuals, strict=True)]
-    computed = [rates[i] for i in highest]
-    compared = [Comparison(*pair, [*leaves, *computed], computed) for pair in written]
-    operations = sum(comparison.operations for comparison in compared)
-    count = max(min(_POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEWEST)
-    with np.errstate(all="ignore"):
-        points = Points.of(system, count)
-        _check_rates(problem, first_order, compared, points, highest, lost)
-        smooth = [
-            c if _is_smooth(pair) else None for c, pair in zip(compared, written, strict=True)
-        ]
-        _check_jacobian(system, first_order, smooth, points, highest)
-        _check_initial(first_order, points, system.initial(points.parameters), lost)
-        if first_order.jumps:
-            _check_jumps(first_order, system, points, lost)
+    _ProblemCheck(problem, first_order, system, lost).run()
+
+
+class _ProblemCheck:
+    """The comparisons of one problem.
+
+    ``highest`` are the indices of the states whose rates are no states themselves: the generated
+    code computes these rates, and the equations determine them.
+    """
+
+    def __init__(
+        self, problem: Problem, first_order: FirstOrderSystem, system: System, lost: float
+    ) -> None:
+        self.problem, self.first_order, self.system, self.lost = problem, first_order, system, lost
+        clock, *parameters = first_order.coordinates
+        self.symbols = [c.symbol for c in parameters]
+        states = [state.expression for state in first_order.states]
+        rates = [state.diff(clock.symbol) for state in states]
+        self.highest = [i for i, rate in enumerate(rates) if rate not in states]
+        computed = [rates[i] for i in self.highest]
+        leaves = [clock.symbol, *self.symbols, *states, *computed]
+        pairs = zip(problem.equations, problem.residuals, strict=True)
+        self.written = [_written(equation, residual) for equation, residual in pairs]
+        self.compared = [Comparison(*both, leaves, computed) for both in self.written]
+
+    def run(self) -> None:
+        """Raise a DisagreementError at the first disagreement."""
+        operations = sum(comparison.operations for comparison in self.compared)
+        count = max(min(_POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEWEST_POINTS)
+        with np.errstate(all="ignore"):
+            self.points = _Points.of(self.system, count)
+            self._check_rates()
+            self._check_jacobian()
+            self._check_initial()
+            if self.first_order.jumps:
+                self._check_jumps()
+
+    def _check_rates(self) -> None:
+        """Raise if the generated rates do not solve the equations."""
+        points, clock = self.points, self.first_order.coordinates[0]
+        finite = _finite(points.states, points.rates)
+        p, u, f = points.parameters, points.states, points.rates[self.highest]
+        leaves = [_numbers([points.time[k]], p[:, k], u[:, k], f[:, k]) for k in finite]
+        slowest = _NEGLIGIBLE_CHANGE * np.nan_to_num(points.sizes) / (clock.upper - clock.lower)
+        for origin, comparison in enumerate(self.compared, start=1):
+            origins = self.first_order.origins
+            states = [i for i, equation in enumerate(origins) if equation in (origin, None)]
+            negligible = float(slowest[states].min(initial=np.inf)) if states else 0.0
+            disagreement = comparison.beyond_rounding(leaves, self.lost, negligible)
+            if disagreement is not None:
+                equation = self.problem.equations[origin - 1]
+                raise DisagreementError(
+                    f"the generated code does not compute {quote(equation)} as it is written: at "
+                    f"{self._described(finite[disagreement[0]])} the sides differ by "
+                    f"{disagreement[1]:.3g}",
+                    equation=origin,
+                    term=equation,
+                    remedy=_REMEDY,
+                )
+
+    def _check_jacobian(self) -> None:
+        """Raise if moving the states and, by the Jacobian, the rates leaves the equations."""
+        points, highest = self.points, self.highest
+        rng = np.random.default_rng(_SEED)
+        moving = [k for k in _finite(points.states, points.rates) if k % _STILL_PERIOD]
+        for k in moving[:_JACOBIANS]:
+            t, p = points.time[k], points.parameters[:, k]
+            u, f = points.states[:, k], points.rates[highest, k]
+            jacobian = np.asarray(self.system.jacobian(t, u, p), dtype=float)
+            size = np.where(u != 0.0, np.abs(u), 1.0)
+            direction = size * rng.uniform(0.5, 1.0, len(u)) * rng.choice([-1.0, 1.0], len(u))
+            change = jacobian @ direction
+            if not np.isfinite(jacobian).all():
+                continue
+            here = _numbers([t], p, u, f)
+            along = [
+                _numbers([0.0], 0.0 * p, direction, 0.0 * f),
+                _numbers([0.0], 0.0 * p, 0.0 * u, change[highest]),
+            ]
+            negligible = _NEGLIGIBLE_SLOPE * np.abs(direction).max()
+            for origin, comparison in enumerate(self.compared, start=1):
+                if not _is_smooth(self.written[origin - 1]):
+                    continue
+                try:
+                    slopes = [comparison.slope(here, direction) for direction in along]
+                    error = to_float(total(*slopes))
+                    scale = sum(map(abs, map(to_float, slopes))) + comparison.residual(here)[1]
+                    if abs(error) <= _SLOPE_TOLERANCE * scale + negligible:
+                        continue
+                    spread = comparison.slope_spread(here, along, error)
+                except (NoValueError, OverflowError):
+                    continue
+                if abs(error) > _SLOPE_SPREAD_RATIO * spread:
+                    raise DisagreementError(
+                        "the generated Jacobian is not the derivative of the equation: at "
+                        f"{self._described(k)} it is off by {error:.3g} along the states",
+                        equation=origin,
+                        remedy=_REMEDY,
+                    )
+
+    def _check_initial(self) -> None:
+        """Raise if generated initial values are not those of the problem."""
+        p = self.points.parameters
+        generated = np.asarray(self.system.initial(p), dtype=float)
+        for i, start in enumerate(self.first_order.initial):
+            state = quote(self.first_order.states[i].expression)
+            subject = f"the initial value of {state}, {quote(start)},"
+            self._check_value(subject, start, self.symbols, generated[i], p)
+
+    def _check_jumps(self) -> None:
+        """Raise if generated values after jumps are not those of the problem."""
+        first_order, p, u = self.first_order, self.points.parameters, self.points.states
+        clock = first_order.coordinates[0].name
+        leaves = [*self.symbols, *first_order.functions]
+        for kind, (values_after, times) in enumerate(Jump.kinds(first_order.jumps).items()):
+            generated = np.asarray(self.system.jumps.jumped(kind, u, p), dtype=float)
+            for i, after in enumerate(values_after):
+                if after != first_order.functions[i]:
+                    state = quote(first_order.states[i].expression)
+                    at = f"the jump at {clock} = {times[0]:g}"
+                    subject = f"the value of {state} after {at}, {quote(after)},"
+                    self._check_value(subject, after, leaves, generated[i], np.concatenate([p, u]))
+
+    def _check_value(
+        self,
+        subject: str,
+        expression: sp.Expr,
+        leaves: Sequence[sp.Expr],
+        generated: Array,
+        columns: Array,
+    ) -> None:
+        """Raise if generated values (m,) of an expression are off, leaves (l, m) as in columns."""
+        computed = sp.Dummy()
+        comparison = Comparison(computed, expression, [*leaves, computed], [computed])
+        states = columns[len(self.symbols) :]
+        chosen = _finite(states, generated[None])
+        points = (_numbers(columns[:, k], [generated[k]]) for k in chosen)
+        disagreement = comparison.beyond_rounding(points, self.lost)
+        if disagreement is not None:
+            raise DisagreementError(
+                f"the generated code does not compute {subject} as it is written: it is off by "
+                f"{disagreement[1]:.3g}",
+                term=expression,
+                remedy=_REMEDY,
+            )
+
+    def _described(self, k: int) -> str:
+        """Where a point is, for messages."""
+        points, (clock, *parameters) = self.points, self.first_order.coordinates
+        named = [(clock.name, points.time[k])]
+        named += zip((c.name for c in parameters), points.parameters[:, k], strict=True)
+        named += zip((s.name for s in self.first_order.states), points.states[:, k], strict=True)
+        return ", ".join(f"{name} = {coordinate:.6g}" for name, coordinate in named)
 
 
 def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
@@ -157,161 +290,15 @@ def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
 
 
 def _is_smooth(pair: tuple[sp.Expr, sp.Expr]) -> bool:
-    """Whether differences of its values are derivatives: functions of the user have no digits."""
+    """Whether differences of its values are derivatives: functions of the user lack the digits."""
     return not any(hasattr(f, "_imp_") for side in pair for f in side.atoms(sp.Function))
 
 
-def _values(*blocks: Sequence[float] | Array) -> list[Number]:
-    return [number(value) for block in blocks for value in block]
+def _numbers(*blocks: Sequence[float] | Array) -> list[Number]:
+    return [number(real) for block in blocks for real in block]
 
 
-def _check_rates(
-    problem: Problem,
-    first_order: FirstOrderSystem,
-    compared: Sequence[Comparison],
-    points: Points,
-    highest: Sequence[int],
-    lost: float,
-) -> None:
-    """Raise if the generated rates do not solve the equations."""
-    chosen = list(_finite(points.states, points.rates))
-    p, u, f = points.parameters, points.states, points.rates[highest]
-    values = [_values([points.time[k]], p[:, k], u[:, k], f[:, k]) for k in chosen]
-    start, end = first_order.coordinates[0].lower, first_order.coordinates[0].upper
-    slowest = _UNSEEN * np.nan_to_num(points.sizes) / (end - start)
-    for origin, comparison in enumerate(compared, start=1):
-        own = [i for i, state in enumerate(first_order.origins) if state in (origin, None)]
-        nothing = float(slowest[own].min(initial=np.inf)) if own else 0.0
-        wrong = comparison.beyond_rounding(values, lost, nothing)
-        if wrong is not None:
-            where = _described(points, chosen[wrong[0]], first_order)
-            raise DisagreementError(
-                f"the generated code does not compute {quote(problem.equations[origin - 1])} as it "
-                f"is written: at {where} the sides differ by {wrong[1]:.3g}",
-                equation=origin,
-                term=problem.equations[origin - 1],
-                remedy=_REMEDY,
-            )
-
-
-def _check_jacobian(
-    system: System,
-    first_order: FirstOrderSystem,
-    compared: Sequence[Comparison | None],
-    points: Points,
-    highest: Sequence[int],
-) -> None:
-    """Raise if moving the states and, by the Jacobian, the rates leaves the equations."""
-    rng = np.random.default_rng(_SEED)
-    moved = [k for k in _finite(points.states, points.rates) if k % STILL]
-    for k in moved[:_JACOBIANS]:
-        t, p, u, f = (
-            points.time[k],
-            points.parameters[:, k],
-            points.states[:, k],
-            points.rates[:, k],
-        )
-        jacobian = np.asarray(system.jacobian(t, u, p), dtype=float)
-        size = np.where(u != 0.0, np.abs(u), 1.0)
-        direction = size * rng.uniform(0.5, 1.0, len(u)) * rng.choice([-1.0, 1.0], len(u))
-        change = jacobian @ direction
-        if not np.isfinite(jacobian).all():
-            continue
-        here = _values([t], p, u, f[highest])
-        along_states = _values([0.0], 0.0 * p, direction, 0.0 * f[highest])
-        along_rates = _values([0.0], 0.0 * p, 0.0 * u, change[highest])
-        for origin, comparison in enumerate(compared, start=1):
-            if comparison is None:
-                continue
-            try:
-                off, scale = _slope(comparison, here, along_states, along_rates)
-                if abs(off) <= _SLOPE_TOLERANCE * scale + _NOTHING * np.abs(direction).max():
-                    continue
-                spread = comparison.slope_spread(here, [along_states, along_rates], off)
-            except (NoValueError, OverflowError):
-                continue
-            if abs(off) > _FACTOR * spread:
-                raise DisagreementError(
-                    "the generated Jacobian is not the derivative of the equation: at "
-                    f"{_described(points, k, first_order)} it is off by {off:.3g} along the states",
-                    equation=origin,
-                    remedy=_REMEDY,
-                )
-
-
-def _slope(
-    comparison: Comparison,
-    here: Sequence[Number],
-    along_states: Sequence[Number],
-    along_rates: Sequence[Number],
-) -> tuple[float, float]:
-    """The derivative of a residual along states and rates together, and the size of both."""
-    slopes = [comparison.slope(here, direction) for direction in (along_states, along_rates)]
-    _, terms = comparison.residual(here)
-    return to_float(mpf_add(*slopes)), sum(abs(to_float(slope)) for slope in slopes) + terms
-
-
-def _check_initial(
-    first_order: FirstOrderSystem, points: Points, generated: Array, lost: float
-) -> None:
-    """Raise if generated initial values are not those that were given."""
-    symbols = [c.symbol for c in first_order.coordinates[1:]]
-    computed = sp.Dummy()
-    for i, value in enumerate(first_order.initial):
-        comparison = Comparison(computed, value, [*symbols, computed], [computed])
-        p, chosen = points.parameters, _finite(generated[i : i + 1])
-        values = (_values(p[:, k], [generated[i, k]]) for k in chosen)
-        wrong = comparison.beyond_rounding(values, lost)
-        if wrong is not None:
-            state = first_order.states[i].expression
-            raise DisagreementError(
-                f"the generated code does not compute the initial value of {quote(state)}, "
-                f"{quote(value)}, as it is written: it is off by {wrong[1]:.3g}",
-                term=value,
-                remedy=_REMEDY,
-            )
-
-
-def _check_jumps(
-    first_order: FirstOrderSystem, system: System, points: Points, lost: float
-) -> None:
-    """Raise if generated values after jumps are not those that were given."""
-    symbols = [c.symbol for c in first_order.coordinates[1:]]
-    computed = sp.Dummy()
-    leaves = [*symbols, *first_order.functions, computed]
-    for kind, (values_after, times) in enumerate(Jump.kinds(first_order.jumps).items()):
-        generated = np.asarray(
-            system.jumps.jumped(kind, points.states, points.parameters), dtype=float
-        )
-        for i, value in enumerate(values_after):
-            if value == first_order.functions[i]:
-                continue
-            comparison = Comparison(computed, value, leaves, [computed])
-            p, u = points.parameters, points.states
-            chosen = _finite(u, generated[i : i + 1])
-            values = (_values(p[:, k], u[:, k], [generated[i, k]]) for k in chosen)
-            wrong = comparison.beyond_rounding(values, lost)
-            if wrong is not None:
-                clock, state = first_order.coordinates[0].name, first_order.states[i].expression
-                raise DisagreementError(
-                    f"the generated code does not compute the value of {quote(state)} after the "
-                    f"jump at {clock} = {times[0]:g}, {quote(value)}, as it is written: it is off "
-                    f"by {wrong[1]:.3g}",
-                    term=value,
-                    remedy=_REMEDY,
-                )
-
-
-def _finite(*arrays: Array) -> Iterator[int]:
-    """The points at which all is finite; what is not is refused elsewhere, or never met."""
+def _finite(*arrays: Array) -> list[int]:
+    """The points at which all is finite; others are refused elsewhere, or never met."""
     finite = np.logical_and.reduce([np.isfinite(array).all(axis=0) for array in arrays])
-    yield from map(int, np.flatnonzero(finite))
-
-
-def _described(points: Points, k: int, first_order: FirstOrderSystem) -> str:
-    """Where a point is, for messages."""
-    clock, *parameters = first_order.coordinates
-    named = [(clock.name, points.time[k])]
-    named += [(c.name, v) for c, v in zip(parameters, points.parameters[:, k], strict=True)]
-    named += [(s.name, v) for s, v in zip(first_order.states, points.states[:, k], strict=True)]
-    return ", ".join(f"{name} = {value:.6g}" for name, value in named)
+    return [int(k) for k in np.flatnonzero(finite)]
