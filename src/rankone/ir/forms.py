@@ -6,8 +6,8 @@ A parametric system ``u' = f(t, p, u)`` is held as the residual ``u' - f`` in se
 
 so that every integral of the weak form over the (d + 1)-dimensional box is a product of
 one-dimensional integrals (:class:`SeparatedForm`); then as f alone with products of at most two
-states, its terms grouped by their parameter factors (:class:`QuadraticSystem`). No algorithms live
-here, and SymPy is only named for the types.
+states, its terms grouped by their parameter factors (:class:`QuadraticSystem`). There are no
+algorithms here, and SymPy is imported for type checkers alone.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 
-Table = tuple[str, list[str], list[list[str]]]
+_Table = tuple[str, list[str], list[list[str]]]
 """Summary, header and rows."""
 
 
@@ -97,11 +97,11 @@ class Jump:
 
     @staticmethod
     def kinds(jumps: Iterable[Jump]) -> dict[tuple[sp.Expr, ...], list[float]]:
-        """The times of jumps by their values: doses are repeated."""
-        found: dict[tuple[sp.Expr, ...], list[float]] = {}
+        """The times of jumps by their values: a dose repeats."""
+        times: dict[tuple[sp.Expr, ...], list[float]] = {}
         for jump in jumps:
-            found.setdefault(jump.values, []).append(jump.time)
-        return found
+            times.setdefault(jump.values, []).append(jump.time)
+        return times
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ class GeneralTerm:
 
     @property
     def error(self) -> SeparationError:
-        """The error for those who need separated terms."""
+        """The error for methods that need separated terms."""
         return SeparationError(
             self.reason, equation=self.origin, term=self.expression, remedy=self.remedy
         )
@@ -194,7 +194,7 @@ class SeparatedForm:
     initial : tuple of Term
         The initial values: ``equation`` is the state, ``monomial`` is empty, the time factor one.
     general : tuple of GeneralTerm
-        What does not separate; the other terms are complete only without any.
+        Terms that do not separate; without any, ``terms`` and ``initial`` are complete.
     jumps : tuple of Jump
         By time; they need not separate.
     """
@@ -213,7 +213,7 @@ class SeparatedForm:
             raise self.general[0].error
 
     def require_separated_rates(self) -> None:
-        """The same, but for initial values."""
+        """The same; initial values may be general."""
         for term in self.general:
             if not term.initial:
                 raise term.error
@@ -232,17 +232,17 @@ class SeparatedForm:
         clock = self.coordinates[0]
         lines = []
         for i in range(len(self.states)):
-            rest = [rf"- \left({text}\right)" for text in self._latex_general(i, initial=False)]
-            lines.append(f"{' '.join([self._latex_sum(self.terms, i), *rest])} &= 0")
+            general = [rf"- \left({text}\right)" for text in self._latex_general(i, initial=False)]
+            lines.append(f"{' '.join([self._latex_sum(self.terms, i), *general])} &= 0")
         for i, state in enumerate(self.states):
             at_start = rf"\Big|_{{{latex(clock.symbol)} = {clock.lower:g}}}"
-            rest = [rf"+ {text}" for text in self._latex_general(i, initial=True)]
-            value = " ".join([self._latex_sum(self.initial, i), *rest]).removeprefix("0 + ")
-            lines.append(f"{self._latex_state(state)} {at_start} &= {value}")
+            general = [rf"+ {text}" for text in self._latex_general(i, initial=True)]
+            start = " ".join([self._latex_sum(self.initial, i), *general]).removeprefix("0 + ")
+            lines.append(f"{self._latex_state(state)} {at_start} &= {start}")
         return aligned_equations(lines)
 
     def _general_lines(self) -> list[str]:
-        """The general terms, one in a line under a heading."""
+        """The general terms, one a line under a heading."""
         start = f"({self.coordinates[0].lower:g})"
         lines = [
             f"  {self.states[term.equation].name}{start if term.initial else ''}: {term.reason}"
@@ -257,7 +257,7 @@ class SeparatedForm:
             if term.equation == equation and term.initial == initial
         ]
 
-    def _table(self) -> Table:
+    def _table(self) -> _Table:
         counts = [
             count(len(self.states), "equation"),
             count(len(self.terms), "term"),
@@ -288,19 +288,19 @@ class SeparatedForm:
     def _latex_term(self, term: Term) -> str:
         """The term with its sign in front."""
         size = latex_number(term.size)
-        parts = [
+        factors = [
             rf"\left[{latex(distinct[i].expression)}\right]"
             for distinct, i in zip(self.factors, term.factors, strict=True)
             if i
         ]
         if term.derivative:
-            parts.append(rf"\frac{{d}}{{d {latex(self.coordinates[0].symbol)}}}")
+            factors.append(rf"\frac{{d}}{{d {latex(self.coordinates[0].symbol)}}}")
         for i, power in sorted(Counter(term.monomial).items()):
             raised = f"^{{{power}}}" if power > 1 else ""
-            parts.append(f"{{{self._latex_state(self.states[i])}}}{raised}")
-        if size != "1" or not parts:
-            parts.insert(0, size)
-        return " ".join(["-" if term.coefficient < 0 else "+", *parts])
+            factors.append(f"{{{self._latex_state(self.states[i])}}}{raised}")
+        if size != "1" or not factors:
+            factors.insert(0, size)
+        return " ".join(["-" if term.coefficient < 0 else "+", *factors])
 
     def _latex_state(self, state: State) -> str:
         """A state without its argument."""
@@ -360,7 +360,7 @@ class QuadraticSystem:
     states : tuple of State
         The differential states, then the auxiliary ones, which are products.
     rhs : tuple of Term
-        f term by term, of any degree, in the differential states.
+        The terms of f, of any degree, in the differential states.
     products : tuple of (int, int)
         For each auxiliary state the states multiplied.
     groups : tuple of Group
@@ -398,12 +398,12 @@ class QuadraticSystem:
     def terms(self) -> tuple[Term, ...]:
         """All terms of the groups."""
         return tuple(
-            term for group in self.groups for part in group.by_degree.values() for term in part
+            term for group in self.groups for terms in group.by_degree.values() for term in terms
         )
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
-        """What each equation gives, as text: ``x'``, or ``x*x - w0`` that vanishes."""
+        """The left side of each equation as text: ``x'``, or ``x*x - w0``, which vanishes."""
         rates = (f"{state.name}'" for state in self.differential)
         return (*rates, *(f"{product} - {name}" for name, product in self._auxiliary))
 
@@ -427,7 +427,7 @@ class QuadraticSystem:
     def _repr_html_(self) -> str:
         return html_table(*self._table())
 
-    def _table(self) -> Table:
+    def _table(self) -> _Table:
         states, terms = count(len(self.states), "state"), count(len(self.terms), "term")
         auxiliary = f" ({', '.join(self.definitions)})" if self.products else ""
         in_groups = f"{terms} in {count(len(self.groups), 'group')}"
@@ -444,8 +444,8 @@ class QuadraticSystem:
                 factor_texts(self.factors, term.factors)[0],
             ]
             for group in self.groups
-            for part in group.by_degree.values()
-            for term in part
+            for terms_of_degree in group.by_degree.values()
+            for term in terms_of_degree
         ]
         return summary, header, rows
 

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from sympy.core.function import ArgumentIndexError, FunctionClass
 
@@ -40,34 +41,40 @@ __all__ = [
 
 _KINDS = ("linear", "cubic", "previous")
 _PREFIX = "f_"
-"""What a function's name begins with in generated source, so that no local name hides it."""
+"""First letters of a function's name in generated source, so that no local name hides it."""
+_AT_THE_ENDS = 1e-9
+"""Distance outside of a table, over its length, that is taken for rounding."""
+_LONGEST_LINE = 100
+"""Characters of a line of generated source."""
+_NUMBERS_PER_LINE = 8
+"""Numbers in each line of an array that does not fit into one."""
 
 
-class _Made(FunctionClass):  # type: ignore[misc]
+class _DataFunctionClass(FunctionClass):  # type: ignore[misc]
     """The class of function classes made from data: they are pickled by their data."""
 
-    recipe: tuple[Callable[..., Any], tuple[Any, ...]]
+    reconstruction: tuple[Callable[..., type], tuple[object, ...]]
 
 
-def _reduced(made: Any) -> Any:
-    """The recipe of a class that was made, the name of any other."""
-    return made.recipe if "recipe" in made.__dict__ else made.__name__
+def _reduced(function_class: type) -> object:
+    """How pickle makes a class again from its data; the base classes are pickled by name."""
+    return function_class.__dict__.get("reconstruction", function_class.__name__)
 
 
-copyreg.pickle(_Made, _reduced)
+copyreg.pickle(_DataFunctionClass, _reduced)  # type: ignore[arg-type]
 
 
-class DataFunction(sp.Function, metaclass=_Made):  # type: ignore[misc]
-    """A function that is evaluated by numbers: the base of tables and of users' functions."""
+class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[misc]
+    """A function that has only numbers as values: the base of tables and users' functions."""
 
     @classmethod
     def written(cls) -> str:
-        """How the function is called in generated source."""
+        """The name of the function in generated source."""
         return _PREFIX + str(cls.__name__)
 
     @classmethod
     def definition(cls) -> list[str]:
-        """Source lines that define it; none if it is handed to the module."""
+        """Source lines that define it; none if the module receives it."""
         return []
 
     def _eval_is_extended_real(self) -> bool:
@@ -99,13 +106,14 @@ class Table(DataFunction):
         points, values = f"POINTS_{cls.__name__}", f"VALUES_{cls.__name__}"
         lines = [*_array(points, cls.points), *_array(values, cls.values)]
         if cls.kind == "linear":
-            value = f"np.interp(inside, {points}, {values})"
+            interpolated = f"np.interp(inside, {points}, {values})"
         elif cls.kind == "previous":
-            value = f'{values}[np.searchsorted({points}, inside, side="right") - 1]'
+            interpolated = f'{values}[np.searchsorted({points}, inside, side="right") - 1]'
         else:
             lines.append(f"SPLINE_{cls.__name__} = CubicSpline({points}, {values})")
-            value = f"SPLINE_{cls.__name__}(inside{f', {cls.order}' if cls.order else ''})"
-        near = 1e-9 * (cls.points[-1] - cls.points[0])
+            order = f", {cls.order}" if cls.order else ""
+            interpolated = f"SPLINE_{cls.__name__}(inside{order})"
+        near = _AT_THE_ENDS * (cls.points[-1] - cls.points[0])
         return [
             *lines,
             "",
@@ -113,7 +121,7 @@ class Table(DataFunction):
             f"def {cls.written()}(x):",
             f'    """Table of {len(cls.points)} values, {cls.kind}; NaN outside of it."""',
             f"    inside = np.clip(x, {points}[0], {points}[-1])",
-            f"    value = {value}",
+            f"    value = {interpolated}",
             f"    return np.where(abs(inside - x) <= {near!r}, value, np.nan)",
         ]
 
@@ -160,7 +168,7 @@ def table(
     ProblemError
         If the points do not ascend, numbers are not finite, or there are not as many values.
     """
-    points, heights = _numbers("times", times), _numbers("values", values)
+    points, heights = _floats("times", times), _floats("values", values)
     if len(points) < 2 or len(points) != len(heights):
         raise ProblemError(
             f"a table has {len(points)} times and {len(heights)} values",
@@ -192,7 +200,7 @@ def table(
     return _table_class(name, points, heights, kind, 0)
 
 
-_TABLES: dict[tuple[Any, ...], type[Table]] = {}
+_TABLES: dict[tuple[object, ...], type[Table]] = {}
 
 
 def _table_class(
@@ -201,7 +209,7 @@ def _table_class(
     """The class of a table; the same data give the same class."""
     key = name, points, values, kind, order
     if key not in _TABLES:
-        made: Any = _Made(
+        table_class: Any = _DataFunctionClass(
             name,
             (Table,),
             {
@@ -210,14 +218,14 @@ def _table_class(
                 "values": values,
                 "kind": kind,
                 "order": order,
-                "recipe": (_table_class, key),
+                "reconstruction": (_table_class, key),
                 "__module__": __name__,
             },
         )
         namespace: dict[str, Any] = {"np": np, "CubicSpline": CubicSpline}
-        exec("\n".join(made.definition()), namespace)
-        made._imp_ = staticmethod(namespace[made.written()])
-        _TABLES[key] = made
+        exec("\n".join(table_class.definition()), namespace)
+        table_class._imp_ = staticmethod(namespace[table_class.written()])
+        _TABLES[key] = table_class
     return _TABLES[key]
 
 
@@ -230,21 +238,21 @@ class UserFunction(DataFunction):
         One for each argument; none if this is a derivative itself.
     """
 
-    derivatives: ClassVar[tuple[Callable[..., Any], ...]]
+    derivatives: ClassVar[tuple[Callable[..., object], ...]]
 
     def fdiff(self, argindex: int = 1) -> sp.Expr:
         """The derivative, another function of the user."""
         if not self.derivatives:
             raise ArgumentIndexError(self, argindex)
         name = f"{type(self).__name__}_{argindex}"
-        value = self.derivatives[argindex - 1]
-        return _user_class(name, value, (), len(self.args))(*self.args)
+        slope = self.derivatives[argindex - 1]
+        return _user_class(name, slope, (), len(self.args))(*self.args)
 
 
 def function(
     name: str,
-    value: Callable[..., Any],
-    derivative: Callable[..., Any] | Sequence[Callable[..., Any]],
+    value: Callable[..., object],
+    derivative: Callable[..., object] | Sequence[Callable[..., object]],
 ) -> type[UserFunction]:
     """A function of the user for right-hand sides, with its derivative.
 
@@ -269,11 +277,11 @@ def function(
     _check_name(name)
     several = isinstance(derivative, Sequence)
     derivatives = tuple(derivative) if isinstance(derivative, Sequence) else (derivative,)
-    given = (value, *derivatives)
-    if not derivatives or not all(callable(f) and isinstance(f, Hashable) for f in given):
-        what = "derivatives" if several else "derivative"
+    callables = (value, *derivatives)
+    if not derivatives or not all(callable(f) and isinstance(f, Hashable) for f in callables):
+        slopes = "derivatives" if several else "derivative"
         raise ProblemError(
-            f"value and {what} of function {quote(name)} are not all callable (and hashable)",
+            f"value and {slopes} of function {quote(name)} are not all callable (and hashable)",
             term=name,
             remedy="give value=f and derivative=df, callables on NumPy arrays",
         )
@@ -282,44 +290,44 @@ def function(
 
 def _user_class(
     name: str,
-    value: Callable[..., Any],
-    derivatives: tuple[Callable[..., Any], ...],
+    value: Callable[..., object],
+    derivatives: tuple[Callable[..., object], ...],
     arguments: int,
 ) -> type[UserFunction]:
     """The class of a function of the user; the same callables give the same class."""
     key = name, value, derivatives, arguments
     if key not in _USERS:
-        made: Any = _Made(
+        user_class: Any = _DataFunctionClass(
             name,
             (UserFunction,),
             {
                 "nargs": arguments,
                 "derivatives": derivatives,
-                "recipe": (_user_class, key),
+                "reconstruction": (_user_class, key),
                 "__module__": __name__,
             },
         )
-        made._imp_ = staticmethod(_Guarded(name, value))
-        _USERS[key] = made
+        user_class._imp_ = staticmethod(_Guarded(name, value))
+        _USERS[key] = user_class
     return _USERS[key]
 
 
-_USERS: dict[tuple[Any, ...], type[UserFunction]] = {}
+_USERS: dict[tuple[object, ...], type[UserFunction]] = {}
 
 
 class _Guarded:
-    """A user's callable whose failures name it."""
+    """A user's callable; errors in it name it."""
 
-    def __init__(self, name: str, value: Callable[..., Any]) -> None:
+    def __init__(self, name: str, value: Callable[..., object]) -> None:
         self.name, self.value = name, value
 
-    def __call__(self, *arguments: Any) -> Array:
+    def __call__(self, *arguments: ArrayLike) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in arguments))
         try:
             # copies, as a function may change its arguments
-            given = np.asanyarray(self.value(*(array.copy() for array in arrays)))
-            real = not (np.iscomplexobj(given) or np.ma.is_masked(given))
-            result = np.asarray(given, dtype=float) if real else np.full(1, np.nan)
+            returned = np.asanyarray(self.value(*(array.copy() for array in arrays)))
+            real = not (np.iscomplexobj(returned) or np.ma.is_masked(returned))
+            heights = np.asarray(returned, dtype=float) if real else np.full(1, np.nan)
         except Exception as error:
             raise ProblemError(
                 f"function {quote(self.name)} raised {type(error).__name__}: {error}",
@@ -332,65 +340,64 @@ class _Guarded:
                 term=self.name,
                 remedy="return real numbers; NaN where there are none",
             )
-        if result.shape != arrays[0].shape:
+        if heights.shape != arrays[0].shape:
             raise ProblemError(
-                f"function {quote(self.name)} returned shape {result.shape} for arguments of "
+                f"function {quote(self.name)} returned shape {heights.shape} for arguments of "
                 f"shape {arrays[0].shape}",
                 term=self.name,
                 remedy="return one number for each point",
             )
-        return result
+        return heights
 
 
 def known_applied(expressions: Iterable[sp.Basic]) -> list[DataFunction]:
     """The tables and users' functions applied in expressions, in a fixed order."""
-    found = {part for expression in expressions for part in expression.atoms(DataFunction)}
-    return sorted(found, key=sp.default_sort_key)
+    functions = {f for expression in expressions for f in expression.atoms(DataFunction)}
+    return sorted(functions, key=sp.default_sort_key)
 
 
 def check_distinct(expressions: Iterable[sp.Basic]) -> None:
     """Raise a ProblemError if two tables or users' functions go by one name in source."""
-    found: dict[str, type[DataFunction]] = {}
-    for part in known_applied(expressions):
-        slopes = [part.fdiff(k + 1) for k in range(len(part.args))]
-        for each in (part, *(slope for slope in slopes if isinstance(slope, DataFunction))):
-            if found.setdefault(each.written(), type(each)) is not type(each):
+    classes: dict[str, type[DataFunction]] = {}
+    for applied in known_applied(expressions):
+        slopes = [applied.fdiff(k + 1) for k in range(len(applied.args))]
+        for f in (applied, *(slope for slope in slopes if isinstance(slope, DataFunction))):
+            if classes.setdefault(f.written(), type(f)) is not type(f):
                 raise ProblemError(
-                    f"{quote(each.func)} names two tables or functions, or a derivative",
-                    term=each,
+                    f"{quote(f.func)} names two tables or functions, or a derivative",
+                    term=f,
                     remedy="give them names that differ",
                 )
 
 
-def namespace_of(expressions: Iterable[sp.Basic]) -> Mapping[str, Callable[..., Any]]:
+def namespace_of(expressions: Iterable[sp.Basic]) -> Mapping[str, Callable[..., object]]:
     """The users' functions and their derivatives, by their names in generated source."""
-    found: dict[str, Callable[..., Any]] = {}
-    for part in known_applied(expressions):
-        if isinstance(part, UserFunction):
-            slopes = [part.fdiff(k + 1) for k in range(len(part.derivatives))]
-            for each in (part, *slopes):
-                found[each.written()] = each._imp_
-    return found
+    namespace: dict[str, Callable[..., object]] = {}
+    for applied in known_applied(expressions):
+        if isinstance(applied, UserFunction):
+            slopes = [applied.fdiff(k + 1) for k in range(len(applied.derivatives))]
+            namespace |= {f.written(): f._imp_ for f in (applied, *slopes)}
+    return namespace
 
 
-def _numbers(what: str, given: Any) -> tuple[float, ...]:
+def _floats(argument: str, sequence: Any) -> tuple[float, ...]:
     """A tuple of finite floats, or an error."""
     try:
-        if np.ma.is_masked(given) or np.iscomplexobj(given):
+        if np.ma.is_masked(sequence) or np.iscomplexobj(sequence):
             raise TypeError
-        numbers = np.asarray(given, dtype=float)
+        floats = np.asarray(sequence, dtype=float)
     except (OverflowError, TypeError, ValueError):
-        numbers = np.full(1, np.nan)
-    if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        floats = np.full(1, np.nan)
+    if floats.ndim != 1 or not np.isfinite(floats).all():
         raise ProblemError(
-            f"the {what} of a table are not finite real numbers in one row",
-            term=given,
+            f"the {argument} of a table are not finite real numbers in one row",
+            term=sequence,
             remedy="give sequences of numbers",
         )
-    return tuple(numbers.tolist())
+    return tuple(floats.tolist())
 
 
-def _check_name(name: Any) -> None:
+def _check_name(name: object) -> None:
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise ProblemError(
             f"{shown(name)} is not a name", term=name, remedy="use a Python identifier"
@@ -405,34 +412,34 @@ def _check_name(name: Any) -> None:
 def _representable(points: tuple[float, ...], values: tuple[float, ...], kind: str) -> bool:
     """Whether all numbers that a table is evaluated with are finite."""
     with np.errstate(all="ignore"):
-        numbers = np.diff(points[:: len(points) - 1])
+        coefficients = np.diff(points[:: len(points) - 1])
         if kind == "linear":
-            numbers = np.append(numbers, np.diff(values) / np.diff(points))
+            coefficients = np.append(coefficients, np.diff(values) / np.diff(points))
         if kind == "cubic":
             try:
-                numbers = np.append(numbers, CubicSpline(points, values).c)
+                coefficients = np.append(coefficients, CubicSpline(points, values).c)
             except (ValueError, np.linalg.LinAlgError):
                 return False
-    return bool(np.isfinite(numbers).all())
+    return bool(np.isfinite(coefficients).all())
 
 
 def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
     """An array bound to a name, several numbers in a line."""
-    line = f"{name} = np.array([{', '.join(map(_digits, numbers))}])"
-    if len(line) <= 100:
+    digits = [repr(number).replace("e+", "e") for number in numbers]
+    line = f"{name} = np.array([{', '.join(digits)}])"
+    if len(line) <= _LONGEST_LINE:
         return [line]
-    rows = [numbers[k : k + 8] for k in range(0, len(numbers), 8)]
+    rows = [digits[k : k + _NUMBERS_PER_LINE] for k in range(0, len(digits), _NUMBERS_PER_LINE)]
     return [
         "# fmt: off",
         f"{name} = np.array([",
-        *(f"    {', '.join(map(_digits, row))}," for row in rows),
+        *(f"    {', '.join(row)}," for row in rows),
         "])",
         "# fmt: on",
     ]
 
 
-def _digits(number: float) -> str:
-    return repr(number).replace("e+", "e")
+# -- functions of a whole function of time ----------------------------------------------------
 
 
 class maximum(sp.Function):  # type: ignore[misc]
@@ -467,11 +474,10 @@ class duration(sp.Function):  # type: ignore[misc]
 class first_crossing(sp.Function):  # type: ignore[misc]
     """The first time at which an expression crosses a level.
 
-    ``first_crossing(x, level, direction)`` in :meth:`rankone.Solution.output`: the level is 0
-    unless it is given, a number or an expression of parameters and time; the direction is 1
-    (upwards), -1 (downwards) or 0, either. Where the expression only begins at the level, or
-    exceeds it by less than ten times the tolerance of its largest distance from it, that is no
-    crossing.
+    ``first_crossing(x, level, direction)`` in :meth:`rankone.Solution.output`. The level, 0 by
+    default, is a number or an expression of parameters and time; the direction is 1 (upwards), -1
+    (downwards) or 0 (either). An expression that only begins at the level does not cross it; nor
+    does one that exceeds it by less than ten times the tolerance times its largest distance.
     """
 
     nargs = (1, 2, 3)
