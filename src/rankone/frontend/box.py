@@ -97,9 +97,8 @@ def check_parameters(
                 text = as_text(from_text(bounds) if isinstance(bounds, str) else bounds)
                 bounds = interval_of(from_text(text), float(tail))
             except OptionError as error:
-                raise ProblemError(
-                    f"the distribution of parameter {quote(symbol)}: {error}", term=symbol
-                ) from None
+                message = f"the distribution of parameter {quote(symbol)}: {error.message}"
+                raise ProblemError(message, term=symbol, remedy=error.remedy) from None
             distributions[symbol.name] = text
         box[symbol] = _interval(symbol, bounds)
     return box, distributions
@@ -209,7 +208,8 @@ def check_units(
         try:
             name = name_of(key, time.name)
         except EvaluationError as error:
-            raise ProblemError(f"units: {error}", term=key) from None
+            message = f"units: {error.message}"
+            raise ProblemError(message, term=key, remedy=error.remedy) from None
         if name not in names:
             raise ProblemError(
                 f"units has {quote(name)}, which is neither time nor a parameter nor an unknown"
