@@ -20,9 +20,8 @@ from rankone.ir.domain import Domain
 from rankone.ir.forms import Coordinate, SeparatedForm, State
 from rankone.ir.functions import Table, known_applied
 from rankone.ir.system import System, refuse_gap
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, corners
 from rankone.support.errors import OptionError, ProblemError, RankoneWarning
-from rankone.support.spread import corners
 from rankone.support.wording import number, quote
 from rankone.symbolic.first_order import FirstOrderSystem
 
