@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from rankone.support.wording import did_you_mean, quote, shown
 __all__ = ["LEAST_WIDTH", "Domain", "KnownFactors", "check_factors"]
 
 LEAST_WIDTH = 1e-290
-"""Shortest interval whose parts are still numbers."""
+"""Shortest interval: fractions of a shorter one underflow."""
 _SAMPLES = 257
-"""Points of an interval at which known functions are looked at."""
+"""Points of an interval at which known functions are checked, both ends and the middle included."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Domain:
     def moved(
         self,
         names: Sequence[str],
-        parameters: Mapping[Any, Sequence[float]] | None = None,
+        parameters: Mapping[object, Sequence[float]] | None = None,
         t_final: float | None = None,
     ) -> Domain:
         """The domain with other intervals of some parameters, or another end of the horizon.
@@ -61,56 +61,56 @@ class Domain:
             message = f"parameters={parameters!r} is not a mapping from parameters to intervals"
             raise OptionError(message, term=parameters, remedy="give {name: (lower, upper), ...}")
         box = dict(zip(names, self.box, strict=True))
-        given: set[str] = set()
+        moved: set[str] = set()
         for key, interval in (parameters or {}).items():
-            name = str(getattr(key, "name", key))
+            name = str(getattr(key, "name", key))  # of a symbol, or the key itself
             if name not in box:
                 raise OptionError(
                     f"there is no parameter {quote(name)}{did_you_mean(name, box)}",
                     term=key,
                     remedy=f"choose from {', '.join(box)}" if box else None,
                 )
-            if name in given:
+            if name in moved:
                 raise OptionError(f"the parameter {quote(name)} is given twice", term=key)
-            given.add(name)
+            moved.add(name)
             box[name] = _interval(f"the range of {quote(name)}", interval)
         start, end = self.horizon
         horizon = _interval("the horizon", (start, end if t_final is None else t_final))
         return Domain(horizon, tuple(box.values()))
 
 
-def _interval(what: str, given: Any) -> tuple[float, float]:
+def _interval(subject: str, interval: Iterable[object]) -> tuple[float, float]:
     """Two finite numbers in ascending order, or an OptionError."""
     try:
-        lower, upper = (float(value) for value in given if _is_number(value))
+        lower, upper = (
+            float(end)
+            for end in interval
+            if isinstance(end, SupportsFloat) and not isinstance(end, bool | np.bool_)
+        )
     except (OverflowError, TypeError, ValueError):
         lower = upper = math.nan
-    if isinstance(given, Set):  # it has no order
+    if isinstance(interval, Set):  # it has no order
         lower = math.nan
     if lower < upper and upper - lower < LEAST_WIDTH:
-        raise OptionError(f"{what} is {shown(given)}, which is too narrow", term=given)
+        raise OptionError(f"{subject} is {shown(interval)}, which is too narrow", term=interval)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
         raise OptionError(
-            f"{what} is {shown(given)}, not two numbers in ascending order", term=given
+            f"{subject} is {shown(interval)}, not two numbers in ascending order", term=interval
         )
     return lower, upper
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, SupportsFloat) and not isinstance(value, bool | np.bool_)
-
-
 @dataclass(frozen=True)
 class KnownFactors:
-    """The factors of one coordinate on an interval; anything not finite is an OptionError."""
+    """The factors of one coordinate on an interval; an infinite one is an OptionError."""
 
-    what: str
+    coordinate: str
     interval: tuple[float, float]
     function: Callable[[Array], Array]
 
     @classmethod
     def of(cls, system: System, domain: Domain) -> Iterator[KnownFactors]:
-        """Those of time, then of each parameter."""
+        """The factors of time, then those of each parameter."""
         yield cls("time", domain.horizon, system.time_factors)
         for j, (name, interval) in enumerate(zip(system.parameters, domain.box, strict=True)):
             yield cls(quote(name), interval, partial(system.parameter_factors, j))
@@ -118,16 +118,16 @@ class KnownFactors:
     def __call__(self, points: Array) -> Array:
         """Values at points (N,): shape (factors, N)."""
         with np.errstate(all="ignore"):
-            values = self.function(points)
-        if not np.isfinite(values).all():
+            factors = self.function(points)
+        if not np.isfinite(factors).all():
             raise self.not_finite()
-        return values
+        return factors
 
     def not_finite(self) -> OptionError:
         """The error for a pole."""
         lower, upper = self.interval
         return OptionError(
-            f"a coefficient is not finite for {self.what} in [{lower:g}, {upper:g}]",
+            f"a coefficient is not finite for {self.coordinate} in [{lower:g}, {upper:g}]",
             remedy="choose a range on which all coefficients are finite",
         )
 

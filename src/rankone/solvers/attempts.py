@@ -37,30 +37,37 @@ from rankone.verification.reference import safe_intervals
 
 __all__ = ["Attempt", "Marcher", "Progress", "error_notes", "solve_in_attempts", "unknowns_notes"]
 
-_EXPLAINING, _LONGEST, _SHARE = 5e9, 5.0, 0.15
-"""Operations, and seconds of a time limit, that are kept for saying why a solve failed, and their
-largest share of all."""
-_LESS = "narrow the box, loosen rtol or take another method"
-_MORE_TIME, _MORE_WORK = "give more time by max_seconds", "raise effort"
-_STALLED = 0.7
-"""An attempt that leaves more of the error of the best one before has stalled."""
-_PAYS, _RECENT = 1.5, 3
-"""Factor by which one of so many attempts, the last, must have lowered the error to go on at all
-events."""
+EXPLANATION_OPERATIONS = 5e9
+"""Most operations kept back to explain a failure: a search for the steep parameter needs them."""
+EXPLANATION_SECONDS = 5.0
+"""Most seconds of a time limit kept back for the same: about what those operations take."""
+EXPLANATION_SHARE = 0.15
+"""Largest share of a budget kept back for it, so that small budgets still go into the solve."""
+STALLED_RATIO = 0.7
+"""An attempt has stalled if its error is above this fraction of the best error before it."""
+PAYING_FACTOR = 1.5
+"""Factor by which a recent attempt must have lowered the error to go on in any case."""
+RECENT_ATTEMPTS = 3
+"""Attempts that count as recent: two that fail in a row may be followed by one that succeeds."""
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 """Limits in the order in which they explain a failure."""
 _REMEDIES = {
-    Status.WORK_LIMIT: _MORE_WORK,
-    Status.TIME_LIMIT: _MORE_TIME,
-    Status.MEMORY_LIMIT: _LESS,
+    Status.WORK_LIMIT: "raise effort",
+    Status.TIME_LIMIT: "give more time by max_seconds",
+    Status.MEMORY_LIMIT: "narrow the box, loosen rtol or take another method",
 }
-_OF_ALL = (Status.WORK_LIMIT, Status.TIME_LIMIT, Status.TRAJECTORY_LIMIT, Status.MEMORY_LIMIT)
+_LIMITS_OF_THE_SOLVE = (
+    Status.WORK_LIMIT,
+    Status.TIME_LIMIT,
+    Status.TRAJECTORY_LIMIT,
+    Status.MEMORY_LIMIT,
+)
 """Limits that a later attempt may meet, although an earlier one is the best."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """What one pass over the horizon came to."""
+    """One pass over the horizon, and its measured error."""
 
     result: MarchResult
     measured: Measured | None
@@ -70,13 +77,13 @@ class Attempt:
         """Largest measured error; infinite if there is none."""
         return math.inf if self.measured is None else self.measured.error
 
-    def better_than(self, other: Attempt | None) -> bool:
+    def better_than(self, best: Attempt | None) -> bool:
         """Whether to keep this attempt: it got further, or as far with a smaller error."""
-        if other is None:
+        if best is None:
             return True
-        if (self.result.stopped is None) != (other.result.stopped is None):
+        if (self.result.stopped is None) != (best.result.stopped is None):
             return self.result.stopped is None
-        return self.error < other.error
+        return self.error < best.error
 
     def status(self, reference_set: ReferenceSet, rtol: float) -> Status:
         """How the solve ended, if this attempt is what it came to."""
@@ -110,14 +117,14 @@ class Progress:
     _recent: tuple[bool, ...] = ()
 
     def add(self, error: float, best: float) -> None:
-        """Take notice of an attempt; ``best`` is the least error before it."""
-        self.stalls = self.stalls + 1 if error > _STALLED * best else 0
-        lowered = best < math.inf and _PAYS * error <= best
-        self._recent = (*self._recent, lowered)[-_RECENT:]
+        """Record an attempt; ``best`` is the least error before it."""
+        self.stalls = self.stalls + 1 if error > STALLED_RATIO * best else 0
+        lowered = best < math.inf and PAYING_FACTOR * error <= best
+        self._recent = (*self._recent, lowered)[-RECENT_ATTEMPTS:]
 
     @property
     def pays(self) -> bool:
-        """Whether another attempt is worth its work at all events."""
+        """Whether another attempt is worth its work in any case."""
         return any(self._recent)
 
 
@@ -131,7 +138,7 @@ class Stages:
 
     @property
     def named(self) -> dict[str, float]:
-        """Operations by stage; samples and ranks apart where a march consists of both."""
+        """Operations by stage; a march of samples and ranks counts as two stages."""
         if not self.sampled:
             return self.work
         ranks = self.work["march"] - self.sampled
@@ -140,7 +147,7 @@ class Stages:
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Add what is spent inside to a stage."""
+        """Add the seconds and operations spent inside to a stage."""
         began, done = clock.perf_counter(), work_done()
         try:
             yield
@@ -150,7 +157,7 @@ class Stages:
 
 
 class Marcher(Protocol):
-    """What an engine supplies: marches over the horizon, each finer than the one before."""
+    """The part of an engine: marches over the horizon, each finer than the one before."""
 
     reference_set: ReferenceSet
     """Its end and its sizes; it may become stricter between two marches."""
@@ -161,7 +168,7 @@ class Marcher(Protocol):
         """Solve the horizon; ``index`` counts the attempts from 0."""
 
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
-        """Ask more of the next march; False when there is nothing left to try."""
+        """Make the next march more accurate; False when there is nothing left to try."""
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """The status, or one that says more, and why it ended so."""
@@ -178,7 +185,8 @@ def solve_in_attempts(
     """Integrate the reference, then march and check until the measured error fits.
 
     ``prepared`` makes the marcher from the request and its reference set; ``group`` is the type
-    of the engine's options. A part of the budget is kept for saying why it failed.
+    of the engine's options. A part of the budget is kept
+    back to explain a failure.
     """
     stages = Stages()
     with _keeping_some():
@@ -284,7 +292,7 @@ def _extent(result: MarchResult) -> Note:
 def _attempts(
     marcher: Marcher, rtol: float, options: Options, report: Report, stages: Stages
 ) -> tuple[Attempt, list[SlabRecord], Status | None]:
-    """The best attempt, the records of all, and the limit of the whole solve that ended them."""
+    """The best attempt, the records of all, and the limit of the solve that ended them."""
     records: list[SlabRecord] = []
     best: Attempt | None = None
     progress, met = Progress(), None
@@ -316,7 +324,7 @@ def _attempts(
             continue
         progress.add(attempt.error, best.error if best else math.inf)
         best = attempt if attempt.better_than(best) else best
-        met = result.stopped if result.stopped in _OF_ALL else None
+        met = result.stopped if result.stopped in _LIMITS_OF_THE_SOLVE else None
         done = result.stopped or not before.checked or attempt.error <= rtol
         if done or _enough(index + 1, options, progress):
             break
@@ -335,7 +343,7 @@ def _enough(count: int, options: Options, progress: Progress) -> bool:
 
 
 def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attempt:
-    """A failure with the error that it has where it is worst, as far as that is easily found."""
+    """A failed attempt, measured again where its error is likely to be worst."""
     if not best.result.slabs or not rtol < best.error < math.inf:
         return best
     try:
@@ -351,23 +359,23 @@ def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attemp
 def _further_points(
     reference_set: ReferenceSet, attempt: Attempt, rtol: float, number: int
 ) -> Array | None:
-    """Points at which an attempt is to be measured too; None while it is not good enough."""
+    """Further points at which to measure an attempt; None while its error is too large."""
     result = attempt.result
     if not result.stopped and attempt.error > rtol:
         return None
-    given = [] if result.points is None else [result.points]
+    further = [] if result.points is None else [result.points]
     if not result.stopped:
         share = attempt.error / rtol
         result.doubtful = worst_points(reference_set, result.slabs, share, rtol, number)
-        given += [] if result.doubtful is None else [result.doubtful]
-    return np.concatenate(given) if given else None
+        further += [] if result.doubtful is None else [result.doubtful]
+    return np.concatenate(further) if further else None
 
 
 @contextmanager
 def _keeping_some() -> Iterator[None]:
-    """Limit what is done inside, so that something is left to say why it failed."""
+    """Keep a part of the budget back to explain a failure."""
     work, seconds = work_left(), seconds_left()
-    work -= min(_EXPLAINING, _SHARE * work)
-    seconds -= min(_LONGEST, _SHARE * seconds)
+    work -= min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * work)
+    seconds -= min(EXPLANATION_SECONDS, EXPLANATION_SHARE * seconds)
     with limited(work, seconds):
         yield

@@ -21,13 +21,20 @@ logger = logging.getLogger("rankone")
 
 __all__ = ["PlainNodes", "interpolated", "interpolated_initial"]
 
-_LEFT, _HIGHEST_RANK = 9, 200
-_LOST_AT_START = 1e-13
-"""Largest error, in sizes: far below that of any solve."""
-_NODES_TRIED, _LOST_THERE, _WORST_TAKEN = 256, 30.0, 16
-"""Random nodes at which the interpolation is tried, the error there over what may be lost from
-which there are more left points, and how many of the worst are among them."""
+_LEFT_POINTS = 9
+"""Random left points of the first attempt; each further attempt doubles them."""
+_HIGHEST_RANK = 200
+"""Largest rank: initial values and states after jumps are smooth functions."""
+_INITIAL_TOLERANCE = 1e-13
+"""Error of initial values, in their sizes: far below that of any solve."""
+_TRIAL_NODES = 256
+"""Random nodes at which the interpolation is compared with exact values."""
+_TRIAL_FACTOR = 30.0
+"""An error at a trial node above so many tolerances asks for more left points."""
+_WORST_NODES = 16
+"""Trial nodes with the largest errors that become left points."""
 _ATTEMPTS = 5
+"""Most attempts: the last one has 144 random left points."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +46,22 @@ class PlainNodes:
 
     @classmethod
     def of(cls, count: int) -> PlainNodes:
-        """So many nodes."""
+        """Nodes of weight one."""
         return cls(count, np.ones(count))
 
 
 def interpolated(
-    values: Callable[[Integers], Array], nodes: Sequence[Nodes], tolerance: float
+    function: Callable[[Integers], Array], nodes: Sequence[Nodes], tolerance: float
 ) -> Train:
-    """A train through values at nodes of each parameter.
+    """A train through the values of a function at nodes of each parameter.
 
     Parameters
     ----------
-    values : callable
+    function : callable
         Values at indices (m, d) of nodes: shape (n, m).
     nodes : sequence of Nodes
     tolerance : float
-        What may be lost, in sizes of the values.
+        Largest error, in sizes of the values.
 
     Returns
     -------
@@ -63,28 +70,27 @@ def interpolated(
         right-orthonormal.
     """
     if not nodes:
-        return Train((values(np.zeros((1, 0), dtype=np.int64)),))
+        return Train((function(np.zeros((1, 0), dtype=np.int64)),))
     generator = np.random.default_rng(20140)
-    some = np.stack([generator.integers(0, x.size, _NODES_TRIED) for x in nodes], axis=1)
-    exact = values(some)
+    trial = np.stack([generator.integers(0, x.size, _TRIAL_NODES) for x in nodes], axis=1)
+    exact = function(trial)
     sizes = np.abs(exact).max(axis=1, keepdims=True)
     sizes[sizes == 0.0] = 1.0
     counts = [x.size for x in nodes]
-    left = left_points(counts, _LEFT, 20140)
-    for number in range(1, _ATTEMPTS + 1):
-        train, _ = interpolate(lambda i: values(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
+    left = left_points(counts, _LEFT_POINTS, 20140)
+    for attempt in range(1, _ATTEMPTS + 1):
+        train, _ = interpolate(lambda i: function(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
         unscaled = train.unscaled([x.weights for x in nodes])
-        missed = np.abs(train.first @ unscaled.at_indices(some) - exact / sizes).max(axis=0)
+        errors = np.abs(train.first @ unscaled.at_indices(trial) - exact / sizes).max(axis=0)
         full = math.prod(counts[:-1]) <= len(left[-1])
-        if full or missed.max() <= _LOST_THERE * tolerance:
+        if full or errors.max() <= _TRIAL_FACTOR * tolerance:
             break
-        worst = some[np.argsort(-missed)[:_WORST_TAKEN]]
-        more = left_points(counts, _LEFT * 2**number, 20140 + number)
+        worst = trial[np.argsort(-errors)[:_WORST_NODES]]
         left = [
             np.unique(np.concatenate([points, worst[:, : points.shape[1]]]), axis=0)
-            for points in more
+            for points in left_points(counts, _LEFT_POINTS * 2**attempt, 20140 + attempt)
         ]
-    logger.info("interpolated over the parameters: ranks %s, error %.1e", train.ranks, missed.max())
+    logger.info("interpolated over the parameters: ranks %s, error %.1e", train.ranks, errors.max())
     return train.with_first(train.first * sizes)
 
 
@@ -94,7 +100,7 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> Train:
     Core 0 has the shape (n, r_1), core j the shape (r_j, N_j, r_{j+1}).
     """
 
-    def values(indices: Integers) -> Array:
+    def at_nodes(indices: Integers) -> Array:
         return system.initial(np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
 
-    return interpolated(values, [PlainNodes.of(x.size) for x in nodes], _LOST_AT_START)
+    return interpolated(at_nodes, [PlainNodes.of(x.size) for x in nodes], _INITIAL_TOLERANCE)

@@ -1,13 +1,13 @@
 """One pass over the horizon, slab after slab.
 
-A march only leads: a controller says how long the next slab is, a slab solver solves it, and the
-controller takes notice of how that went.
+A controller says how long the next slab is, a slab solver solves it, and the controller learns how
+that went.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Generic, Protocol, TypeVar
 
 from rankone.ir.outcome import SlabRecord
 from rankone.ir.verdict import Status
@@ -18,8 +18,8 @@ from rankone.tensors.slab import SlabTrain
 
 __all__ = ["Lengths", "March", "MarchResult", "SlabSolver", "Span", "Trial"]
 
-_REST = 1e-12
-"""What is left of the horizon is nothing below this part of it."""
+_HORIZON_ROUNDING = 1e-12
+"""Fraction of the horizon that rounding may leave over at its end."""
 
 
 @dataclass(frozen=True)
@@ -42,23 +42,29 @@ class Trial:
     limits: set[Status]
 
 
-class Lengths(Protocol):
+SomeSpan = TypeVar("SomeSpan", bound=Span)
+SomeTrial = TypeVar("SomeTrial", bound=Trial)
+AcceptedSpan = TypeVar("AcceptedSpan", bound=Span, contravariant=True)
+AcceptedTrial = TypeVar("AcceptedTrial", bound=Trial, contravariant=True)
+
+
+class Lengths(Protocol[SomeSpan, AcceptedTrial]):
     """A controller of the lengths of slabs."""
 
-    def propose(self, start: float) -> Span | Status:
+    def propose(self, start: float) -> SomeSpan | Status:
         """The next slab, or why there is none."""
 
-    def adapt(self, span: Any, trial: Any) -> bool:
-        """Choose the next length after a trial; whether the slab is to be kept."""
+    def adapt(self, span: SomeSpan, trial: AcceptedTrial) -> bool:
+        """Choose the next length after a trial; whether to keep the slab."""
 
 
-class SlabSolver(Protocol):
+class SlabSolver(Protocol[AcceptedSpan, SomeTrial]):
     """Solves slabs, each from the end of the last one that was accepted."""
 
-    def solve(self, span: Any) -> Trial:
+    def solve(self, span: AcceptedSpan) -> SomeTrial:
         """Solve one slab."""
 
-    def accept(self, span: Any, trial: Any) -> list[SlabTrain]:
+    def accept(self, span: AcceptedSpan, trial: SomeTrial) -> list[SlabTrain]:
         """Move on to the end of the slab; it may be made of several elements."""
 
 
@@ -66,11 +72,18 @@ class SlabSolver(Protocol):
 class MarchResult:
     """Slabs solved so far, records of all trials, and the limits met on the way.
 
-    ``stopped`` says why the march ended early; None if it reached the end. ``points`` (m, d) are
-    parameter points at which the error must be within the tolerance too if it is at those that are
-    always taken, or at which the march met its end; ``doubtful`` (k, d) are those at which the
-    residual says that it is not. ``whole`` says that the slabs reach the end
-    although it was stopped. ``sampled`` are operations that went into trajectories.
+    Attributes
+    ----------
+    stopped : Status or None
+        Why the march ended early; None if it reached the end.
+    points : ndarray (m, d) or None
+        Further parameter points at which the error is measured.
+    doubtful : ndarray (k, d) or None
+        Points at which the residual suggests an error above the tolerance.
+    whole : bool
+        Whether the slabs reach the end although the march was stopped.
+    sampled : float
+        Operations that went into trajectories.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)
@@ -84,23 +97,21 @@ class MarchResult:
 
 
 @dataclass(frozen=True)
-class March:
-    """A march with a controller and a slab solver, of at most so many trials."""
+class March(Generic[SomeSpan, SomeTrial]):
+    """A march with a controller and a slab solver, of at most ``max_trials`` slabs."""
 
-    lengths: Lengths
-    solver: SlabSolver
-    most: int
+    lengths: Lengths[SomeSpan, SomeTrial]
+    solver: SlabSolver[SomeSpan, SomeTrial]
+    max_trials: int
 
     def run(self, start: float, end: float, attempt: int, report: Report) -> MarchResult:
         """March from start to end; ``report`` is called after each slab that is kept."""
         result = MarchResult()
         time = start
-        while end - time > _REST * (end - start):
+        while end - time > _HORIZON_ROUNDING * (end - start):
             span = self.lengths.propose(time)
-            if isinstance(span, Span) and len(result.records) >= self.most:
-                span = Status.SLAB_LIMIT
-            if isinstance(span, Status):
-                result.stopped = span
+            if isinstance(span, Status) or len(result.records) >= self.max_trials:
+                result.stopped = span if isinstance(span, Status) else Status.SLAB_LIMIT
                 break
             try:
                 trial = self.solver.solve(span)

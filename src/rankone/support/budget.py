@@ -12,7 +12,7 @@ import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
@@ -42,10 +42,12 @@ EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best
 NORMAL = 2.5e10
 """Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
-LEAST_EFFORT, _MOST = 1e-6, 1e6
-"""Factors on the budget that are accepted."""
-_SECONDS = 1e-9
-"""Seconds that an operation takes, about: what would end after the deadline is not begun."""
+LEAST_EFFORT = 1e-6
+"""Smallest factor on the budget: 25 microseconds of work, less than any solve."""
+_MOST_EFFORT = 1e6
+"""Largest factor on the budget: most of a year."""
+_OPERATION_SECONDS = 1e-9
+"""Seconds of an operation, roughly: work that would end after the deadline is not begun."""
 
 
 class Reached(NamedTuple):
@@ -102,7 +104,7 @@ _ACCOUNT: ContextVar[Account | None] = ContextVar("rankone_budget", default=None
 
 @contextmanager
 def limited(operations: float = math.inf, seconds: float = math.inf) -> Iterator[Account]:
-    """Limit what is done inside; outer limits hold as well, and count the same work."""
+    """Limit the work inside; outer limits hold as well, and count the same work."""
     outer = _ACCOUNT.get()
     account = outer or Account()
     before = account.most, account.end
@@ -119,7 +121,7 @@ def limited(operations: float = math.inf, seconds: float = math.inf) -> Iterator
 
 @contextmanager
 def unlimited() -> Iterator[None]:
-    """Count what is done inside, but without a limit: a result has to be measured in any case."""
+    """Count the work inside, but without a limit: a solution has to be measured in any case."""
     account = _ACCOUNT.get() or Account()
     before = account.most, account.end
     account.most = account.end = math.inf
@@ -130,14 +132,14 @@ def unlimited() -> Iterator[None]:
 
 
 @contextmanager
-def preparing(seconds: Any) -> Iterator[None]:
-    """Limit what comes before a solve, and the solve; a ConvergenceError if that takes too long.
+def preparing(seconds: object) -> Iterator[None]:
+    """Limit compilation and solve together; a ConvergenceError if compiling takes too long.
 
     Anything but a positive number is no limit: the solve refuses it.
     """
-    limits = isinstance(seconds, int | float) and 0.0 < seconds < 1e18
+    valid = isinstance(seconds, int | float) and 0.0 < seconds < 1e18
     try:
-        with limited(seconds=seconds if limits else math.inf):
+        with limited(seconds=float(seconds) if valid else math.inf):  # type: ignore[arg-type]
             yield
     except OutOfTimeError:
         raise ConvergenceError(
@@ -161,15 +163,18 @@ def charge(operations: float) -> None:
         return
     done = account.done + operations
     if done > account.most:
-        account.done = account.most  # what is left for others does not depend on who ran out
+        account.done = account.most  # the remaining budget does not depend on the call that ran out
         raise OutOfWorkError
     account.done = done
-    if account.end < math.inf and clock.perf_counter() + _SECONDS * operations > account.end:
+    if (
+        account.end < math.inf
+        and clock.perf_counter() + _OPERATION_SECONDS * operations > account.end
+    ):
         raise OutOfTimeError
 
 
 def check_time() -> None:
-    """Raise OutOfTimeError when the deadline has passed; for work that no budget counts."""
+    """Raise OutOfTimeError after the deadline; for work that no budget counts."""
     charge(0.0)
 
 
@@ -213,4 +218,4 @@ def operations_for(effort: str | float) -> float:
             remedy = "choose 'low', 'normal', 'high' or a positive factor"
             raise OptionError(f"effort={effort!r} is unknown", term=effort, remedy=remedy)
         return NORMAL * _EFFORTS[effort]
-    return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, _MOST, float))
+    return NORMAL * float(checked_number("effort", effort, LEAST_EFFORT, _MOST_EFFORT, float))

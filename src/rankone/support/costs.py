@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from types import FunctionType
-from typing import Any
 
 import numpy as np
 
@@ -30,19 +29,14 @@ __all__ = [
 
 CALL = 1e3
 """A call of NumPy for small arrays."""
-_ENTRY = 3e3
-"""A generated function without any term: shapes are found and its result is made."""
-_TERM, _FUNCTION, _POWER = (500.0, 0.5), (900.0, 7.0), (900.0, 14.0)
-"""An arithmetic operation on arrays, a call such as exp, a power: once, and for each number."""
-_USER = (5e5, 2e3)
-"""A call of a function of the user, which may be slow."""
-_UNWATCHED = 2e8
-"""Operations between two looks at a budget, where the work can be divided."""
-_ARITHMETIC, _CALLS = dis.opmap["BINARY_OP"], dis.opmap["CALL"]
-_POWERS = (8, 21)
+_PIECE_OPERATIONS = 2e8
+"""Operations of a piece of work between two looks at the budget: a fifth of a second."""
+_ARITHMETIC_CODE = dis.opmap["BINARY_OP"]
+_CALL_CODE = dis.opmap["CALL"]
+_POWER_ARGUMENTS = (8, 21)
 """Arguments of BINARY_OP that stand for ``**`` and ``**=``."""
-_INDEXING = 26
-"""The argument that stands for ``[]`` where that is an operation too."""
+_INDEX_ARGUMENT = 26
+"""The argument of BINARY_OP that stands for ``[]``, from Python 3.14 on."""
 
 
 @dataclass(frozen=True)
@@ -56,41 +50,57 @@ class Cost:
         """Operations for so many columns."""
         return self.once + self.each * columns
 
-    def __add__(self, other: Cost) -> Cost:
-        return Cost(self.once + other.once, self.each + other.each)
+    def __add__(self, cost: Cost) -> Cost:
+        return Cost(self.once + cost.once, self.each + cost.each)
+
+    def __rmul__(self, count: int) -> Cost:
+        return Cost(count * self.once, count * self.each)
+
+
+_ENTRY = Cost(3e3, 0.0)
+"""A generated function without any term: it looks at shapes and makes the array it returns."""
+_TERM = Cost(500.0, 0.5)
+"""An arithmetic operation on arrays."""
+_FUNCTION = Cost(900.0, 7.0)
+"""A call of a NumPy function such as exp."""
+_POWER = Cost(900.0, 14.0)
+"""A power."""
+_USER_FUNCTION = Cost(5e5, 2e3)
+"""A call of a function of the user, which may be slow."""
 
 
 @lru_cache(32)
-def function_cost(function: Callable[..., Any], users: frozenset[str] = frozenset()) -> Cost:
+def function_cost(function: Callable[..., object], users: frozenset[str] = frozenset()) -> Cost:
     """What a generated function costs, by the operations in its code.
 
     ``users`` are the names of functions of the user. Functions of the same module count wherever
     they are named.
     """
     if not isinstance(function, FunctionType):
-        return Cost(_ENTRY, 0.0)
+        return _ENTRY
     code = np.frombuffer(function.__code__.co_code, dtype=np.uint8)
-    names, arguments = code[::2], code[1::2]
-    operators = arguments[names == _ARITHMETIC]
-    powers = int(np.isin(operators, _POWERS).sum())
-    terms = int((operators != _INDEXING).sum()) - powers
-    called = int((names == _CALLS).sum())
-    counts = (terms, _TERM), (called, _FUNCTION), (powers, _POWER)
-    once, each = (sum(count * unit[k] for count, unit in counts) for k in (0, 1))
-    total = Cost(_ENTRY + once, each)
+    operations, arguments = code[::2], code[1::2]
+    operators = arguments[operations == _ARITHMETIC_CODE]
+    powers = int(np.isin(operators, _POWER_ARGUMENTS).sum())
+    terms = int((operators != _INDEX_ARGUMENT).sum()) - powers
+    calls = int((operations == _CALL_CODE).sum())
+    total = _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER
     for name in function.__code__.co_names:
-        other = function.__globals__.get(name)
+        callee = function.__globals__.get(name)
         if name in users:
-            total += Cost(*_USER)
-        elif isinstance(other, FunctionType) and other is not function:
-            same = other.__globals__ is function.__globals__
-            total += function_cost(other, users) if same else Cost(0.0, 0.0)
+            total += _USER_FUNCTION
+        elif (
+            isinstance(callee, FunctionType)
+            and callee is not function
+            and callee.__globals__ is function.__globals__
+        ):
+            total += function_cost(callee, users)
     return total
 
 
 def in_pieces(stack: Array, each: float) -> list[Array]:
-    """A stack of matrices in pieces that take about as long as a budget may go unwatched."""
-    count = max(int(_UNWATCHED / each), 1)
+    """A stack of matrices in pieces, so that the budget is checked often enough."""
+    count = max(int(_PIECE_OPERATIONS / each), 1)
     return [stack[first : first + count] for first in range(0, len(stack), count)]
 
 

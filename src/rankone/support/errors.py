@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -59,15 +59,21 @@ class ProblemError(RankoneError, ValueError):
     ----------
     equation : int, optional
         Number of the equation concerned, counted from 1 as the user wrote them.
-    **where
-        Term and remedy, as for every error.
+    term, remedy
+        As for every error.
     """
 
-    def __init__(self, message: str, *, equation: int | None = None, **where: Any) -> None:
+    def __init__(
+        self,
+        message: str,
+        *,
+        equation: int | None = None,
+        term: object = None,
+        remedy: str | None = None,
+    ) -> None:
+        message = message if equation is None else f"equation {equation}: {message}"
+        super().__init__(message, term=term, remedy=remedy)
         self.equation = equation
-        super().__init__(
-            message if equation is None else f"equation {equation}: {message}", **where
-        )
 
 
 class SeparationError(ProblemError):
@@ -76,7 +82,7 @@ class SeparationError(ProblemError):
 
 @contextmanager
 def bounded_depth() -> Iterator[None]:
-    """A ProblemError for expressions so deep that Python's recursion does not reach their end."""
+    """Turn a RecursionError, from a deeply nested expression, into a ProblemError."""
     try:
         yield
     except RecursionError:
@@ -90,12 +96,12 @@ class OptionError(RankoneError, ValueError):
     """An option of the solver is out of its range."""
 
 
-def check_kind(function: str, given: object, *kinds: type, remedy: str) -> None:
-    """Raise an OptionError unless what a function was given is of one of these kinds."""
-    if not isinstance(given, kinds):
-        wanted = " or a ".join(kind.__name__ for kind in kinds)
-        message = f"{function} needs a {wanted}, not {type(given).__name__}"
-        raise OptionError(message, term=given, remedy=remedy)
+def check_kind(function: str, argument: object, *kinds: type, remedy: str) -> None:
+    """Raise an OptionError unless the argument of a function is of one of these types."""
+    if not isinstance(argument, kinds):
+        names = " or a ".join(kind.__name__ for kind in kinds)
+        message = f"{function} needs a {names}, not {type(argument).__name__}"
+        raise OptionError(message, term=argument, remedy=remedy)
 
 
 class EvaluationError(RankoneError, ValueError):
@@ -113,8 +119,15 @@ class ExportError(RankoneError, ValueError):
 class ConvergenceError(RankoneError, RuntimeError):
     """The tolerance asked for was not reached; ``.solution`` holds what was reached."""
 
-    def __init__(self, message: str, *, solution: Any = None, **where: Any) -> None:
-        super().__init__(message, **where)
+    def __init__(
+        self,
+        message: str,
+        *,
+        solution: Any = None,
+        term: object = None,
+        remedy: str | None = None,
+    ) -> None:
+        super().__init__(message, term=term, remedy=remedy)
         self.solution = solution
 
 
@@ -141,13 +154,16 @@ class BlowUpError(ConvergenceError):
         message: str,
         *,
         time: float = math.nan,
-        parameters: Any = None,
-        part: Callable[[], Any] | None = None,
-        **where: Any,
+        parameters: Mapping[str, float] | None = None,
+        part: Callable[[], object] | None = None,
+        solution: Any = None,
+        term: object = None,
+        remedy: str | None = None,
     ) -> None:
-        super().__init__(message, **where)
+        super().__init__(message, solution=solution, term=term, remedy=remedy)
         self.time, self.parameters = time, dict(parameters or {})
-        self._solve_part, self._part = part, None
+        self._solve_part = part
+        self._part: Any = None
 
     @property
     def part(self) -> Any:
@@ -156,7 +172,7 @@ class BlowUpError(ConvergenceError):
             self._part, self._solve_part = self._solve_part(), None
         return self._part
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         state = {**self.__dict__, "_solve_part": None}
         return type(self), self.args, state
 
@@ -167,12 +183,12 @@ class RankoneWarning(UserWarning):
 
 def warn(message: str) -> None:
     """Give a RankoneWarning at the line that called this package from outside."""
-    own = __name__.partition(".")[0]
+    package = __name__.partition(".")[0]
     level = depth = 1
     frame = sys._getframe().f_back
     while frame is not None:
         depth += 1
-        if frame.f_globals.get("__name__", "").partition(".")[0] == own:
+        if frame.f_globals.get("__name__", "").partition(".")[0] == package:
             level = depth
         frame = frame.f_back
     warnings.warn(message, RankoneWarning, stacklevel=level + 1)

@@ -1,4 +1,4 @@
-"""Files: whether a place is free, and several written together, all of them or none."""
+"""Files: free targets, and several files written together, all of them or none."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ __all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
 
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
-_KEPT = 48
-"""Characters of a name that the file beside it keeps: file systems limit names to 255 bytes."""
+_KEPT_CHARACTERS = 48
+"""Characters of a name that its temporary file keeps: file systems limit names to 255 bytes."""
 _OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
 
 
-def as_path(given: Any, error: type[RankoneError]) -> Path:
-    """What was given as a path, or an error if it is none."""
+def as_path(path: Any, error: type[RankoneError]) -> Path:
+    """The path, or an error if it is none."""
     try:
-        return Path(given)
+        return Path(path)
     except TypeError:
-        raise error(f"{given!r} is not a path", term=given, remedy="give a file name") from None
+        raise error(f"{path!r} is not a path", term=path, remedy="give a file name") from None
 
 
 def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
@@ -57,11 +57,11 @@ def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneE
 def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[RankoneError]) -> None:
     """Write files that belong together.
 
-    Each is written beside its place and moved there when all are complete, so that an interrupt or
-    a full disk leaves no half-written file and older files stay as they were. What a process left
-    that was killed is removed when the same file is written again. Of several that write the same
-    new file at the same time without ``overwrite`` one succeeds. An ``error`` is raised if a file
-    is not to be replaced or cannot be written.
+    Each is written beside its place and moved there when all are complete: an interrupt or a full
+    disk leaves no half-written file, and older files stay as they were. What a killed process left
+    behind is removed when the same file is written again. If several processes write the same new
+    file at once without ``overwrite``, one succeeds. An ``error`` is raised if a file must not be
+    replaced or cannot be written.
     """
     places = {path: Path(os.path.realpath(free_target(path, overwrite, error))) for path in files}
     if len({*places.values()}) < len(places):
@@ -72,20 +72,20 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
         with ExitStack() as beside:
             for path, content in files.items():
                 complete[path] = beside.enter_context(_complete(places[path], content))
-            for number, (path, place) in enumerate(places.items(), 1):
-                keep = number < len(places) and place.exists()  # nothing can fail after the last
-                old = place.read_bytes() if keep else None
+            for position, (path, place) in enumerate(places.items(), 1):
+                keep = position < len(places) and place.exists()  # nothing can fail after the last
+                before = place.read_bytes() if keep else None
                 try:
                     _move(complete[path], place, overwrite)
                 except FileExistsError:  # since it was looked for
                     raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
-                moved[place] = old
+                moved[place] = before
     except BaseException as reason:
-        for place, old in moved.items():  # put back what was replaced before one failed
-            if old is None:
+        for place, before in moved.items():  # put back what was replaced before one failed
+            if before is None:
                 place.unlink(missing_ok=True)
             else:
-                place.write_bytes(old)
+                place.write_bytes(before)
         if not isinstance(reason, OSError):
             raise
         why = reason.strerror or reason
@@ -106,7 +106,7 @@ def npz(arrays: Mapping[str, Any]) -> Callable[[IO[bytes]], None]:
 
 @contextmanager
 def _complete(place: Path, content: Content) -> Iterator[Path]:
-    """A complete file beside its place, on the disk itself; removed unless it is moved there."""
+    """A complete file beside its place, flushed to disk; removed unless it is moved there."""
     _remove_abandoned(place)
     with ExitStack() as until_moved:
         stream = _begin(place, until_moved)
@@ -123,9 +123,9 @@ def _complete(place: Path, content: Content) -> Iterator[Path]:
 
 
 def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
-    """A new file beside its place, locked until it is moved: its process lives."""
+    """A new file beside its place, locked until it is moved."""
     while True:
-        name = f".{place.name[:_KEPT]}.{secrets.token_hex(4)}.partial"
+        name = f".{place.name[:_KEPT_CHARACTERS]}.{secrets.token_hex(4)}.partial"
         stream = place.with_name(name).open("xb")
         if not _lock(stream):
             return stream
@@ -136,8 +136,8 @@ def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
 
 
 def _remove_abandoned(place: Path) -> None:
-    """Remove what processes that were killed left beside a place, where the system has locks."""
-    names = f".{glob.escape(place.name[:_KEPT])}.{'[0-9a-f]' * 8}.partial"
+    """Remove the files that killed processes left beside a place, where the system has locks."""
+    names = f".{glob.escape(place.name[:_KEPT_CHARACTERS])}.{'[0-9a-f]' * 8}.partial"
     for path in place.parent.glob(names):
         with suppress(OSError), path.open("r+b") as stream:
             if _lock(stream, wait=False):
@@ -161,7 +161,7 @@ def _lock(stream: IO[bytes], wait: bool = True) -> bool:
 
 
 def _move(complete: Path, place: Path, overwrite: bool) -> None:
-    """Give a complete file its name; a FileExistsError if there is a file that has to stay."""
+    """Give a complete file its name; a FileExistsError if it must not replace another file."""
     if overwrite:
         complete.replace(place)
         return

@@ -1,4 +1,4 @@
-"""Options of the engines: what they may be is declared at the field and checked in one place."""
+"""Options of the engines: declared with their ranges at the field, checked in one place."""
 
 from __future__ import annotations
 
@@ -23,38 +23,35 @@ __all__ = [
 ]
 
 
-_MOST_NUMBERS = 2**28
-"""Floating-point numbers that random, or evenly spread, points may take."""
+_MOST_POINT_NUMBERS = 2**28
+"""Floating-point numbers of random points: 2 GiB, beyond which systems end processes."""
 _LARGEST_INTEGER = 10**9
 """Largest integer of an option: beyond it a limit limits nothing."""
 
 
 def checked_number(
-    name: str, value: Any, least: float, most: float = math.inf, kind: type = int
+    name: str, value: Any, least: float, most: float = math.inf, kind: type[float] = int
 ) -> Any:
-    """The value as an int or float (``kind``) between two others, or an OptionError."""
-    kinds = numbers.Integral if kind is int else numbers.Real
-    valid = isinstance(value, kinds) and not isinstance(value, bool)
+    """The value as an int or float (``kind``) from ``least`` to ``most``, or an OptionError."""
+    accepted = numbers.Integral if kind is int else numbers.Real
+    valid = isinstance(value, accepted) and not isinstance(value, bool)
     try:
         if valid and least <= value <= most:
             return kind(value)
     except OverflowError:
         pass
-    what = "an integer" if kind is int else "a number"
-    where = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
-    raise OptionError(f"{name}={shown(value)} is not valid", remedy=f"choose {what} {where}")
+    article = "an integer" if kind is int else "a number"
+    interval = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+    raise OptionError(f"{name}={shown(value)} is not valid", remedy=f"choose {article} {interval}")
 
 
-def checked_count(name: str, value: Any, least: int, each: int) -> int:
-    """A number of points, each of which takes so many numbers, or an OptionError.
-
-    The most are what 2 GiB hold: beyond, the operating system ends the process, or all of them.
-    """
-    return int(checked_number(name, value, least, max(least, _MOST_NUMBERS // max(each, 1))))
+def checked_count(name: str, value: object, least: int, each: int) -> int:
+    """A count of points, each of ``each`` numbers, that fits into memory, or an OptionError."""
+    return int(checked_number(name, value, least, max(least, _MOST_POINT_NUMBERS // max(each, 1))))
 
 
-def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:
-    """Raise an OptionError if there are arguments by position, with the form by keyword."""
+def refuse_positional(arguments: Sequence[object], keyword: str) -> None:
+    """Raise an OptionError if there are arguments by position; it shows the keyword."""
     if arguments:
         raise OptionError(
             f"{arguments[0]!r} is given by position",
@@ -63,56 +60,56 @@ def refuse_positional(arguments: Sequence[Any], keyword: str) -> None:
 
 
 def integer(default: int | None, least: int = 1, most: int = _LARGEST_INTEGER) -> Any:
-    """Declare an integer between two others."""
+    """Declare an integer from ``least`` to ``most``."""
     return _declared(default, lambda name, value: checked_number(name, value, least, most))
 
 
 def number(default: float | None, least: float, most: float = math.inf) -> Any:
-    """Declare a real number between two others."""
+    """Declare a real number from ``least`` to ``most``."""
     return _declared(default, lambda name, value: checked_number(name, value, least, most, float))
 
 
 def integers(default: int | None, least: int = 1) -> Any:
-    """Declare an integer, or several of them, of at least another."""
+    """Declare an integer of at least ``least``, or several of them."""
 
-    def check(name: str, value: Any) -> Any:
-        if isinstance(value, list | tuple):
-            return tuple(checked_number(name, item, least, _LARGEST_INTEGER) for item in value)
-        return checked_number(name, value, least, _LARGEST_INTEGER)
+    def check(name: str, option: object) -> object:
+        if isinstance(option, list | tuple):
+            return tuple(checked_number(name, n, least, _LARGEST_INTEGER) for n in option)
+        return checked_number(name, option, least, _LARGEST_INTEGER)
 
     return _declared(default, check)
 
 
 def choice(default: str, choices: Iterable[str]) -> Any:
     """Declare one of several names."""
-    known = tuple(choices)
+    names = tuple(choices)
 
-    def check(name: str, value: Any) -> Any:
-        if not isinstance(value, str) or value not in known:
-            remedy = f"choose one of {', '.join(known)}"
-            raise OptionError(f"{name}={value!r} is unknown", remedy=remedy)
-        return value
+    def check(name: str, option: object) -> object:
+        if not isinstance(option, str) or option not in names:
+            remedy = f"choose one of {', '.join(names)}"
+            raise OptionError(f"{name}={option!r} is unknown", remedy=remedy)
+        return option
 
     return _declared(default, check)
 
 
-def _declared(default: Any, check: Callable[[str, Any], Any]) -> Any:
+def _declared(default: object, check: Callable[[str, object], object]) -> Any:
     return field(default=default, metadata={"check": check})
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of an engine, checked; None is possible where it is the default."""
+    """Options of an engine, checked; None is allowed where it is the default."""
 
     usual_attempts: ClassVar[int] = 10
     """Attempts of a solve, unless ``max_attempts`` is given; more are made while they pay."""
 
     def __post_init__(self) -> None:
         for option in fields(self):
-            value = getattr(self, option.name)
-            if value is not None or option.default is not None:
-                value = option.metadata["check"](option.name, value)
-                object.__setattr__(self, option.name, value)
+            chosen = getattr(self, option.name)
+            if chosen is not None or option.default is not None:
+                checked = option.metadata["check"](option.name, chosen)
+                object.__setattr__(self, option.name, checked)
 
     @property
     def max_attempts(self) -> int | None:
@@ -121,7 +118,7 @@ class Options:
 
     @classmethod
     def names(cls) -> list[str]:
-        """What :meth:`of` takes."""
+        """Names of the options."""
         return sorted(option.name for option in fields(cls))
 
     @classmethod
@@ -130,11 +127,11 @@ class Options:
 
         ``keywords`` are what the caller takes beside options.
         """
-        known = cls.names()
-        for name in sorted(changes.keys() - known):
+        names = cls.names()
+        for name in sorted(changes.keys() - names):
             beside = f"; solve itself takes {', '.join(keywords)}" if keywords else ""
             raise OptionError(
-                f"unknown option {name!r}{did_you_mean(name, [*known, *keywords])}",
-                remedy=f"choose from {', '.join(known)}{beside}",
+                f"unknown option {name!r}{did_you_mean(name, [*names, *keywords])}",
+                remedy=f"choose from {', '.join(names)}{beside}",
             )
         return cls(**changes)

@@ -36,81 +36,80 @@ def plain(value: Any) -> Any:
         content = {field.name: plain(getattr(value, field.name)) for field in fields(value)}
         return {"type": type(value).__name__, **content} if isinstance(value, Tagged) else content
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(each) for each in value]
     if isinstance(value, Enum):
         return value.value if isinstance(value, str) else value.name
-    if isinstance(value, np.generic):
-        value = value.item()
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+    scalar = value.item() if isinstance(value, np.generic) else value
+    return str(scalar) if isinstance(scalar, float) and not math.isfinite(scalar) else scalar
 
 
-def rebuilt(kind: Any, value: Any) -> Any:
+def rebuilt(annotation: Any, content: Any) -> Any:
     """Turn plain data into what an annotation says.
 
     Parameters
     ----------
-    kind : type or annotation
+    annotation : type or annotation
         A dataclass, an enumeration (of texts by value, others by name), ``float``, ``int``,
         ``bool``, ``str``, ``None``, and tuples, dictionaries and optional ones of them.
-    value : object
+    content : object
         Plain data.
 
     Raises
     ------
     TypeError, ValueError, LookupError
-        If the value is no such thing. Entries that a dataclass does not have are passed over;
-        those that it lacks have to have a default.
+        If the content does not fit. Entries that a dataclass does not have are ignored; fields
+        that the content lacks need a default.
     """
-    parts: tuple[Any, ...] = get_args(kind)
-    origin = get_origin(kind)
+    inner: tuple[Any, ...] = get_args(annotation)
+    origin = get_origin(annotation)
     if origin in (Union, UnionType):
-        part = next(part for part in parts if (part is type(None)) == (value is None))
-        return rebuilt(part, value)
-    if origin is tuple and isinstance(value, list):
-        if parts[-1:] == (...,):
-            parts = parts[:1] * len(value)
-        return tuple(rebuilt(part, item) for part, item in zip(parts, value, strict=True))
-    if origin is dict and isinstance(value, dict):
-        return {rebuilt(parts[0], key): rebuilt(parts[1], item) for key, item in value.items()}
-    if isinstance(kind, type) and issubclass(kind, Tagged) and isinstance(value, dict):
-        tagged = Tagged.subclasses[value["type"]]
-        if not issubclass(tagged, kind):
-            raise TypeError(f"{tagged.__name__} is no {kind.__name__}")
-        return _dataclass(tagged, value)
-    if origin is None and is_dataclass(kind) and isinstance(value, dict):
-        return _dataclass(kind, value)
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return kind(value) if issubclass(kind, str) else kind[value]
-    if kind is float and (type(value) in (float, int) or value in _NOT_FINITE):
-        return float(value)
-    if type(value) is kind:
-        if kind is str:
-            value.encode()  # an error for half of a surrogate pair
-        return value
-    raise TypeError(f"{value!r} is not of the kind {kind}")
+        chosen = next(each for each in inner if (each is type(None)) == (content is None))
+        return rebuilt(chosen, content)
+    if origin is tuple and isinstance(content, list):
+        if inner[-1:] == (...,):
+            inner = inner[:1] * len(content)
+        return tuple(rebuilt(each, entry) for each, entry in zip(inner, content, strict=True))
+    if origin is dict and isinstance(content, dict):
+        return {rebuilt(inner[0], k): rebuilt(inner[1], v) for k, v in content.items()}
+    if origin is None and isinstance(annotation, type) and isinstance(content, dict):
+        return _instance(annotation, content)
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return annotation(content) if issubclass(annotation, str) else annotation[content]
+    if annotation is float and (type(content) in (float, int) or content in _NOT_FINITE):
+        return float(content)
+    if type(content) is annotation:
+        if annotation is str:
+            content.encode()  # an error for half of a surrogate pair
+        return content
+    raise TypeError(f"{content!r} is not of the type {annotation}")
 
 
-def _dataclass(kind: Any, value: Mapping[str, Any]) -> Any:
-    """An instance made of the entries of its fields."""
-    return kind(
+def _instance(annotation: Any, content: Mapping[str, Any]) -> Any:
+    """An instance of a dataclass, or of the class that tagged content names."""
+    if issubclass(annotation, Tagged):
+        tagged = Tagged.subclasses[content["type"]]
+        if not issubclass(tagged, annotation):
+            raise TypeError(f"{tagged.__name__} is no {annotation.__name__}")
+        annotation = tagged
+    return annotation(
         **{
-            name: rebuilt(annotation, value[name])
-            for name, (annotation, optional) in _annotations(kind).items()
-            if name in value or not optional
+            name: rebuilt(inner, content[name])
+            for name, (inner, optional) in _annotations(annotation).items()
+            if name in content or not optional
         }
     )
 
 
 @cache
-def _annotations(kind: Any) -> dict[str, tuple[Any, bool]]:
+def _annotations(dataclass: Any) -> dict[str, tuple[Any, bool]]:
     """For each field of a dataclass its annotation and whether it has a default."""
-    hints = get_type_hints(kind)
+    hints = get_type_hints(dataclass)
     return {
         field.name: (
             hints[field.name],
             field.default is not MISSING or field.default_factory is not MISSING,
         )
-        for field in fields(kind)
+        for field in fields(dataclass)
     }

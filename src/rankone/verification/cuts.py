@@ -114,7 +114,7 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
             cuts = located_cuts(factors, *interval, derived)
         except TooManyCuts:
             raise OptionError(
-                f"a coefficient varies too fast for {factors.what} in "
+                f"a coefficient varies too fast for {factors.coordinate} in "
                 f"[{interval[0]:g}, {interval[1]:g}]: {_SAMPLES} samples do not resolve it",
                 remedy="choose a shorter range, or replace what varies by its mean",
             ) from None
@@ -138,8 +138,8 @@ def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:
         area = (np.abs(pulse) - usual) * (b - a)
         if (area > _PULSE_SHARE * (usual + 1.0) * (upper - lower)).any():
             raise OptionError(
-                f"a pulse for {factors.what} from {a!r} to {b!r} is too short: floating-point "
-                f"numbers are not much closer",
+                f"a pulse for {factors.coordinate} from {a!r} to {b!r} is too short: "
+                "floating-point numbers are not much closer",
                 remedy="give what it does as a whole, such as a step",
             )
 
@@ -160,7 +160,7 @@ def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) ->
     count = sum((upper - lower) / period for _, period in periodic)
     if count > _MOST_REPEATED:
         raise OptionError(
-            f"a coefficient switches {count:.7g} times for {factors.what} in "
+            f"a coefficient switches {count:.7g} times for {factors.coordinate} in "
             f"[{lower:g}, {upper:g}]",
             remedy="choose a shorter range, or replace what switches by its mean",
         )
