@@ -1,8 +1,8 @@
 """The documentation site: ``sphinx-build -W --keep-going -b html docs docs/_build/html``.
 
-The pages are the Markdown files of this folder, which read as well without being built: their
-links are paths of the repository. The navigation is the list of links in ``index.md``. Nothing is
-run here; ``tests/docs`` runs what the pages show.
+The pages are the Markdown files of this folder. They also work without a build, since their links
+are paths of the repository. The navigation is the list of links in ``index.md``. The build runs no
+code of the pages; ``tests/docs`` does.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def _navigation(text: str) -> str:
 
 
 def _read(app: Any, page: str, source: list[str]) -> None:
-    """Lead links to files beside the folder to their pages; give the index its navigation."""
-    for path, own in _OUTSIDE.items():
-        source[0] = source[0].replace(f"]({path})", f"]({own})")
+    """Point links to files outside the folder to their pages; give the index its navigation."""
+    for path, page_name in _OUTSIDE.items():
+        source[0] = source[0].replace(f"]({path})", f"]({page_name})")
     if page == "index":
         source[0] += "\n" + _navigation(source[0])
 

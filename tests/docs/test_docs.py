@@ -182,6 +182,16 @@ def test_links():
     assert not missing
 
 
+def test_files_that_pages_name_exist():
+    missing = [
+        (_name(path), name)
+        for path in FILES
+        for name in re.findall(r"(?<![\w/])(?:tests|examples)/[\w./]*\w", path.read_text())
+        if not (ROOT / name).exists()
+    ]
+    assert not missing
+
+
 def test_the_reference_names_everything_public():
     text = (ROOT / "docs" / "reference.md").read_text()
     for name in rankone.__all__:
