@@ -15,7 +15,6 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
@@ -61,7 +60,7 @@ _DISCARDED_TIMES = 5.0
 
 
 class CubeDistribution(Protocol):
-    """A distribution in the unit cube: nodes with masses, marginals and quantiles."""
+    """A distribution in the unit cube: nodes with masses, marginals, quantiles and samples."""
 
     @property
     def nodes(self) -> Array: ...
@@ -69,6 +68,7 @@ class CubeDistribution(Protocol):
     def masses(self) -> Array: ...
     def marginal(self, j: int, z: Array) -> Array: ...
     def quantile(self, j: int, shares: Array) -> Array: ...
+    def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,12 @@ class Cells:
         The density at the nodes of each cell.
     error : float
         Estimated error of integrals, relative.
-    points : int
-        Number of points at which the density was evaluated.
     """
 
     lower: Array
     width: Array
     densities: Array
     error: float
-    points: int
 
     @cached_property
     def nodes(self) -> Array:
@@ -104,11 +101,26 @@ class Cells:
 
     def marginal(self, j: int, z: Array) -> Array:
         """Marginal density of coordinate j at z (k,)."""
-        return self._along(j, z, cumulative=False)
+        lower, width, coefficients, _ = self._marginals[j]
+        end = lower + width
+        density = np.zeros(z.shape)
+        for i, point in enumerate(z):
+            here = np.flatnonzero((lower <= point) & ((point < end) | (end >= 1.0)))
+            xi = 2.0 * (point - lower[here]) / width[here] - 1.0
+            density[i] = legval(xi, coefficients[here].T, tensor=False).sum()
+        return density
 
     def cumulative(self, j: int, z: Array) -> Array:
         """Probability that coordinate j is below z (k,)."""
-        return self._along(j, z, cumulative=True)
+        lower, width, coefficients, masses = self._marginals[j]
+        probability = np.zeros(z.shape)
+        for i, point in enumerate(z):
+            past = lower + width <= point
+            here = np.flatnonzero(~past & (lower < point))
+            xi = 2.0 * (point - lower[here]) / width[here] - 1.0
+            integrals = legval(xi, legint(coefficients[here].T, lbnd=-1), tensor=False)
+            probability[i] = masses[past].sum() + (integrals * 0.5 * width[here]).sum()
+        return probability
 
     def quantile(self, j: int, shares: Array) -> Array:
         """Values of coordinate j below which there are shares (k,) of the probability."""
@@ -139,43 +151,24 @@ class Cells:
             missing -= len(blocks[-1])
         return np.concatenate(blocks) if blocks else np.zeros((0, self.lower.shape[1]))
 
-    def _along(self, j: int, z: Array, cumulative: bool) -> Array:
-        """Marginal density of coordinate j at z, or its integral from zero."""
-        lower, width = self.lower[:, j], self.width[:, j]
-        end = lower + width
-        coefficients, masses = self._polynomials[j]
-        marginal = np.zeros(z.shape)
-        for i, point in enumerate(z.ravel()):
-            inside = (lower <= point) & ((point < end) | (end >= 1.0))
-            if cumulative:
-                inside = (end > point) & (lower < point)
-            here = np.flatnonzero(inside)
-            xi = 2.0 * (point - lower[here]) / width[here] - 1.0
-            polynomials = coefficients[here].T
-            if cumulative:
-                mass = legval(xi, legint(polynomials, lbnd=-1), tensor=False) * 0.5 * width[here]
-                marginal.ravel()[i] = masses[end <= point].sum() + mass.sum()
-            else:
-                marginal.ravel()[i] = legval(xi, polynomials, tensor=False).sum()
-        return marginal
-
     @cached_property
-    def _polynomials(self) -> list[tuple[Array, Array]]:
-        """For each coordinate the marginal density on each cell, in Legendre polynomials."""
+    def _marginals(self) -> list[tuple[Array, Array, Array, Array]]:
+        """For each coordinate lower ends and widths of the cells, the marginal density on each in
+        Legendre polynomials, and its mass."""
         n = self.lower.shape[1]
         xi, weights = leggauss(_NODES[n])
         degrees = np.arange(xi.size)
         to_modes = (legvander(xi, xi.size - 1) * weights[:, None]).T * (degrees[:, None] + 0.5)
-        pairs = []
+        marginals = []
         for j in range(n):
             density = np.moveaxis(self.densities, 1 + j, 1)
             widths = np.delete(self.width, j, axis=1)
             for k in range(n - 1):
                 density = density @ (0.5 * weights)
                 density = density * widths[:, k].reshape(-1, *[1] * (density.ndim - 1))
-            coefficients = density @ to_modes.T
-            pairs.append((coefficients, coefficients[:, 0] * self.width[:, j]))
-        return pairs
+            coefficients, width = density @ to_modes.T, self.width[:, j]
+            marginals.append((self.lower[:, j], width, coefficients, coefficients[:, 0] * width))
+        return marginals
 
 
 def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, float]:
@@ -216,7 +209,7 @@ def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, 
             break
     lower, width, logs = (np.concatenate(arrays) for arrays in zip(*done, strict=True))
     densities = np.exp(logs - top) / whole
-    return Cells(lower, width, densities, error / whole, points), top + float(np.log(whole))
+    return Cells(lower, width, densities, error / whole), top + float(np.log(whole))
 
 
 def _integrals(width: Array, logs: Array, top: float) -> Array:
@@ -229,20 +222,18 @@ def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
     """Cells to begin with: small where the density is likely to be large."""
     n = likely.shape[1]
     count = _FIRST_CELLS[n]
-    corners = np.array(list(itertools.product(range(count), repeat=n))) / count
-    lower, width = corners, np.full(corners.shape, 1.0 / count)
+    lower = np.array(list(itertools.product(range(count), repeat=n))) / count
+    width = np.full(lower.shape, 1.0 / count)
     narrow = np.maximum(_FIRST_DEVIATIONS[n] * spread, 1e-12)
     for _ in range(200):
-        wide = width > narrow
         inside = np.zeros(len(lower), dtype=bool)
-        candidates = np.flatnonzero(wide.any(axis=1))
-        for k in candidates:
+        for k in np.flatnonzero((width > narrow).any(axis=1)):
             between = (likely >= lower[k]) & (likely <= lower[k] + width[k])
             inside[k] = bool(between.all(axis=1).any())
         if not inside.any() or len(lower) > _MOST_FIRST_CELLS:
             break
-        ratio = width[inside] / narrow
-        cut_lower, cut_width = _cut(lower[inside], width[inside], np.argmax(ratio, axis=1))
+        widest = np.argmax(width[inside] / narrow, axis=1)
+        cut_lower, cut_width = _cut(lower[inside], width[inside], widest)
         lower = np.concatenate([lower[~inside], cut_lower])
         width = np.concatenate([width[~inside], cut_width])
     return lower, width
@@ -345,6 +336,10 @@ class Chain:
         """Values of coordinate j below which there are shares (k,) of the points."""
         return np.asarray(np.quantile(self.nodes[:, j], shares))
 
+    def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array:
+        """Random points (count, n) of the chain."""
+        return self.nodes[generator.integers(0, len(self.nodes), count)]
+
 
 def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
     """A seeded chain for the logarithm of a density, from points where it is large (k, n).
@@ -354,7 +349,13 @@ def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
     RankoneError
         If emcee is not installed.
     """
-    emcee = _emcee()
+    try:
+        emcee = importlib.import_module("emcee")
+    except ImportError:
+        raise RankoneError(
+            "posteriors of more than three parameters need emcee",
+            remedy="pip install emcee, or fix parameters",
+        ) from None
     n = likely.shape[1]
     count = max(_LEAST_WALKERS, _WALKERS_EACH * n)
     generator = np.random.default_rng(seed)
@@ -376,13 +377,3 @@ def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
     time = time if np.isfinite(time) else float(steps)
     burn = int(min(_DISCARDED_TIMES * time, 0.5 * steps))
     return Chain(sampler.get_chain(discard=burn, flat=True), time, steps)
-
-
-def _emcee() -> ModuleType:
-    try:
-        return importlib.import_module("emcee")
-    except ImportError:
-        raise RankoneError(
-            "posteriors of more than three parameters need emcee",
-            remedy="pip install emcee, or fix parameters",
-        ) from None

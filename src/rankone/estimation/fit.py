@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 import scipy.stats
 
-from rankone.discretization.coordinates import name_of
 from rankone.estimation.expressions import gradient, quantity
 from rankone.estimation.identification import Best, Identification, Profile, Stop, profiles
 from rankone.estimation.least_squares import LeastSquares
@@ -19,7 +18,7 @@ from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import count, did_you_mean, listing, quote
+from rankone.support.wording import count, listing, quote
 
 __all__ = ["Fit", "checked_level", "quantile_of"]
 
@@ -29,8 +28,6 @@ _UNLIKELY = 1e-3
 """Probability of the residuals below which they are too large."""
 _MODEL_SHARE = 0.5
 """How far the error of the solution may move an estimate, in its standard deviations."""
-_BOUND_TOLERANCE = 1e-9
-"""Distance from a bound, in widths of the interval, that counts as at the bound: rounding."""
 
 Interval = tuple[float, float]
 
@@ -207,23 +204,16 @@ class Fit:
         Profile
             In coordinates from 0 to 1 of the bounds; ends carry what stops them.
         """
-        name = name_of(parameter)
-        if name not in self.parameters:
-            raise OptionError(
-                f"{quote(name)} is no free parameter{did_you_mean(name, self.parameters)}",
-                term=parameter,
-                remedy=f"choose from {listing(self.parameters)}",
-            )
-        index, limit = self.parameters.index(name), (self._quantile(level) * self._unit) ** 2
+        index = self._problem.free.index(parameter)
+        limit = (self._quantile(level) * self._unit) ** 2
         deviation = np.minimum(self._identification.spread * self._unit, 1.0)
         best = Best(self._z, self.chi2, deviation)
         return profiles(self._problem, best, limit, [index])[0]
 
     def _quantile(self, level: float | None) -> float:
         """Half the length of an interval, in standard deviations."""
-        if level is None:
-            return quantile_of(self.level, self.observations.sigma_known, self.dof)
-        return quantile_of(checked_level(level), self.observations.sigma_known, self.dof)
+        level = self.level if level is None else checked_level(level)
+        return quantile_of(level, self.observations.sigma_known, self.dof)
 
     def _quantity(self, given: object) -> tuple[float, float]:
         """A quantity at the estimate, and its standard deviation."""
@@ -282,19 +272,13 @@ class Fit:
     @property
     def at_bounds(self) -> dict[str, str]:
         """Parameters whose estimate is at the ``"lower"`` or ``"upper"`` end of its bounds."""
-        ends = {}
-        for name, z in zip(self.parameters, self._z, strict=True):
-            if min(z, 1.0 - z) <= _BOUND_TOLERANCE:
-                ends[name] = "lower" if z < 0.5 else "upper"
-        return ends
+        return self._problem.free.at_bounds(self._z)
 
     def __repr__(self) -> str:
         observations, level = self.observations, f"{100 * self.level:g} %"
-        noise = (
-            f"chi2 {self.chi2:.4g}"
-            if observations.sigma_known
-            else f"sigma {self.sigma:.4g} estimated"
-        )
+        noise = f"sigma {self.sigma:.4g} estimated"
+        if observations.sigma_known:
+            noise = f"chi2 {self.chi2:.4g}"
         of = f"{count(observations.size, 'value')} of {', '.join(observations.names)}"
         lines = [f"Fit to {of}: {noise}, {self.dof} degrees of freedom"]
         width = max(len(name) for name in self.parameters)
@@ -328,7 +312,14 @@ def _findings(fit: Fit) -> Iterator[str]:
     """What speaks against a fit, in sentences."""
     if not fit.converged:
         yield "the search did not end; remedy: give a start, or more starts"
-    yield from _unidentified(fit)
+    names = [name for name, identified in fit.identifiable.items() if not identified]
+    subject = f"the data do not identify {listing(names)}"
+    if len(names) == 1:
+        yield f"{subject}; remedy: fix it, or measure more"
+    elif names and fit.combinations:
+        yield f"{subject} alone, only {listing(fit.combinations)}; remedy: fix one of them"
+    elif names:
+        yield f"{subject} within their bounds; remedy: fix some, measure more, or widen the box"
     for name, end in fit.at_bounds.items():
         if fit.identifiable[name]:
             yield (
@@ -347,20 +338,6 @@ def _findings(fit: Fit) -> Iterator[str]:
     if not fit.solution.success:
         yield f"the solution is no success itself: {fit.solution.message}"
     yield from _error_of_solution(fit)
-
-
-def _unidentified(fit: Fit) -> Iterator[str]:
-    names = [name for name, identified in fit.identifiable.items() if not identified]
-    if not names:
-        return
-    if len(names) == 1:
-        yield f"the data do not identify {quote(names[0])}; remedy: fix it, or measure more"
-        return
-    said = f"the data do not identify {listing(names)}"
-    if fit.combinations:
-        yield f"{said} alone, only {listing(fit.combinations)}; remedy: fix one of them"
-    else:
-        yield f"{said} within their bounds; remedy: fix some, measure more, or widen the box"
 
 
 def _error_of_solution(fit: Fit) -> Iterator[str]:

@@ -21,6 +21,9 @@ ParameterValues = Mapping[Any, float] | None
 Bounds = Mapping[Any, tuple[float, float]] | None
 """Intervals by parameter, a name or a symbol."""
 
+_BOUND_TOLERANCE = 1e-9
+"""Distance from a bound, in widths of the interval, that counts as at the bound: rounding."""
+
 
 @dataclass(frozen=True)
 class FreeParameters:
@@ -68,6 +71,26 @@ class FreeParameters:
     def named(self, z: Array) -> dict[str, float]:
         """The free parameters at z (n,), by name."""
         return dict(zip(self.names, map(float, self.values(z)), strict=True))
+
+    def index(self, parameter: object) -> int:
+        """Position of a free parameter among the names, or an OptionError if it is none."""
+        name = name_of(parameter)
+        if name not in self.names:
+            raise OptionError(
+                f"{quote(name)} is no free parameter{did_you_mean(name, self.names)}",
+                term=parameter,
+                remedy=f"choose from {listing(self.names)}",
+            )
+        return self.names.index(name)
+
+    def at_bounds(self, z: Array) -> dict[str, str]:
+        """Parameters that are at the ``"lower"`` or ``"upper"`` end of their bounds at z (n,)."""
+        ends = zip(self.names, z, strict=True)
+        return {
+            name: "lower" if x < 0.5 else "upper"
+            for name, x in ends
+            if min(x, 1.0 - x) <= _BOUND_TOLERANCE
+        }
 
     def complete(self, free: Mapping[str, float]) -> dict[str, float]:
         """All parameters by name, in their order, for values of the free ones."""

@@ -127,20 +127,22 @@ def profiles(
 
     ``close`` is the share by which the root of the rise at an end may be off.
     """
+    if not indices:
+        return []
     directions = [(index, sign) for index in indices for sign in (-1.0, 1.0)]
     held = [_places(best, index, sign) for index, sign in directions]
     rows = np.concatenate([np.full(len(z), k) for k, z in enumerate(held)])
     columns = np.array([directions[k][0] for k in rows])
     points, costs = _along(problem, best, columns, np.concatenate(held))
-    ways = []
+    branches = []
     for k, (index, _) in enumerate(directions):
         here = rows == k
         path = np.vstack([best.z, points[here]])
         rise = np.concatenate([[0.0], np.maximum(costs[here] - best.cost, 0.0)])
-        ways.append(_Way(index, path, rise))
-    _refine(problem, best, limit, ways, close)
+        branches.append(_Branch(index, path, rise))
+    _refine(problem, best, limit, branches, close)
     curves = []
-    for low, high in zip(ways[::2], ways[1::2], strict=True):
+    for low, high in zip(branches[::2], branches[1::2], strict=True):
         path = np.vstack([low.path[:0:-1], high.path])
         rise = np.concatenate([low.rise[:0:-1], high.rise])
         curves.append(Profile(low.index, path, rise, low.end(limit), high.end(limit)))
@@ -148,7 +150,7 @@ def profiles(
 
 
 @dataclass
-class _Way:
+class _Branch:
     """From the best point in one direction: best points (k, n) in order, and rises (k,)."""
 
     index: int
@@ -173,7 +175,7 @@ class _Way:
         return bool(near or abs(z[1] - z[0]) <= 1e-12)
 
     def between(self, limit: float, turn: int) -> float:
-        """A value between the points below and above: by the secant of the root, or halfway."""
+        """A value between the points below and above: by the secant of the root, or halfbranch."""
         k = self.above(limit)
         (a, b), (f, g) = self.path[[k - 1, k], self.index], np.sqrt(self.rise[[k - 1, k]])
         share = (np.sqrt(limit) - f) / (g - f) if g > f else 0.5
@@ -193,19 +195,19 @@ class _Way:
 
 
 def _refine(
-    problem: LeastSquares, best: Best, limit: float, ways: list[_Way], close: float
+    problem: LeastSquares, best: Best, limit: float, branches: list[_Branch], close: float
 ) -> None:
-    """Close in on where the rise reaches the limit, on all ways at once."""
+    """Close in on where the rise reaches the limit, on all branches at once."""
     for turn in range(_MOST_REFINEMENTS):
-        waiting = [way for way in ways if not way.settled(limit, close)]
+        waiting = [branch for branch in branches if not branch.settled(limit, close)]
         if not waiting:
             return
-        places = np.array([way.between(limit, turn) for way in waiting])
-        columns = np.array([way.index for way in waiting])
-        near = np.array([way.path[way.above(limit) - 1] for way in waiting])
+        places = np.array([branch.between(limit, turn) for branch in waiting])
+        columns = np.array([branch.index for branch in waiting])
+        near = np.array([branch.path[branch.above(limit) - 1] for branch in waiting])
         points, costs = _along(problem, best, columns, places, near)
-        for way, point, cost in zip(waiting, points, costs, strict=True):
-            way.insert(way.above(limit), point, max(float(cost) - best.cost, 0.0))
+        for branch, point, cost in zip(waiting, points, costs, strict=True):
+            branch.insert(branch.above(limit), point, max(float(cost) - best.cost, 0.0))
 
 
 def _places(best: Best, index: int, sign: float) -> Array:
@@ -280,12 +282,10 @@ def identify(
     half = quantile * sigma * np.sqrt(np.sum(root**2, axis=1))
     uncertain = np.flatnonzero(half > _SUSPICIOUS_WIDTH)
     all_identified = Identification((), root, np.zeros((z.size, 0)), (), used)
-    if not uncertain.size:
-        return all_identified
     best = Best(z, cost, np.minimum(half / quantile, 1.0))
     limit = max((quantile * sigma) ** 2, 1e-12 * cost)
-    candidates = profiles(problem, best, limit, uncertain.tolist(), _ROUGH_END_TOLERANCE)
-    boxed = [p for p in candidates if p.bounded_by_box and p.width > _FLAT_WIDTH]
+    curves = profiles(problem, best, limit, uncertain.tolist(), _ROUGH_END_TOLERANCE)
+    boxed = [p for p in curves if p.bounded_by_box and p.width > _FLAT_WIDTH]
     if not boxed:
         return all_identified
     order = np.argsort(singular)
@@ -348,7 +348,7 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
 
 
 def _variation(path: Array, rows: Array) -> float:
-    """How much combinations vary along a path, as a share of what their terms do."""
+    """Largest variation of a combination along a path, as a share of that of its terms."""
     terms = np.sum(np.abs(rows) * np.ptp(path, axis=0), axis=1)
     return float(np.max(np.ptp(path @ rows.T, axis=0) / np.maximum(terms, 1e-300)))
 

@@ -15,7 +15,6 @@ from scipy.stats import qmc
 
 from rankone.estimation.free_parameters import (
     Bounds,
-    FreeParameters,
     ParameterValues,
     free_parameters,
 )
@@ -66,12 +65,11 @@ _MISSED_WEIGHT = 1e3
 """Weight of constraints that are missed, beside the scaled objective."""
 _FEASIBLE_MISS = 1e-6
 """How far a constraint may be missed, in units of the spread of its unknown over the box."""
-_BOUND_TOLERANCE = 1e-9
-"""Distance from a bound, in widths of the interval, that counts as at the bound: rounding."""
 _TOLERANCES = (1e-12, 1e-9, 1e-7)
 """Tolerances of the scaled objective, one after the other."""
 _MOST_ITERATIONS = 300
 """Most iterations of one search with one tolerance."""
+_LOCAL = "which may be a local one; remedy: raise effort, or narrow the bounds"
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,7 @@ def minimize(
     free = free_parameters(solution, fixed, bounds, start)
     starts = checked_number("starts", starts, 0 if start is not None else 1, _MOST_STARTS)
     times, one = checked_times(solution, t), t is None or np.ndim(t) == 0
-    function = objective if not isinstance(objective, str) and is_function(objective) else None
+    function = objective if is_function(objective) else None
     names = [state_name(solution, objective)] if function is None else list(solution.states)
     if function is None and not one:
         raise OptionError(
@@ -192,7 +190,7 @@ def minimize(
         raise OptionError("the objective is not finite anywhere in the box", term=objective)
     goal.scale = float(np.ptp(objectives[usable])) or 1.0
     merit = _Merit(goal, limits)
-    merits = merit.of(objectives, points)
+    merits = merit(points, objectives)
     lowest = points[_basins(points, merits)]
     minima = [] if free.start is None else [merit.search(free.start)]
     minima += [merit.search(point) for point in lowest[:starts]]
@@ -215,11 +213,6 @@ class _Minimum:
     ended: bool
     message: str
 
-    @property
-    def rank(self) -> tuple[float, float]:
-        """The best minimum has the least."""
-        return self.missed, self.objective
-
     def as_good_as(self, best: _Minimum) -> bool:
         """Whether a search ended at a minimum that is as good as the best one."""
         equal = self.objective <= best.objective + _SAME_OBJECTIVE
@@ -233,12 +226,9 @@ class _Merit:
     goal: Objective
     limits: Sequence[Constraint]
 
-    def __call__(self, points: Array) -> Array:
+    def __call__(self, points: Array, objectives: Array | None = None) -> Array:
         """Merits of points (N, n), the least the best; infinite where the objective is not."""
-        return self.of(self.goal.many(points), points)
-
-    def of(self, objectives: Array, points: Array) -> Array:
-        """The same where the values of the objective are known."""
+        objectives = self.goal.many(points) if objectives is None else objectives
         merits = self.goal.sign * objectives / self.goal.scale
         for limit in self.limits:
             merits = merits + _MISSED_WEIGHT * limit.missed(points)
@@ -271,7 +261,7 @@ class _Merit:
 
 def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Optimum:
     """The best of the minima; ``every_basin``: all basins of the sample were searched."""
-    best = min(minima, key=lambda minimum: minimum.rank)
+    best = min(minima, key=lambda minimum: (minimum.missed, minimum.objective))
     best = next((each for each in minima if each.ended and each.as_good_as(best)), best)
     agreeing = sum(minimum.as_good_as(best) for minimum in minima)
     goal, free = merit.goal, merit.goal.states.free
@@ -280,11 +270,20 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
     is_global = success and (every_basin or agreeing > 1)
     message = best.message
     if best.missed:
-        missed = _worst(merit.limits, best.z)
-        message = f"no parameters were found that fulfil the constraints: {missed}"
+        limit = min(merit.limits, key=lambda limit: float(limit.margins(best.z).min()))
+        amount = -float(limit.margins(best.z).min()) * limit.scale
+        message = (
+            "no parameters were found that fulfil the constraints: "
+            f"{quote(limit.states.names[0])} misses its limits by {amount:.4g}"
+        )
     elif best.ended:
         extremum = "minimum" if goal.sign > 0 else "maximum"
-        message = f"{_told(extremum, len(minima), agreeing, is_global)}{_edges(free, best.z)}"
+        ends = [f"{quote(name)} at its {end} bound" for name, end in free.at_bounds(best.z).items()]
+        message = (
+            f"{agreeing} of {count(len(minima), 'search', 'searches')} ended at this {extremum}, "
+            + ("the best of the box as far as seen" if is_global else _LOCAL)
+            + (f", with {' and '.join(ends)}" if ends else "")
+        )
     return Optimum(
         x=x,
         fun=goal.at(states, best.z),
@@ -297,32 +296,6 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
         agreeing=agreeing,
         is_global=is_global,
     )
-
-
-def _told(extremum: str, searches: int, agreeing: int, is_global: bool) -> str:
-    """How many searches ended at the best minimum, and whether it is global."""
-    said = f"{agreeing} of {count(searches, 'search', 'searches')} ended at"
-    if is_global:
-        return f"{said} this {extremum}, the best of the box as far as seen"
-    remedy = "remedy: raise effort, or narrow the bounds"
-    return f"{said} this {extremum}, which may be a local one; {remedy}"
-
-
-def _worst(limits: Sequence[Constraint], z: Array) -> str:
-    """The constraint that is missed most."""
-    limit = min(limits, key=lambda one: float(one.margins(z).min()))
-    amount = -float(limit.margins(z).min()) * limit.scale
-    return f"{quote(limit.states.names[0])} misses its limits by {amount:.4g}"
-
-
-def _edges(free: FreeParameters, z: Array) -> str:
-    """Which parameters are at an end of their bounds."""
-    ends = [
-        f"{quote(name)} at its {'lower' if at < 0.5 else 'upper'} bound"
-        for name, at in zip(free.names, z, strict=True)
-        if min(at, 1.0 - at) <= _BOUND_TOLERANCE
-    ]
-    return f", with {' and '.join(ends)}" if ends else ""
 
 
 # --- where searches begin ------------------------------------------------------------------------
@@ -351,15 +324,9 @@ def _basins(points: Array, merits: Array) -> NDArray[np.intp]:
 def _evolved(
     merit: Callable[[Array], Array], points: Array, merits: Array, generations: int
 ) -> list[Array]:
-    """Points (d,) in different basins after differential evolution of the best (Storn, Price 1997).
+    """Points (d,) in different basins after differential evolution (Storn, Price 1997).
 
-    Parameters
-    ----------
-    merit : callable
-        Merits (m,) of points (m, d).
-    points : ndarray (N, d)
-        The best of them are the first generation.
-    merits : ndarray (N,)
+    The best of the points (N, d), by their merits (N,), are the first generation.
     """
     generator = np.random.default_rng(_SEED)
     chosen = np.argsort(merits, kind="stable")[:_POPULATION]

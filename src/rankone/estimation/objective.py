@@ -16,7 +16,7 @@ from rankone.estimation.observations import checked_times, state_name
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
-from rankone.support.wording import listing, quote, shown
+from rankone.support.wording import quote, shown
 
 __all__ = [
     "Constraint",
@@ -203,14 +203,14 @@ def _limit(name: str, given: ArrayLike | None, none: float, size: int) -> Array:
 
 
 def is_function(objective: object) -> TypeGuard[ObjectiveFunction]:
-    """Whether an objective is a function of values, and no symbol or unknown."""
+    """Whether an objective is a function of values, and no name or symbol of an unknown."""
     symbolic = hasattr(objective, "free_symbols") or hasattr(objective, "derivative_count")
-    if callable(objective) and not symbolic and not isinstance(objective, str):
-        return True
-    if symbolic:
+    if symbolic or isinstance(objective, str):
         return False
+    if callable(objective):
+        return True
     raise OptionError(
         f"the objective {shown(objective)} is neither an unknown nor a function",
         term=objective,
-        remedy=f"name an unknown, or give a function of {listing(['values', 'parameters'])}",
+        remedy="name an unknown, or give a function of `values` and `parameters`",
     )

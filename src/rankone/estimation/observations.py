@@ -185,10 +185,8 @@ def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, 
 
 def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
     """The data of each output."""
-    if table.ndim == 1 and len(names) == 1:
-        return [table]
-    if table.ndim == 0 and len(names) == 1:
-        return [table.reshape(1)]
+    if table.ndim < 2 and len(names) == 1:
+        return [np.atleast_1d(table)]
     if table.ndim == 2 and len(table) == len(names):
         return list(table)
     raise OptionError(

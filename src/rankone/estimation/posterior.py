@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.discretization.coordinates import name_of
-from rankone.estimation.cube_distributions import Cells, CubeDistribution, adapted, chain
+from rankone.estimation.cube_distributions import CubeDistribution, adapted, chain
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Bounds, ParameterValues
 from rankone.estimation.least_squares import LeastSquares, TrainModel
@@ -22,7 +22,7 @@ from rankone.statistics.joint_distribution import Distributions, measures_of
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_count, checked_number
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.wording import listing, quote
 from rankone.tensors.slab import fixed as with_fixed
 
 __all__ = ["Posterior", "posterior"]
@@ -123,9 +123,8 @@ class Posterior:
     @property
     def mean(self) -> dict[str, float]:
         """The mean of each parameter."""
-        return self._log_density.problem.free.named(
-            self._distribution.masses @ self._distribution.nodes
-        )
+        centre = self._distribution.masses @ self._distribution.nodes
+        return self._log_density.problem.free.named(centre)
 
     @property
     def covariance(self) -> Array:
@@ -175,14 +174,7 @@ class Posterior:
 
     def density(self, parameter: object, values: ArrayLike) -> Array:
         """The marginal density of one parameter at values; zero outside of its bounds."""
-        name = name_of(parameter)
-        if name not in self.parameters:
-            raise OptionError(
-                f"{quote(name)} is no free parameter{did_you_mean(name, self.parameters)}",
-                term=parameter,
-                remedy=f"choose from {listing(self.parameters)}",
-            )
-        j = self.parameters.index(name)
+        j = self._log_density.problem.free.index(parameter)
         lower, width = self._log_density.unit
         z = (np.asarray(values, dtype=float) - lower[j]) / width[j]
         inside = (z >= 0.0) & (z <= 1.0)
@@ -197,33 +189,23 @@ class Posterior:
         count = checked_count("count", count, 0, 3 * len(self.fit._problem.free.order))
         seed = None if seed is None else checked_number("seed", seed, 0)
         generator = np.random.default_rng(seed)
-        if isinstance(self._distribution, Cells):
-            shift = self.log_evidence
 
-            def density(z: Array) -> Array:
-                return np.asarray(np.exp(self._log_density(z) - shift))
+        def density(z: Array) -> Array:
+            return np.asarray(np.exp(self._log_density(z) - self.log_evidence))
 
-            z = self._distribution.sample(count, density, generator)
-        else:
-            z = self._distribution.nodes[
-                generator.integers(0, len(self._distribution.nodes), count)
-            ]
+        z = self._distribution.sample(count, density, generator)
         free = self.fit._problem.free
-        every = dict(zip(free.names, free.values(z).T, strict=True))
-        every |= {name: np.full(count, x) for name, x in free.fixed.items()}
-        return {name: every[name] for name in free.order}
+        return dict(zip(free.order, free.points(z), strict=True))
 
     def __repr__(self) -> str:
         lines = [f"Posterior of {', '.join(self.parameters)} by {self.method}"]
         ends, deviations = self.interval(), self.std
         for name, mean in self.mean.items():
             low, high = ends[name]
-            lines.append(
-                f"  {name}  {mean:.6g} ± {deviations[name]:.2g}, 95 % in [{low:.6g}, {high:.6g}]"
-            )
-        return "\n".join(
-            [*lines, f"  {'success' if self.success else 'no success'}: {self.message}"]
-        )
+            spread = f"{mean:.6g} ± {deviations[name]:.2g}"
+            lines.append(f"  {name}  {spread}, 95 % in [{low:.6g}, {high:.6g}]")
+        lines.append(f"  {'success' if self.success else 'no success'}: {self.message}")
+        return "\n".join(lines)
 
 
 def posterior(
@@ -288,7 +270,9 @@ def posterior(
     )
     log_density = LogPosterior(_without_fixed(best), _priors(best, prior))
     likely, extents = _likely(best, log_density)
-    boxed = _boxed(best)
+    names = [name for name, identified in best.identifiable.items() if not identified]
+    limits = f"; the data do not identify {listing(names)} alone: box and prior limit them"
+    boxed = limits if names else ""
     if log_density.dimension > _MOST_QUADRATURE_PARAMETERS:
         links = chain(log_density, likely, seed, steps)
         message = links.message + boxed
@@ -312,14 +296,6 @@ def _priors(fit: Fit, prior: Distributions) -> tuple[Measure, ...]:
     return measures_of(free.names, box, prior, usual)
 
 
-def _boxed(fit: Fit) -> str:
-    """Words on parameters that the data alone do not identify."""
-    names = [name for name, identified in fit.identifiable.items() if not identified]
-    if not names:
-        return ""
-    return f"; the data do not identify {listing(names)} alone: box and prior limit them"
-
-
 def _without_fixed(fit: Fit) -> LeastSquares:
     """The least squares of the free parameters alone, with ranks that the noise allows."""
     free, observations = fit._problem.free, fit.observations
@@ -331,9 +307,8 @@ def _without_fixed(fit: Fit) -> LeastSquares:
     unit = fit._unit if fit._unit > 0.0 else 1.0
     positions = tuple(range(len(free.names)))
     alone = replace(free, order=free.names, positions=positions, fixed={})
-    return LeastSquares(
-        model.thinned(observations.scale, _UNNOTICED_CHANGE * unit), observations, alone
-    )
+    thinned = model.thinned(observations.scale, _UNNOTICED_CHANGE * unit)
+    return LeastSquares(thinned, observations, alone)
 
 
 def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
@@ -349,15 +324,13 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
         extents = np.minimum(extents, unit / slopes)
         _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
         root = right.T * np.minimum(unit / np.maximum(singular, 1e-12), 1.0)
-        near.append(
-            z + generator.standard_normal((_DRAWN_POINTS // good.sum(), len(root.T))) @ root.T
-        )
+        normal = generator.standard_normal((_DRAWN_POINTS // good.sum(), len(root.T)))
+        near.append(z + normal @ root.T)
     wide = generator.random((8 * _DRAWN_POINTS, n))
     centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in log_density.measures]
     lower, width = log_density.unit
     prior = (np.array(centres).T - lower) / width
-    every = np.clip(np.vstack(near), 0.0, 1.0)
-    points = np.vstack([minima.z[good], every, prior, wide])
+    points = np.vstack([minima.z[good], np.clip(np.vstack(near), 0.0, 1.0), prior, wide])
     logs = log_density(points)
     if not np.isfinite(logs.max()):
         raise OptionError("the prior has no probability where the data have any")

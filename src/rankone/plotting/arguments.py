@@ -20,8 +20,8 @@ __all__ = [
     "fine_times",
     "needs_time",
     "one_time",
-    "only_unknown",
     "sometimes_of",
+    "state_of",
     "states_of",
     "times_of",
     "unknown_of",
@@ -89,8 +89,14 @@ def unknown_of(solution: Solution, given: object) -> str:
     return unknowns_of(solution, given)[0]
 
 
-def only_unknown(solution: Solution, function: str) -> str:
-    """The one unknown that there is; an EvaluationError if there are several."""
+def state_of(solution: Solution, given: object, function: str) -> str:
+    """The name of one unknown, or derivative that is a state; the only unknown for None."""
+    if isinstance(given, list | tuple):
+        raise OptionError(
+            f"unknown={shown(given)} are several", term=given, remedy="plot one after another"
+        )
+    if given is not None:
+        return states_of(solution, given)[0]
     if len(solution.unknowns) > 1:
         raise EvaluationError(
             f"there are {len(solution.unknowns)} unknowns: {', '.join(solution.unknowns)}",

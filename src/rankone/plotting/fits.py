@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from rankone.estimation.fit import Fit
+from rankone.plotting import style
 from rankone.plotting.arguments import fine_times, needs_time
-from rankone.plotting.style import (
-    axes_for,
-    colours_for,
-    label_of,
-    labels_of,
-    name_ends,
-    stacked,
-)
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 
@@ -80,8 +73,8 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
     axes = _axes(ax)
     outputs = [_output(fit, solution, i) for i in range(len(fit.observations.names))]
     _draw_data(axes[0], outputs, f"{100 * fit.level:g} % band of the curve")
-    axes[0].set_ylabel(labels_of(solution, fit.observations.names))
-    axes[-1].set_xlabel(label_of(solution, solution.metadata.time))
+    axes[0].set_ylabel(style.labels_of(solution, fit.observations.names))
+    axes[-1].set_xlabel(style.label_of(solution, solution.metadata.time))
     if len(axes) > 1:
         _draw_residuals(axes[1], outputs)
         unit = "[std]" if fit.observations.sigma_known else "[estimated std]"
@@ -91,16 +84,9 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
 
 @dataclass(frozen=True)
 class _Output:
-    """What was measured of one state, and the curve fitted.
+    """What was measured of one state, its sigma if it is known, and the curve fitted.
 
-    Attributes
-    ----------
-    name : str
-    times, data, fitted : ndarray (data,)
-    sigma : ndarray (data,) or None
-        Standard deviations; None if they are not known.
-    curve : ndarray (3, times)
-        Times, values of the curve fitted, and half the width of its band.
+    The curve (3, times) has times, values, and half the width of its band.
     """
 
     name: str
@@ -120,14 +106,12 @@ def _output(fit: Fit, solution: Solution, index: int) -> _Output:
     """One output of a fit."""
     observed = fit.observations
     name, here = observed.names[index], observed.owner == index
-    times = observed.times[here]
+    times, data = observed.times[here], observed.values[here]
     unit = 1.0 if observed.sigma_known else fit.sigma
     sigma = unit / observed.scale[here] if np.isfinite(unit) and unit > 0.0 else None
     fine = fine_times(solution, float(times.max(initial=solution.time[0])), _CURVE_TIMES)
     curve = np.array([fine, solution[name](fine, fit.values), _half_widths(fit, name, fine)])
-    return _Output(
-        name, times, observed.values[here], solution[name](times, fit.values), sigma, curve
-    )
+    return _Output(name, times, data, solution[name](times, fit.values), sigma, curve)
 
 
 def _half_widths(fit: Fit, name: str, times: Array) -> Array:
@@ -148,18 +132,18 @@ def _half_widths(fit: Fit, name: str, times: Array) -> Array:
 def _axes(ax: object) -> tuple[Axes, ...]:
     """One or two axes."""
     if ax is None:
-        return stacked(0.9, 0.35)
+        return style.stacked(0.9, 0.35)
     several = tuple(np.ravel(ax)) if isinstance(ax, list | tuple | np.ndarray) else (ax,)
     if len(several) not in (1, 2):
         raise OptionError(f"{len(several)} axes were given", remedy="give one or two")
-    return tuple(axes_for(one) for one in several)
+    return tuple(style.axes_for(one) for one in several)
 
 
 def _draw_data(ax: Axes, outputs: Sequence[_Output], band: str) -> None:
     """Measurements, curve and band of each output."""
     several = len(outputs) > 1
     banded = any(np.isfinite(output.curve[2]).any() for output in outputs)
-    colours = colours_for(ax, len(outputs))
+    colours = style.colours_for(ax, len(outputs))
     lines = []
     for output, colour in zip(outputs, colours, strict=True):
         times, curve, half = output.curve
@@ -180,7 +164,7 @@ def _draw_data(ax: Axes, outputs: Sequence[_Output], band: str) -> None:
         lines += ax.plot(times, curve, color=colour, label=f"{before}fitted")
     _legend(ax, "0.3" if several else colours[0], band if banded else None)
     if several:
-        name_ends(ax, lines, [output.name for output in outputs])
+        style.name_ends(ax, lines, [output.name for output in outputs])
 
 
 def _legend(ax: Axes, colour: str, band: str | None) -> None:
@@ -206,7 +190,7 @@ def _legend(ax: Axes, colour: str, band: str | None) -> None:
 
 def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:
     """What is left of each measurement."""
-    for output, colour in zip(outputs, colours_for(ax, len(outputs)), strict=True):
+    for output, colour in zip(outputs, style.colours_for(ax, len(outputs)), strict=True):
         ax.plot(output.times, output.residuals, "o", color=colour, markersize=4, label=output.name)
     scaled = outputs[0].sigma is not None
     if scaled:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.plotting.arguments import check_solution, only_unknown
+from rankone.plotting.arguments import check_solution, state_of
 from rankone.plotting.style import figure_of, several_axes
 from rankone.support.errors import OptionError
 
@@ -65,7 +65,7 @@ def plot_modes(
     check_solution("plot_modes", solution)
     if modes < 1:
         raise OptionError(f"modes={modes!r} is too small", remedy="at least 1")
-    name = solution[only_unknown(solution, "plot_modes") if unknown is None else unknown].name
+    name = state_of(solution, unknown, "plot_modes")
     form = solution.to_canonical(rtol)[name]
     title = f"{name}: {form.rank} modes, mean square error {form.error:.1e}"
     axes, in_new_figure = several_axes(ax, len(form.axes) + 1, title)

@@ -8,18 +8,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.plotting import style
 from rankone.plotting.arguments import check_solution, one_time, sometimes_of, unknown_of
-from rankone.plotting.style import (
-    PALETTE,
-    axes_for,
-    colours_for,
-    label_of,
-    legend_beside,
-    legend_inside,
-    name_ends,
-    range_of,
-    value_of,
-)
 from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.statistics.solution_statistics import Sobol
 from rankone.support.arrays import Array
@@ -107,13 +97,13 @@ def plot_sobol(
             term=name,
             remedy="choose a time at which it depends on the parameters",
         )
-    axes = axes_for(ax)
+    axes = style.axes_for(ax)
     if times is None or times.size == 1:
         when = _at(solution, None if times is None else float(times[0]))
         _draw_bars(axes, indices.parameters, {k: table[:, 0] for k, table in shares.items()})
         axes.set_xlabel(_title(shares, name) + when)
         return axes
-    axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=_title(shares, name))
+    axes.set(xlabel=style.label_of(solution, solution.metadata.time), ylabel=_title(shares, name))
     if kind == "first":
         _draw_stack(axes, indices.parameters, times, shares["first"])
     else:
@@ -171,23 +161,23 @@ def plot_main_effects(
     effects = solution._main_effects(time, _EFFECT_POINTS, statistics)
     row = solution.unknowns.index(name)
     mean = solution._at(time, statistics.mean)[row]
-    axes = axes_for(ax)
-    colours = colours_for(axes, len(effects.parameters))
+    axes = style.axes_for(ax)
+    colours = style.colours_for(axes, len(effects.parameters))
     for parameter, colour in zip(effects.parameters, colours, strict=True):
         lower, upper = solution.parameters[parameter]
         shares = (effects.values[parameter] - lower) / (upper - lower)
-        label = range_of(solution, parameter)
+        label = style.range_of(solution, parameter)
         axes.plot(shares, effects.means[parameter][row], color=colour, label=label)
     axes.axhline(float(mean), color="0.4", linestyle=":", linewidth=1, zorder=1.5)
     when = _at(solution, time)
     axes.set(
         xlabel="parameter within its range",
-        ylabel=f"mean of {label_of(solution, name)}{when}",
+        ylabel=f"mean of {style.label_of(solution, name)}{when}",
         xticks=[0.0, 0.25, 0.5, 0.75, 1.0],
         xticklabels=["smallest", "", "middle", "", "largest"],
     )
     axes.margins(x=0.0)
-    legend_beside(axes, axes.get_legend_handles_labels()[0][-len(effects.parameters) :])
+    style.legend_beside(axes, axes.get_legend_handles_labels()[0][-len(effects.parameters) :])
     return axes
 
 
@@ -200,7 +190,7 @@ def _needs_parameters(solution: Solution) -> None:
 
 
 def _at(solution: Solution, time: float | None) -> str:
-    return "" if time is None else f" at {value_of(solution, solution.metadata.time, time)}"
+    return "" if time is None else f" at {style.value_of(solution, solution.metadata.time, time)}"
 
 
 def _shares(indices: Sobol, name: str, kind: Kind) -> dict[str, Array]:
@@ -233,7 +223,7 @@ def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array])
             places,
             row[order],
             height=0.36 if inner else 0.68,
-            color=PALETTE[0] if inner or len(shares) == 1 else PALETTE[5],
+            color=style.PALETTE[0] if inner or len(shares) == 1 else style.PALETTE[5],
             label=_WORDS[kind],
         )
     for place, length in zip(places, longest, strict=True):
@@ -257,13 +247,13 @@ def _draw_stack(ax: Axes, parameters: Sequence[str], times: Array, shares: Array
     from matplotlib.patches import Patch
 
     interactions = np.clip(1.0 - shares.sum(axis=0), 0.0, None)
-    colours = [*colours_for(ax, len(parameters)), "0.85"]
+    colours = [*style.colours_for(ax, len(parameters)), "0.85"]
     names = [*parameters, "interactions"]
     ax.stackplot(
         times, np.vstack([shares, interactions]), colors=colours, edgecolor="white", linewidth=0.5
     )
     pairs = zip(names, colours, strict=True)
-    legend_beside(ax, [Patch(color=colour, label=name) for name, colour in pairs][::-1])
+    style.legend_beside(ax, [Patch(color=colour, label=name) for name, colour in pairs][::-1])
 
 
 def _draw_lines(
@@ -273,7 +263,7 @@ def _draw_lines(
     from matplotlib.lines import Line2D
 
     lines = []
-    colours = colours_for(ax, len(parameters))
+    colours = style.colours_for(ax, len(parameters))
     for kind, stroke in (("total", "-"), ("first", "--")):
         for name, colour, row in zip(parameters, colours, shares.get(kind, ()), strict=False):
             label = name if kind == "total" else f"_{name}"
@@ -281,5 +271,6 @@ def _draw_lines(
             lines += [line] if kind == "total" else []
     if len(shares) > 1:
         strokes = (("total", "-"), ("first-order", "--"))
-        legend_inside(ax, [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes])
-    name_ends(ax, lines, parameters)
+        handles = [Line2D([], [], color="0.3", ls=s, label=word) for word, s in strokes]
+        style.legend_inside(ax, handles)
+    style.name_ends(ax, lines, parameters)

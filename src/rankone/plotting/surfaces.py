@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
-from rankone.plotting.arguments import check_solution, only_unknown, states_of
+from rankone.plotting.arguments import check_solution, state_of
 from rankone.plotting.style import axes_for, colour_scale, label_of, value_of
 from rankone.solution.smaller import merged
 from rankone.support.arrays import Array
@@ -70,7 +70,7 @@ def plot_surface(
         If both coordinates are the same, one has a value as well, or a value is no number.
     """
     check_solution("plot_surface", solution)
-    name = _state(solution, unknown)
+    name = state_of(solution, unknown, "plot_surface")
     points = checked_number("points", points, 2, 10_000)
     across, up = _coordinate(solution, x), _coordinate(solution, y)
     if across == up:
@@ -91,16 +91,6 @@ def plot_surface(
         where = (value_of(solution, name, float(at)) for name, at in fixed_at.items())
         drawn.set_title(", ".join(where), fontsize="medium", loc="left")
     return drawn
-
-
-def _state(solution: Solution, unknown: object) -> str:
-    if isinstance(unknown, list | tuple):
-        raise OptionError(
-            f"unknown={shown(unknown)} are several", term=unknown, remedy="plot one after another"
-        )
-    if unknown is None:
-        return only_unknown(solution, "plot_surface")
-    return states_of(solution, unknown)[0]
 
 
 def _coordinate(solution: Solution, key: object) -> str:

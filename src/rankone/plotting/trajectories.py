@@ -9,26 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rankone.plotting.arguments import (
-    check_solution,
-    needs_time,
-    states_of,
-    times_of,
-    unknowns_of,
-)
-from rankone.plotting.style import (
-    MOST_NAMED,
-    PALETTE,
-    axes_for,
-    colour_scale,
-    colours_for,
-    label_of,
-    labels_of,
-    legend_beside,
-    legend_inside,
-    name_ends,
-    shades,
-)
+from rankone.plotting import style
+from rankone.plotting.arguments import check_solution, needs_time, states_of, times_of, unknowns_of
 from rankone.solution.smaller import merged
 from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.support.arrays import Array
@@ -61,23 +43,14 @@ _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
 @dataclass(frozen=True)
 class _Family:
-    """Points of the parameters, each of which is a curve.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters with more than one value.
-    points : ndarray (names, curves)
-    """
+    """Points (names, curves) of the parameters that vary, each of which is a curve."""
 
     names: tuple[str, ...]
     points: Array
 
     def titles(self) -> list[str]:
-        return [
-            ", ".join(f"{name} = {x:.4g}" for name, x in zip(self.names, point, strict=True))
-            for point in self.points.T
-        ]
+        pairs = (zip(self.names, point, strict=True) for point in self.points.T)
+        return [", ".join(f"{name} = {x:.4g}" for name, x in point) for point in pairs]
 
 
 def plot_trajectories(
@@ -132,14 +105,11 @@ def plot_trajectories(
     family = _family(solution, arrays)
     columns = {name: np.asarray(array)[..., None] for name, array in arrays.items()}
     shape = np.broadcast_shapes(*(column.shape for column in columns.values()), (1,))[:-1]
-    curves = [
-        np.broadcast_to(solution[name](times, columns), (*shape, times.size)).reshape(
-            -1, times.size
-        )
-        for name in names
-    ]
-    axes = axes_for(ax)
-    axes.set(xlabel=label_of(solution, time), ylabel=labels_of(solution, names))
+    tables = (solution[name](times, columns) for name in names)
+    shape = (*shape, times.size)
+    curves = [np.broadcast_to(table, shape).reshape(-1, times.size) for table in tables]
+    axes = style.axes_for(ax)
+    axes.set(xlabel=style.label_of(solution, time), ylabel=style.labels_of(solution, names))
     if not family.names:
         _draw_single(axes, names, times, [rows[0] for rows in curves])
     else:
@@ -162,13 +132,10 @@ def _family(solution: Solution, values: Mapping[str, Any]) -> _Family:
 
 def _draw_single(ax: Axes, names: Sequence[str], times: Array, curves: Sequence[Array]) -> None:
     """One curve for each unknown, named at its end."""
-    colours = colours_for(ax, len(names))
-    lines = [
-        ax.plot(times, curve, color=colour, label=name)[0]
-        for name, curve, colour in zip(names, curves, colours, strict=True)
-    ]
+    drawn = zip(names, curves, style.colours_for(ax, len(names)), strict=True)
+    lines = [ax.plot(times, row, color=colour, label=name)[0] for name, row, colour in drawn]
     if len(lines) > 1:
-        name_ends(ax, lines, names)
+        style.name_ends(ax, lines, names)
 
 
 def _draw_family(
@@ -185,7 +152,7 @@ def _draw_family(
     from matplotlib.lines import Line2D
 
     titles = family.titles()
-    few = len(titles) <= MOST_NAMED
+    few = len(titles) <= style.MOST_NAMED
     colours = _colours(family)
     strokes = [_STROKES[i % len(_STROKES)] for i in range(len(names))]
     for stroke, rows in zip(strokes, curves, strict=True):
@@ -200,13 +167,13 @@ def _draw_family(
         named = zip(titles, colours, strict=True)
         handles += [Line2D([], [], color=colour, label=title) for title, colour in named]
     elif len(family.names) == 1:
-        row, map_colours = family.points[0], ListedColormap(shades(np.linspace(0.0, 1.0, 256)))
-        mappable = ScalarMappable(Normalize(row.min(), row.max()), map_colours)
-        colour_scale(ax, mappable, label_of(solution, family.names[0]))
+        row, shades = family.points[0], style.shades(np.linspace(0.0, 1.0, 256))
+        mappable = ScalarMappable(Normalize(row.min(), row.max()), ListedColormap(shades))
+        style.colour_scale(ax, mappable, style.label_of(solution, family.names[0]))
     if handles and few:
-        legend_beside(ax, handles)
+        style.legend_beside(ax, handles)
     elif handles:
-        legend_inside(ax, handles)
+        style.legend_inside(ax, handles)
 
 
 def _colours(family: _Family) -> Sequence[ColorType]:
@@ -214,12 +181,12 @@ def _colours(family: _Family) -> Sequence[ColorType]:
     count = family.points.shape[1]
     if len(family.names) == 1:
         row = family.points[0]
-        return shades((row - row.min()) / np.ptp(row))
-    if count <= MOST_NAMED:
-        return list(PALETTE[:count])
+        return style.shades((row - row.min()) / np.ptp(row))
+    if count <= style.MOST_NAMED:
+        return list(style.PALETTE[:count])
     from matplotlib.colors import to_rgba
 
-    return [to_rgba(PALETTE[0], 0.35)] * count
+    return [to_rgba(style.PALETTE[0], 0.35)] * count
 
 
 # --- over the box --------------------------------------------------------------------------------
@@ -284,8 +251,11 @@ def plot_bands(
         spread = sigmas * np.sqrt(statistics.variance(times)[rows])
         lower, upper = mean - spread, mean + spread
         meaning = f"± {sigmas:g} std"
-    axes = axes_for(ax)
-    axes.set(xlabel=label_of(solution, solution.metadata.time), ylabel=labels_of(solution, names))
+    axes = style.axes_for(ax)
+    axes.set(
+        xlabel=style.label_of(solution, solution.metadata.time),
+        ylabel=style.labels_of(solution, names),
+    )
     _draw_bands(axes, names, times, (lower, mean, upper), meaning)
     axes.margins(x=0.0)
     return axes
@@ -323,7 +293,7 @@ def _draw_bands(
     from matplotlib.patches import Patch
 
     lines = []
-    colours = colours_for(ax, len(names))
+    colours = style.colours_for(ax, len(names))
     for name, colour, lower, mean, upper in zip(names, colours, *band, strict=True):
         ax.fill_between(times, lower, upper, color=colour, alpha=0.2, linewidth=0)
         lines += ax.plot(times, mean, color=colour, label=f"mean of {name}")
@@ -332,8 +302,8 @@ def _draw_bands(
     patch = Patch(color=colour, alpha=0.2, linewidth=0, label=meaning)
     handles = [Line2D([], [], color=colour, label="mean"), patch]
     if alone or np.isfinite(band[1][:, -1]).all():
-        legend_inside(ax, handles)
+        style.legend_inside(ax, handles)
     else:
-        legend_beside(ax, handles)
+        style.legend_beside(ax, handles)
     if not alone:
-        name_ends(ax, lines, names)
+        style.name_ends(ax, lines, names)
