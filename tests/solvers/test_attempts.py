@@ -70,12 +70,12 @@ def slabs() -> tuple[SlabTrain, ...]:
 def run(
     system: Any, fake: Fake, rtol: float = 1e-3, check: int = 5, most: int | None = 6
 ) -> Outcome:
-    def prepared(request: SolveRequest, reference_set: ReferenceSet) -> Fake:
+    def marcher(reference_set: ReferenceSet) -> Fake:
+        fake.reference_set = reference_set
         return fake
 
-    options = (FakeOptions(most),)
-    request = SolveRequest(rtol, Domain.of(system), Check(check), options=options)
-    return solve_in_attempts(prepared, FakeOptions, system, request, quiet)
+    request = SolveRequest(rtol, Domain.of(system), Check(check))
+    return solve_in_attempts(marcher, FakeOptions(most), system, request, quiet)
 
 
 def test_attempts_end_with_the_first_that_fits(system: Any, slabs: Any) -> None:

@@ -176,28 +176,25 @@ class Marcher(Protocol):
 
 
 def solve_in_attempts(
-    prepared: Callable[[SolveRequest, ReferenceSet], Marcher],
-    group: type[Options],
+    marcher_of: Callable[[ReferenceSet], Marcher],
+    options: Options,
     system: System,
     request: SolveRequest,
     report: Report,
 ) -> Outcome:
     """Integrate the reference, then march and check until the measured error fits.
 
-    ``prepared`` makes the marcher from the request and its reference set; ``group`` is the type
-    of the engine's options. A part of the budget is kept
-    back to explain a failure.
+    ``marcher_of`` makes the engine's marcher, ``options`` are those of the engine. A part of the
+    budget is kept back to explain a failure.
     """
     stages = Stages()
     with _keeping_some():
         try:
             with stages.of("reference"):
                 reference_set = ReferenceSet.of(system, request)
-                marcher = prepared(request, reference_set)
-                marcher.reference_set = reference_set
+                marcher = marcher_of(reference_set)
         except OutOfBudgetError as out:
             return _out_at_reference(out, system, stages)
-        options = request.options_of(group)
         best, records, met = _attempts(marcher, request.rtol, options, report, stages)
     reference_set = marcher.reference_set
     status = best.status(reference_set, request.rtol)

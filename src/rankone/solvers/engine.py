@@ -13,9 +13,11 @@ from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
 from rankone.ir.verdict import LiftedStates, MeasuredError, Note, OtherEngines, Remedy, Status
+from rankone.solvers.attempts import Marcher, solve_in_attempts
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
+from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
 
 __all__ = ["Engine", "Report", "solve_with"]
@@ -35,14 +37,33 @@ _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was wr
 class Engine:
     """A way to solve a generated system for a whole box.
 
-    ``name`` is the ``method`` of ``rankone.solve``; ``record`` is what the history consists of. The
-    status of the Outcome is CONVERGED only if the measured error is within the tolerance asked.
+    Attributes
+    ----------
+    name : str
+        The ``method`` of ``rankone.solve``.
+    options : type
+        Its options.
+    record : type
+        The items of its history.
+    marcher : callable
+        What it does in an attempt, made from a request, its reference set, and the workers that
+        integrate trajectories.
     """
 
     name: str
     options: type[Options]
     record: type[SlabRecord]
-    solve: Callable[[System, SolveRequest, Report], Outcome]
+    marcher: Callable[[SolveRequest, ReferenceSet, Workers], Marcher]
+
+    def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
+        """Solve; the status is CONVERGED only if the measured error is within the tolerance."""
+        options = request.options_of(self.options)
+        with open_workers(system, options.executor) as workers:
+
+            def marcher(reference_set: ReferenceSet) -> Marcher:
+                return self.marcher(request, reference_set, workers)
+
+            return solve_in_attempts(marcher, options, system, request, report)
 
     def run(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
@@ -115,6 +116,11 @@ class Options:
     def max_attempts(self) -> int | None:
         """How often a solve may be tried; a field of engines that try again."""
         return 1
+
+    @property
+    def executor(self) -> Executor | int | None:
+        """Where trajectories are integrated; a field of engines that ask for many."""
+        return None
 
     @classmethod
     def names(cls) -> list[str]:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
-from rankone.ir.outcome import Outcome
 from rankone.ir.request import SolveRequest
-from rankone.ir.system import System
 from rankone.ir.verdict import Cause, MovingFeatures, Status, TrajectoryStops
-from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Progress
 from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
 from rankone.solvers.cross.options import CrossOptions
 from rankone.solvers.cross.pace import Pace
@@ -21,19 +18,19 @@ from rankone.solvers.cross.record import CrossRecord
 from rankone.solvers.cross.steep import steepest_front
 from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
-from rankone.solvers.engine import Engine, Report
+from rankone.solvers.engine import Engine
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, unlimited
-from rankone.support.progress import ProgressEvent
+from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.cross import interpolate, left_points, with_points
 from rankone.tensors.samples import Samples
 from rankone.tensors.train import Train
-from rankone.trajectories.workers import Workers, open_workers
+from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points, steepest_point
 
-__all__ = ["ENGINE", "solve_cross"]
+__all__ = ["ENGINE"]
 
 _INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
 """Shares of the error asked for: integration, row spaces, highest modes, rounding."""
@@ -267,11 +264,4 @@ class CrossMarcher:
         return Status.STEEP, front.cause(system.states, system.parameters)
 
 
-def solve_cross(system: System, request: SolveRequest, report: Report) -> Outcome:
-    """Solve a system for the whole box by cross interpolation of its trajectories."""
-    with open_workers(system, request.options_of(CrossOptions).executor) as workers:
-        prepared = partial(CrossMarcher, workers=workers)
-        return solve_in_attempts(prepared, CrossOptions, system, request, report)
-
-
-ENGINE = Engine("cross", CrossOptions, CrossRecord, solve_cross)
+ENGINE = Engine("cross", CrossOptions, CrossRecord, CrossMarcher)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import Cause, Status, UnsettledTerms
-from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Marcher, Progress
 from rankone.solvers.engine import Engine
 from rankone.solvers.greedy.constants import (
     FAST_FACTOR,
@@ -33,6 +32,7 @@ from rankone.solvers.greedy.slabs import Coupling, GreedyTrial, LaggedSlabs
 from rankone.solvers.march import March, MarchResult, Span
 from rankone.support.progress import Report
 from rankone.trajectories.diagnosis import amplification
+from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
 __all__ = ["ENGINE", "SlabLengths"]
@@ -108,7 +108,9 @@ class GreedyMarcher(Marcher):
         Status.TOLERANCE: "use more nodes, elements='legendre', or method='train'",
     }
 
-    def __init__(self, request: SolveRequest, reference_set: ReferenceSet) -> None:
+    def __init__(
+        self, request: SolveRequest, reference_set: ReferenceSet, workers: Workers
+    ) -> None:
         self.rtol, self.options = request.rtol, request.options_of(GreedyOptions)
         self.reference_set = reference_set
         system, domain, sizes = reference_set.system, reference_set.domain, reference_set.states
@@ -174,9 +176,4 @@ def _unsettled(records: Sequence[SlabRecord]) -> UnsettledTerms:
     return UnsettledTerms(updates, worst.start, worst.end, change)
 
 
-ENGINE = Engine(
-    "greedy",
-    GreedyOptions,
-    GreedySlabRecord,
-    partial(solve_in_attempts, GreedyMarcher, GreedyOptions),
-)
+ENGINE = Engine("greedy", GreedyOptions, GreedySlabRecord, GreedyMarcher)

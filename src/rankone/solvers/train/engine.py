@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import ClassVar
 
 from rankone.discretization import RadauCollocation
 from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import Status
-from rankone.solvers.attempts import Attempt, Marcher, Progress, solve_in_attempts
+from rankone.solvers.attempts import Attempt, Marcher, Progress
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import March, MarchResult
 from rankone.solvers.train.constants import CORNERS_TOLERANCE_SHARE, INTERIOR_TOLERANCE_SHARE
@@ -21,6 +20,7 @@ from rankone.solvers.train.nodes import ParameterNodes, first_bases
 from rankone.solvers.train.options import TrainOptions
 from rankone.support.progress import Report
 from rankone.trajectories.diagnosis import amplification
+from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points
 
@@ -39,7 +39,9 @@ class TrainMarcher(Marcher):
         Status.TOLERANCE: "loosen rtol, narrow the box or shorten the horizon",
     }
 
-    def __init__(self, request: SolveRequest, reference_set: ReferenceSet) -> None:
+    def __init__(
+        self, request: SolveRequest, reference_set: ReferenceSet, workers: Workers
+    ) -> None:
         self.rtol, self.options = request.rtol, request.options_of(TrainOptions)
         self.reference_set = reference_set
         system, domain, reference = (
@@ -88,6 +90,4 @@ class TrainMarcher(Marcher):
         return True
 
 
-ENGINE = Engine(
-    "train", TrainOptions, SlabRecord, partial(solve_in_attempts, TrainMarcher, TrainOptions)
-)
+ENGINE = Engine("train", TrainOptions, SlabRecord, TrainMarcher)
