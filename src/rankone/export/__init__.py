@@ -3,12 +3,10 @@
 ==================  ===================================================================
 module              subject
 ==================  ===================================================================
-``modules``         modules of the library as text, and what their names stand for
-``carry``           definitions and all they need, carried over into one file
-``program``         solving, evaluation and command line of the standalone solver
 ``standalone``      the standalone solver in Python
-``packing``         a solution as plain tables
-``rounding``        smaller trains for models that may differ from the solution
+``bundler``         whole modules of the library inside one file
+``program``         solving, loading and the command line of the standalone solver
+``packing``         a solution as plain tables, made smaller if it may differ
 ``model_program``   evaluation of the solved model in Python
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
@@ -16,8 +14,7 @@ module              subject
 ``explorer``        the page with sliders and curves
 ``model_fmu``       the solved model as an FMU: the one in C99 behind the functions of FMI
 ``fmu_description`` what an FMU says about itself, as XML
-``fmu_binary``      the shared library of an FMU
-``templates``       templates of the models in C99 and JavaScript
+``templates``       templates in C99, JavaScript and HTML; comments and strings of those languages
 ==================  ===================================================================
 """
 
@@ -28,16 +25,18 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rankone.export.fmu_description import FMI
 from rankone.export.packing import PackedModel, States, check_states, checked_rtol, pack
 from rankone.export.standalone import standalone_source
-from rankone.solution.core import SolutionCore
 from rankone.solvers.registry import AUTO, engines_for
 from rankone.support.errors import ExportError
 from rankone.support.files import Content, as_path, free_target, write_files
 from rankone.support.wording import quote
+
+if TYPE_CHECKING:
+    from rankone.statistics.densities import DistributionOverBox
 
 __all__ = [
     "MODELS",
@@ -57,9 +56,8 @@ MODELS = {
     ".fmu": "FMU for co-simulation",
 }
 """Suffixes of what a solution is written to."""
-
-
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
+"""Modules that a file of the same name would hide."""
 
 
 def export_solver(
@@ -80,9 +78,8 @@ def export_solver(
         method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
     )
     _check_exportable(compiled, engine.name)
-    taken = compiled.form_for(engine.name)
     metadata = compiled.metadata(method=engine.name)
-    text = standalone_source(compiled.problem.name, taken.source, metadata)
+    text = standalone_source(compiled.problem.name, compiled.form_for(engine.name).source, metadata)
     write_files({target: text}, overwrite, ExportError)
     return target
 
@@ -96,10 +93,10 @@ def _check_exportable(compiled: Any, method: str) -> None:
             remedy="export with method='cross'",
         )
     if compiled.user_functions:
-        named = min(compiled.user_functions).removeprefix("f_")
+        name = min(compiled.user_functions).removeprefix("f_")
         raise ExportError(
-            f"the function {quote(named)} is a Python callable, which cannot be written to a file",
-            term=named,
+            f"the function {quote(name)} is a Python callable, which cannot be written to a file",
+            term=name,
             remedy="give it as a formula or a table (rankone.table)",
         )
 
@@ -115,7 +112,7 @@ def model_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
 
 
 def export_model(
-    solution: SolutionCore,
+    solution: DistributionOverBox,
     path: str | PathLike[str],
     *,
     states: States = "unknowns",
@@ -161,20 +158,20 @@ def check_options(target: Path, *, rtol: float | None = None, fmi: FMI | None = 
     checked_fmi(fmi, target.suffix)
 
 
-def _named(path: str | PathLike[str], kinds: Mapping[str, str]) -> Path:
-    """The path, if its suffix names something that can be exported, or an ExportError."""
-    given = as_path(path, ExportError)
-    if given.suffix not in kinds:
-        choices = ", ".join(f"{suffix} ({what})" for suffix, what in kinds.items())
+def _named(path: str | PathLike[str], targets: Mapping[str, str]) -> Path:
+    """The path, if its suffix names a target, or an ExportError."""
+    named = as_path(path, ExportError)
+    if named.suffix not in targets:
+        choices = ", ".join(f"{suffix} ({target})" for suffix, target in targets.items())
         raise ExportError(
-            f"`{given}`: the suffix {given.suffix!r} names no target of this export",
-            term=given,
+            f"`{named}`: the suffix {named.suffix!r} names no target of this export",
+            term=named,
             remedy=f"choose one of {choices}",
         )
-    if given.suffix == ".py" and given.stem in _MODULES:
+    if named.suffix == ".py" and named.stem in _MODULES:
         raise ExportError(
-            f"`{given}` would hide the module `{given.stem}` from Python programs beside it",
-            term=given,
-            remedy=f"choose another name, such as my_{given.name}",
+            f"`{named}` would hide the module `{named.stem}` from Python programs beside it",
+            term=named,
+            remedy=f"choose another name, such as my_{named.name}",
         )
-    return given
+    return named

@@ -123,8 +123,8 @@ def _block(name: str) -> str:
     opening = (tree.body[0].end_lineno or 0) if ast.get_docstring(tree) else 0
     body = _FUTURE.sub("", "\n".join(lines[opening:]))
     body = _INTERNAL.sub(rf"\1from {'.' * name.count('.')}", body)
-    parts = ["\n".join(lines[:opening]), _declarations(source), body.strip("\n")]
-    text = "\n\n".join(part for part in parts if part)
+    sections = ["\n".join(lines[:opening]), _declarations(source), body.strip("\n")]
+    text = "\n\n".join(section for section in sections if section)
     head = f"{banner(name)}\n\n\n@module\ndef {bundled_name(name)}() -> None:\n"
     return head + textwrap.indent(text, INDENT)
 

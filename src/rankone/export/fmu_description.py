@@ -89,13 +89,12 @@ def model_description(about: Description, token: str) -> bytes:
     token : str
         The ``guid`` (FMI 2.0) or ``instantiationToken`` (FMI 3.0).
     """
-    new = about.fmi == "3.0"
     root = Element(
         "fmiModelDescription",
         {
             "fmiVersion": about.fmi,
             "modelName": _text(about.name),
-            "instantiationToken" if new else "guid": token,
+            "instantiationToken" if about.fmi == "3.0" else "guid": token,
             "description": _text("\n".join(about.model.summary)),
             "generationTool": f"rankone {__version__}",
             "variableNamingConvention": "flat",
@@ -129,9 +128,9 @@ def build_description(about: Description) -> bytes:
 def _add_interface(root: Element, about: Description) -> None:
     """The kind of simulation and what it is capable of."""
     flags = dict.fromkeys(_ABLE[about.fmi], "true")
-    part = SubElement(root, "CoSimulation", {"modelIdentifier": about.identifier, **flags})
+    interface = SubElement(root, "CoSimulation", {"modelIdentifier": about.identifier, **flags})
     if about.fmi == "2.0":
-        files = SubElement(part, "SourceFiles")
+        files = SubElement(interface, "SourceFiles")
         for name in about.sources:
             SubElement(files, "File", name=name)
 
@@ -148,22 +147,22 @@ def _add_units(root: Element, about: Description) -> None:
 def _add_variable(parent: Element, about: Description, reference: int) -> None:
     """Time, a parameter or an output, by its value reference."""
     parameters = len(about.model.intervals) - 1
-    given = {"name": about.names[reference], "valueReference": str(reference)}
-    number = {"unit": about.unit(reference)} if about.unit(reference) else {}
+    variable = {"name": about.names[reference], "valueReference": str(reference)}
+    real = {"unit": about.unit(reference)} if about.unit(reference) else {}
     if reference == 0:
-        given |= {"causality": "independent", "variability": "continuous"}
+        variable |= {"causality": "independent", "variability": "continuous"}
     elif reference <= parameters:
         lower, upper = about.model.intervals[reference]
         start = start_values(about.model)[reference - 1]
-        given |= {"causality": "parameter", "variability": "tunable", "initial": "exact"}
-        number |= {"min": repr(lower), "max": repr(upper), "start": repr(start)}
+        variable |= {"causality": "parameter", "variability": "tunable", "initial": "exact"}
+        real |= {"min": repr(lower), "max": repr(upper), "start": repr(start)}
     else:
         variability = "discrete" if about.timeless else "continuous"
-        given |= {"causality": "output", "variability": variability, "initial": "calculated"}
+        variable |= {"causality": "output", "variability": variability, "initial": "calculated"}
     if about.fmi == "3.0":
-        SubElement(parent, "Float64", given | number)
+        SubElement(parent, "Float64", variable | real)
     else:
-        SubElement(SubElement(parent, "ScalarVariable", given), "Real", number)
+        SubElement(SubElement(parent, "ScalarVariable", variable), "Real", real)
 
 
 def _add_structure(root: Element, about: Description) -> None:
@@ -171,14 +170,14 @@ def _add_structure(root: Element, about: Description) -> None:
     structure = SubElement(root, "ModelStructure")
     references = range(len(about.model.intervals), len(about.names))
     if about.fmi == "3.0":
-        for kind in ("Output", "InitialUnknown"):
+        for tag in ("Output", "InitialUnknown"):
             for reference in references:
-                SubElement(structure, kind, valueReference=str(reference))
+                SubElement(structure, tag, valueReference=str(reference))
         return
-    for kind in ("Outputs", "InitialUnknowns"):
-        part = SubElement(structure, kind)
+    for tag in ("Outputs", "InitialUnknowns"):
+        unknowns = SubElement(structure, tag)
         for reference in references:
-            SubElement(part, "Unknown", index=str(reference + 1))
+            SubElement(unknowns, "Unknown", index=str(reference + 1))
 
 
 def _text(text: str) -> str:
@@ -195,12 +194,12 @@ def _distinct(names: Sequence[str]) -> list[str]:
     """Names as FMI allows them, made different by underscores; those that can stay do so."""
     words = [_line(name) or "_" for name in names]
     kept = set(names).intersection(words)
-    found: list[str] = []
+    distinct: list[str] = []
     for name, word in zip(names, words, strict=True):
-        while word in found or (word != name and word in kept):
+        while word in distinct or (word != name and word in kept):
             word += "_"
-        found.append(word)
-    return found
+        distinct.append(word)
+    return distinct
 
 
 def _xml(root: Element) -> bytes:

@@ -25,9 +25,12 @@ from rankone.support.files import Content
 __all__ = ["c_identifier", "c_model"]
 
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:\w+ )*(\w+)")
-_BLOCK, _LANES, _PAIR = 8, 4, 2
-"""Rows contracted together, and multiples to which products and runs are padded; the same in the
-template."""
+_BLOCK = 8
+"""Rows of a core contracted together; the same in the template."""
+_LANES = 4
+"""Products are padded to a multiple of it, to be vectorized; the same in the template."""
+_PAIR = 2
+"""Runs are padded to a multiple of it, because the template unrolls by it."""
 
 
 def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
@@ -52,7 +55,7 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
             remedy="choose another name",
         )
     prefix = c_identifier(path.stem)
-    values = {
+    fields = {
         "prefix": prefix,
         "PREFIX": prefix.upper(),
         "header": path.with_suffix(".h").name,
@@ -74,8 +77,8 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         **_tables(model),
     }
     return {
-        path: filled("model.c.in", values),
-        path.with_suffix(".h"): filled("model.h.in", values),
+        path: filled("model.c.in", fields),
+        path.with_suffix(".h"): filled("model.h.in", fields),
     }
 
 
@@ -92,29 +95,29 @@ def c_identifier(name: str) -> str:
 
 def _latin(letter: str) -> str:
     """The name of a Greek letter, any other character as it is."""
-    found = _GREEK.fullmatch(unicodedata.name(letter, ""))
-    if found is None:
+    match = _GREEK.fullmatch(unicodedata.name(letter, ""))
+    if match is None:
         return letter
-    word = found[2].lower().replace("lamda", "lambda")
-    return word.capitalize() if found[1] == "CAPITAL" else word
+    word = match[2].lower().replace("lamda", "lambda")
+    return word.capitalize() if match[1] == "CAPITAL" else word
 
 
 def _indices(model: PackedModel, prefix: str) -> str:
     """Positions of parameters and unknowns by name."""
     lines = []
-    for kind, names in (("P", model.coordinates[1:]), ("U", model.unknowns)):
+    for group, names in (("P", model.coordinates[1:]), ("U", model.unknowns)):
         words = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
         for name in (name for name in names if name not in words):
             word = c_identifier(name)
             while word in words.values():
                 word += "_"
             words[name] = word
-        lines += [f"#define {prefix}_{kind}_{words[name]} {k}" for k, name in enumerate(names)]
+        lines += [f"#define {prefix}_{group}_{words[name]} {k}" for k, name in enumerate(names)]
     return "\n".join(lines)
 
 
-def _number(value: float) -> str:
-    return repr(float(value))
+def _number(x: float) -> str:
+    return repr(float(x))
 
 
 def _tables(model: PackedModel) -> dict[str, str]:
@@ -137,9 +140,9 @@ def _tables(model: PackedModel) -> dict[str, str]:
             places.append(f"{_number(lower)}, {_number(scale)}")
         for tensor in core.tensor:
             pieces.append(f"{len(coefficients)}, {len(runs)}")
-            for run, values in _runs(tensor):
+            for run, block in _runs(tensor):
                 runs.append(run)
-                coefficients += values
+                coefficients += block
     shapes = [core.tensor.shape for core in cores]
     return {
         "slabs": str(len(model.slabs)),
@@ -170,10 +173,10 @@ def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
     padded = np.zeros((_padded(left, _BLOCK), degree, _padded(right, _PAIR)))
     padded[:left, :, :right] = tensor
     for block in padded.reshape(-1, _BLOCK, degree, padded.shape[2]):
-        for part in block.transpose(1, 2, 0):
-            used = np.flatnonzero(part.any(axis=1))
+        for polynomial in block.transpose(1, 2, 0):
+            used = np.flatnonzero(polynomial.any(axis=1))
             run = _padded(int(used[-1]) + 1, _PAIR) if used.size else 0
-            yield run, part[:run].ravel().tolist()
+            yield run, polynomial[:run].ravel().tolist()
 
 
 def _wrapped(items: Iterable[str]) -> str:

@@ -40,11 +40,15 @@ from rankone.support.wording import shown
 
 __all__ = ["FMI", "checked_fmi", "fmu_model"]
 
-_NEVER = (1980, 1, 1, 0, 0, 0)
-"""The date of all files inside: the same solution gives the same bytes."""
-_REGULAR, _EXECUTABLE = 0o100644, 0o100755
+_FILE_DATE = (1980, 1, 1, 0, 0, 0)
+"""The date of all files inside, the first of zip: the same solution gives the same bytes."""
+_FILE_MODE = 0o100644
+"""Permissions of a file in the archive: everybody reads it."""
+_LIBRARY_MODE = 0o100755
+"""Permissions of the shared library: everybody runs it."""
 _LONGEST_IDENTIFIER = 100
-"""Characters of the model's identifier, with which names of files inside begin."""
+"""Characters of the model's identifier, with which names of files inside begin: most file systems
+allow 255."""
 _LONGEST_MESSAGE = 400
 """Bytes of the longest message in the C sources, without a name."""
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
@@ -58,8 +62,8 @@ _PROCESSORS = {
     "x86": ("x86", 32),
 }
 _FLAGS = ("-std=c99", "-O2", "-shared", "-fvisibility=hidden")
-_LONGEST = 600
-"""Seconds for a compiler."""
+_COMPILER_SECONDS = 600
+"""Seconds for a compiler: large models take minutes."""
 
 
 def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
@@ -132,7 +136,7 @@ def _wrapper(about: Description, token: str) -> dict[str, str]:
     parameters = about.model.coordinates[1:]
     longest = max((len(name.encode()) for name in parameters), default=0)
     prefix = f"{about.identifier}_model"
-    values = {
+    fields = {
         "model": prefix,
         "prefix": prefix,
         "PREFIX": prefix.upper(),
@@ -152,7 +156,7 @@ def _wrapper(about: Description, token: str) -> dict[str, str]:
     }
     if about.fmi == "3.0":
         templates["fmi3_absent.h"] = "fmi3_absent.h.in"
-    return {file: filled(template, values) for file, template in templates.items()}
+    return {file: filled(template, fields) for file, template in templates.items()}
 
 
 def _fingerprint(description: bytes, *sources: dict[str, str]) -> str:
@@ -184,9 +188,9 @@ def _archive(files: dict[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with ZipFile(stream, "w", ZIP_DEFLATED) as archive:
         for name, content in files.items():
-            entry = ZipInfo(name, _NEVER)
+            entry = ZipInfo(name, _FILE_DATE)
             entry.create_system = 3  # Unix, whose permissions follow
-            mode = _EXECUTABLE if name.startswith("binaries/") else _REGULAR
+            mode = _LIBRARY_MODE if name.startswith("binaries/") else _FILE_MODE
             entry.external_attr = mode << 16
             archive.writestr(entry, content, ZIP_DEFLATED)
     return stream.getvalue()
@@ -201,48 +205,25 @@ class CannotCompile(Exception):
 
 @dataclass(frozen=True)
 class Platform:
-    """Where a library runs.
-
-    Attributes
-    ----------
-    folders : dict
-        For each version of FMI the folder among ``binaries``.
-    suffix : str
-        Of the library.
-    """
+    """Where a library runs: for each version of FMI the folder among ``binaries``, the suffix."""
 
     folders: Mapping[str, str]
     suffix: str
 
 
 def this_platform() -> Platform:
-    """The platform at hand.
-
-    Raises
-    ------
-    CannotCompile
-        If FMI has no name for it.
-    """
+    """The platform at hand, or CannotCompile if FMI has no name for it."""
     machine = platform.machine().lower()
     if sys.platform not in _SYSTEMS or machine not in _PROCESSORS:
         raise CannotCompile(f"the platform {sys.platform} on {machine} is not known")
     system, suffix = _SYSTEMS[sys.platform]
     processor, bits = _PROCESSORS[machine]
-    long = "windows" if system == "win" else system
-    return Platform({"2.0": f"{system}{bits}", "3.0": f"{processor}-{long}"}, suffix)
+    name = "windows" if system == "win" else system
+    return Platform({"2.0": f"{system}{bits}", "3.0": f"{processor}-{name}"}, suffix)
 
 
 def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str) -> bytes:
-    """Compile C sources to a shared library.
-
-    Parameters
-    ----------
-    files : mapping of str to str
-        Text of all files by name.
-    sources : sequence of str
-        Which of them are compiled.
-    name : str
-        Of the library.
+    """Compile C sources, some of the files by name, to a shared library of a name.
 
     Raises
     ------
@@ -280,14 +261,14 @@ def _compiled(
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_LONGEST,
+            timeout=_COMPILER_SECONDS,
             check=False,
         )
     except (OSError, subprocess.SubprocessError) as error:
         raise CannotCompile(f"the compiler {command[0]} fails: {error}") from error
     if run.returncode or not library.exists():
-        said = next(iter(run.stderr.strip().splitlines()), "it says nothing")
-        raise CannotCompile(f"the compiler {command[0]} fails: {said}")
+        reason = next(iter(run.stderr.strip().splitlines()), "it says nothing")
+        raise CannotCompile(f"the compiler {command[0]} fails: {reason}")
     return library.read_bytes()
 
 

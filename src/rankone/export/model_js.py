@@ -10,9 +10,8 @@ from __future__ import annotations
 import base64
 import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +47,9 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     if not path.stem.isprintable():
         raise ExportError(f"`{path}` cannot be imported: its name has unprintable characters")
     time, *parameters = model.coordinates
-    known = {*model.coordinates, *model.unknowns}
-    units = [(name, js_string(unit)) for name, unit in model.units if name in known]
-    values = {
+    names = {*model.coordinates, *model.unknowns}
+    units = [(name, js_string(unit)) for name, unit in model.units if name in names]
+    fields = {
         "file": js_comment(path.name),
         "version": __version__,
         "terms": TERMS.replace("file", "module"),
@@ -70,16 +69,16 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         **_examples(model),
         **_tables(model),
     }
-    module = filled("model.js.in", values) + filled("model_train.js.in", values)
+    module = filled("model.js.in", fields) + filled("model_train.js.in", fields)
     declarations = path.with_suffix(path.suffix.replace(".", ".d.").replace("js", "ts"))
-    return {path: module, declarations: filled("model.d.ts.in", values)}
+    return {path: module, declarations: filled("model.d.ts.in", fields)}
 
 
 def _examples(model: PackedModel) -> dict[str, str]:
     """How to call it: values in the middle of the ranges."""
-    time, *others = (f"{0.5 * (lower + upper):g}" for lower, upper in model.intervals)
-    names = map(_key, model.coordinates[1:])
-    point = ", ".join(f"{name}: {value}" for name, value in zip(names, others, strict=True))
+    time, *middles = (f"{0.5 * (lower + upper):g}" for lower, upper in model.intervals)
+    keys = map(_key, model.coordinates[1:])
+    point = ", ".join(f"{key}: {middle}" for key, middle in zip(keys, middles, strict=True))
     start, end = model.intervals[0]
     return {
         "time_example": time,
@@ -96,32 +95,32 @@ def _key(name: str) -> str:
 
 
 def _entries(pairs: Iterable[tuple[str, str]]) -> str:
-    return "\n".join(f"  {_key(name)}: {value}," for name, value in pairs)
+    return "\n".join(f"  {_key(name)}: {text}," for name, text in pairs)
 
 
-def _number(value: float) -> str:
-    return repr(float(value)).removesuffix(".0")
+def _number(x: float) -> str:
+    return repr(float(x)).removesuffix(".0")
 
 
-def _list(values: Iterable[float]) -> str:
-    return f"[{', '.join(map(_number, values))}]"
+def _list(numbers: Iterable[float]) -> str:
+    return f"[{', '.join(map(_number, numbers))}]"
 
 
-def _error(value: float) -> str:
-    return _number(value) if np.isfinite(value) else "null"
+def _error(error: float) -> str:
+    return _number(error) if np.isfinite(error) else "null"
 
 
 def _tables(model: PackedModel) -> dict[str, str]:
     """The layout of the cores and their coefficients."""
     rows: list[str] = []
-    runs: list[Any] = []
-    data: list[Any] = []
+    runs: list[NDArray[np.intp]] = []
+    coefficients: list[Array] = []
     cores, positions = model.distinct
     for core in cores:
-        parts = [_packed(tensor) for tensor in core.tensor]
-        sparse = any((run < core.tensor.shape[2]).any() for run, _ in parts)
-        runs += [run for run, _ in parts] if sparse else []
-        data += [values for _, values in parts]
+        elements = [_packed(tensor) for tensor in core.tensor]
+        sparse = any((run < core.tensor.shape[2]).any() for run, _ in elements)
+        runs += [run for run, _ in elements] if sparse else []
+        coefficients += [packed for _, packed in elements]
         rows.append(_row(core, sparse))
     slabs = [
         f"  [{', '.join([_number(start), *map(str, places)])}],"
@@ -131,7 +130,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "cores": "\n".join(rows),
         "slabs": "\n".join(slabs),
         "runs": _base64(runs, "<u2"),
-        "data": _base64(data, "<f8"),
+        "data": _base64(coefficients, "<f8"),
     }
 
 
@@ -153,14 +152,14 @@ def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
     blocks = -(-left // _BLOCK)
     padded = np.zeros((blocks * _BLOCK, degree, right))
     padded[:left] = tensor
-    parts = padded.reshape(blocks, _BLOCK, degree, right).transpose(0, 3, 2, 1)
-    runs = ((parts != 0.0).any(axis=3) * np.arange(1, degree + 1)).max(axis=2)
+    columns = padded.reshape(blocks, _BLOCK, degree, right).transpose(0, 3, 2, 1)
+    runs = ((columns != 0.0).any(axis=3) * np.arange(1, degree + 1)).max(axis=2)
     within = np.arange(degree) < runs[..., None]
-    there = (np.arange(blocks * _BLOCK) < left).reshape(blocks, 1, 1, _BLOCK)
-    return runs.ravel(), parts[there & within[..., None]]
+    rows = (np.arange(blocks * _BLOCK) < left).reshape(blocks, 1, 1, _BLOCK)
+    return runs.ravel(), columns[rows & within[..., None]]
 
 
-def _base64(arrays: list[Any], kind: str) -> str:
+def _base64(arrays: Sequence[NDArray[np.generic]], dtype: str) -> str:
     """Numbers as text of several lines."""
     joined = np.concatenate(arrays) if arrays else np.empty(0)
-    return "\n".join(textwrap.wrap(base64.b64encode(joined.astype(kind).tobytes()).decode(), LINE))
+    return "\n".join(textwrap.wrap(base64.b64encode(joined.astype(dtype).tobytes()).decode(), LINE))

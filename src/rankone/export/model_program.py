@@ -18,7 +18,7 @@ from rankone.support.arrays import Array
 __all__ = ["Model"]
 
 _CHUNK = 1024
-"""Points evaluated at once."""
+"""Points evaluated at once: their products stay in the cache."""
 
 Place = float | tuple[float, ...]
 """One number, or one for each element where they are unequal."""
@@ -70,17 +70,15 @@ class Model:
         slabs meet, the derivative is that of the later one.
         """
         points, shape = self._points({**(values or {}), **named})
-        result = self._evaluate(points, derivatives=True)[:, 1:]
-        return result.reshape(*result.shape[:2], *shape)
+        slopes = self._evaluate(points, derivatives=True)[:, 1:]
+        return slopes.reshape(*slopes.shape[:2], *shape)
 
-    def _points(self, given: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
+    def _points(self, at: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
         """Points (coordinates, N) inside of the intervals, and the shape they stand for."""
-        named = {self._names.get(name, name): value for name, value in given.items()}
-        if named.keys() != set(self.coordinates) or len(named) != len(given):
+        named = {self._names.get(name, name): array for name, array in at.items()}
+        if named.keys() != set(self.coordinates) or len(named) != len(at):
             expected = ", ".join(self.coordinates)
-            raise ValueError(
-                f"values of {', '.join(given) or 'nothing'} were given, not {expected}"
-            )
+            raise ValueError(f"values of {', '.join(at) or 'nothing'} were given, not {expected}")
         arrays = []
         for name, (lower, upper) in zip(self.coordinates, self.intervals, strict=True):
             array = np.asarray(named[name], dtype=float)
@@ -98,14 +96,14 @@ class Model:
         The shape is (unknowns, 1 or 1 + coordinates, N).
         """
         columns = 1 + len(points) if derivatives else 1
-        result = np.empty((len(self.unknowns), columns, points.shape[1]))
+        states = np.empty((len(self.unknowns), columns, points.shape[1]))
         owner = np.searchsorted(self._breaks, points[0], side="right")
         for index in np.unique(owner):
             here = np.flatnonzero(owner == index)
             for begin in range(0, here.size, _CHUNK):
-                part = here[begin : begin + _CHUNK]
-                result[:, :, part] = _train(self._slabs[index], points[:, part], derivatives)
-        return result
+                chunk = here[begin : begin + _CHUNK]
+                states[:, :, chunk] = _train(self._slabs[index], points[:, chunk], derivatives)
+        return states
 
 
 def _train(cores: Sequence[tuple[Array, Array, Array]], points: Array, derivatives: bool) -> Array:

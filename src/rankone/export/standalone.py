@@ -223,8 +223,8 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
 
 def _is_said(metadata: SolutionMetadata, field: dataclasses.Field[Any]) -> bool:
     """Whether a field is written: the source is not, nor is what is empty by default."""
-    value = getattr(metadata, field.name)
-    return field.name != "source" and (bool(value) or value != field.default)
+    entry = getattr(metadata, field.name)
+    return field.name != "source" and (bool(entry) or entry != field.default)
 
 
 def _text(value: object) -> str | list[str]:

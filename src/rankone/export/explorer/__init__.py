@@ -32,7 +32,7 @@ import re
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rankone.export.explorer.content import (
     content,
@@ -51,10 +51,13 @@ from rankone.support.errors import ExportError, OptionError
 from rankone.support.files import as_path, free_target, write_files
 from rankone.support.wording import is_text, shown
 
+if TYPE_CHECKING:
+    from rankone.statistics.densities import DistributionOverBox
+
 __all__ = ["export_page", "page_target"]
 
-_PLACE = Path(__file__).parent
-_VENDOR = _PLACE.parent / "vendor"
+_FOLDER = Path(__file__).parent
+_VENDOR = _FOLDER.parent / "vendor"
 _SCRIPTS = (
     *("values", "looks", "curves", "phase", "shares", "controls", "legend"),
     *("state", "drawing", "actions", "main"),
@@ -67,20 +70,20 @@ _EXPORTED = re.compile(r"^export (?:const|function|class) (\w+)", re.M)
 
 def page_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
     """The path of a file that a page can be written to, or an ExportError."""
-    given = as_path(path, ExportError)
-    if given.suffix != ".html":
-        bare = given.name in ("", ".html")
-        named = given.parent / "page.html" if bare else given.with_suffix(".html")
+    target = as_path(path, ExportError)
+    if target.suffix != ".html":
+        bare = target.name in ("", ".html")
+        proposal = target.parent / "page.html" if bare else target.with_suffix(".html")
         raise ExportError(
-            f"`{given}`: a page has the suffix .html, not {given.suffix!r}",
-            term=given,
-            remedy=f"name it {named}",
+            f"`{target}`: a page has the suffix .html, not {target.suffix!r}",
+            term=target,
+            remedy=f"name it {proposal}",
         )
-    return free_target(given, overwrite, ExportError)
+    return free_target(target, overwrite, ExportError)
 
 
 def export_page(
-    solution: Any,
+    solution: DistributionOverBox,
     path: str | PathLike[str],
     *,
     title: str | None = None,
@@ -97,20 +100,10 @@ def export_page(
             "these values do not depend on time, and a page shows curves over time",
             remedy="write a model (model.js), or plot them: rankone.plotting.plot_surface",
         )
-    every = with_derivatives(solution)
-    model = pack(every, rtol=rtol, allow_failed=allow_failed)
-    notation = Notation(solution.metadata)
-    text = _page(
-        model,
-        content(every, model, notation),
-        title=(title or "").strip() or solution.metadata.name or _title(target),
-        equations=notation.equations(),
-        quality=quality(solution, model),
-        place=place(solution),
-        asked=None if solution.outcome.measured is None else solution.rtol,
-        smaller=rtol,
-        success=solution.success,
-    )
+    full = with_derivatives(solution)
+    model = pack(full, rtol=rtol, allow_failed=allow_failed)
+    title = (title or "").strip() or solution.metadata.name or _title(target)
+    text = _page(full, solution, model, title, rtol)
     write_files({target: text}, overwrite, ExportError)
     return target
 
@@ -122,71 +115,50 @@ def _title(path: Path) -> str:
 
 
 def _page(
+    full: DistributionOverBox,
+    solution: DistributionOverBox,
     model: PackedModel,
-    data: Mapping[str, Any],
-    *,
     title: str,
-    equations: list[list[str]],
-    quality: list[str],
-    place: str,
-    asked: float | None,
-    smaller: float | None,
-    success: bool,
+    rtol: float | None,
 ) -> str:
-    """Text of the page.
-
-    Parameters
-    ----------
-    model : PackedModel
-    data : mapping
-        Of :func:`rankone.export.explorer.content.content`.
-    title : str
-    equations : list of list of str
-        Groups of elements of HTML.
-    quality : list of str
-        Sentences; the first is in the warning if there is no ``success``.
-    place : str
-        Where the error was measured.
-    asked : float, optional
-        The tolerance asked for; None if the error was not measured.
-    smaller : float, optional
-        By how much the curves may differ from the solution.
-    success : bool
-    """
-    known = [unknown["error"] for unknown in data["unknowns"] if unknown["error"] is not None]
-    values = {
+    """Text of the page; ``full`` is the solution with its derivatives among the unknowns."""
+    notation = Notation(solution.metadata)
+    data = content(full, model, notation)
+    sentences = quality(solution, model)
+    errors = [u["error"] for u in data["unknowns"] if u["error"] is not None]
+    fields = {
         "title": html.escape(title),
         "lead": html.escape(lead(data)),
         "version": __version__,
-        "success": "yes" if success else "",
-        "error": f"Measured error {_scientific(max(known))}" if known else "Error not measured",
-        "covers": _covers(place, asked, smaller),
+        "success": "yes" if solution.success else "",
+        "error": f"Measured error {_scientific(max(errors))}" if errors else "Error not measured",
+        "covers": _covers(solution, rtol),
         "bands": spread(data),
-        "message": html.escape(quality[0]),
-        "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in quality),
+        "message": html.escape(sentences[0]),
+        "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in sentences),
         "errors": "\n".join(map(_error_row, data["unknowns"])),
-        "equations": "\n".join(map(_list, equations)),
+        "equations": "\n".join(map(_list, notation.equations())),
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
         "phase": "yes" if len(data["unknowns"]) > 1 else "",
-        "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_PLACE / "page.css"),
+        "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_FOLDER / "page.css"),
         "licence": _read(_VENDOR / "uPlot.LICENSE").replace("*/", "* /"),
         "plots": _read(_VENDOR / "uPlot.iife.min.js"),
         "data": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         "model": _as_object(model),
-        "script": "\n".join(map(_as_part, _SCRIPTS)),
+        "script": "\n".join(map(_as_plain_script, _SCRIPTS)),
     }
-    return filled("explorer/page.html.in", values)
+    return filled("explorer/page.html.in", fields)
 
 
-def _covers(place: str, asked: float | None, smaller: float | None) -> str:
+def _covers(solution: DistributionOverBox, rtol: float | None) -> str:
     """Where the error was measured, and what it may be, in HTML."""
-    if asked is None:
+    if solution.outcome.measured is None:
         return ""
-    text = f"asked for: {_scientific(asked)}"
-    if smaller is not None:
-        text += f", and made smaller to within {_scientific(smaller)}"
-    return f"{place} ({text})".strip()
+    text = f"asked for: {_scientific(solution.rtol)}"
+    if rtol is not None:
+        text += f", and made smaller to within {_scientific(rtol)}"
+    return f"{place(solution)} ({text})".strip()
 
 
 def _as_object(model: PackedModel) -> str:
@@ -198,9 +170,9 @@ def _as_object(model: PackedModel) -> str:
     return f"const model = (() => {{\n{_EXPORT.sub('', text)}\nreturn {{ {names} }};\n}})();"
 
 
-def _as_part(name: str) -> str:
+def _as_plain_script(name: str) -> str:
     """A script of the page without what makes it a module."""
-    return _EXPORT.sub("", _IMPORT.sub("", _read(_PLACE / f"{name}.js")))
+    return _EXPORT.sub("", _IMPORT.sub("", _read(_FOLDER / f"{name}.js")))
 
 
 def _error_row(unknown: Mapping[str, Any]) -> str:
@@ -213,10 +185,10 @@ def _list(items: list[str]) -> str:
     return "<ul>\n" + "\n".join(f"<li>{item}</li>" for item in items) + "\n</ul>"
 
 
-def _scientific(value: float) -> str:
+def _scientific(error: float) -> str:
     """A small number in HTML: ``6.9 · 10<sup>−4</sup>``."""
-    digits, power = f"{value:.1e}".split("e")
-    return f"{digits} · 10<sup>{int(power)}</sup>".replace("-", "−") if value else "0"
+    digits, power = f"{error:.1e}".split("e")
+    return f"{digits} · 10<sup>{int(power)}</sup>".replace("-", "−") if error else "0"
 
 
 def _read(path: Path) -> str:

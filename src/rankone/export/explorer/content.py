@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from rankone.statistics.densities import DistributionOverBox
 
 __all__ = [
-    "BAND",
     "content",
     "curve_times",
     "lead",
@@ -32,22 +31,36 @@ __all__ = [
     "with_derivatives",
 ]
 
-BAND = (0.025, 0.975)
-"""Probabilities between which the bands lie."""
-
-_TIMES, _IN_SLAB, _MOST_SLABS = 401, 4, 100
-_SENSITIVITIES, _MOST_SENSITIVITIES, _HALVINGS = 121, 600, 8
-_SHARE, _NARROW = 0.003, 1e-6
-"""How far interpolated Sobol indices may be off, and part of the horizon that is not halved."""
-_POINTS = 2**12
-"""Points over the box of which the quantiles are."""
-_DIGITS = 7
+_BAND_PROBABILITIES = (0.025, 0.975)
+"""Probabilities between which the bands lie: 95 %."""
+_BOX_POINTS = 2**12
+"""Points over the box from which quantiles are taken."""
+_CURVE_TIMES = 401
+"""Evenly spaced times at which curves are drawn: about one for two pixels."""
+_TIMES_IN_SLAB = 4
+"""Further times in each slab."""
+_MOST_SLABS = 100
+"""Slabs up to which each has further times; of more slabs, even times show enough."""
+_SENSITIVITY_TIMES = 121
+"""Evenly spaced times with Sobol indices."""
+_MOST_SENSITIVITY_TIMES = 600
+"""Most times with Sobol indices, so that a page stays small."""
+_MAX_HALVINGS = 8
+"""How often the intervals between times with Sobol indices are halved."""
+_SHARE_TOLERANCE = 0.003
+"""How far interpolated Sobol indices may be off: about a pixel."""
+_NARROWEST_INTERVAL = 1e-6
+"""Part of the horizon from which on an interval is not halved: indices jump there."""
+_CURVE_DIGITS = 7
+"""Significant digits of bands."""
+_SHARE_DIGITS = 5
+"""Significant digits of Sobol indices."""
 _MOST_NAMED = 3
 """Parameters up to which each range is in the first sentence."""
 
 
-def with_derivatives(solution: Any) -> Any:
-    """The same solution, its derivatives that are states counted among the unknowns."""
+def with_derivatives(solution: DistributionOverBox) -> DistributionOverBox:
+    """The same solution with derivatives that are states among the unknowns."""
     metadata = solution.metadata
     roles = tuple(Role.UNKNOWN if r == Role.DERIVATIVE else r for r in metadata.roles)
     return type(solution)(solution.outcome, replace(metadata, roles=roles))
@@ -56,32 +69,21 @@ def with_derivatives(solution: Any) -> Any:
 def content(
     solution: DistributionOverBox, model: PackedModel, notation: Notation
 ) -> dict[str, Any]:
-    """Names, ranges, times, bands and sensitivities.
+    """Names, ranges, times, bands and sensitivities of a solution with its derivatives.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of :func:`with_derivatives`.
-    model : PackedModel
-        What the page evaluates, with the same unknowns.
-    notation : Notation
-        How names are written.
+    ``model`` is what the page evaluates, with the same unknowns.
     """
     times = curve_times(solution)
     metadata = solution.metadata
     units = dict(model.units)
 
     def named(name: str) -> dict[str, Any]:
-        symbol = notation.symbol(name)
-        return {
-            "name": name,
-            "text": notation.text(name),
-            "symbol": symbol,
-            "unit": units.get(name, ""),
-        }
+        symbol, text = notation.symbol(name), notation.text(name)
+        return {"name": name, "text": text, "symbol": symbol, "unit": units.get(name, "")}
 
-    lowest, low, high, highest = solution.quantile((0.0, *BAND, 1.0), times, count=_POINTS)
-    given = dict(metadata.distributions)
+    probabilities = (0.0, *_BAND_PROBABILITIES, 1.0)
+    lowest, low, high, highest = solution.quantile(probabilities, times, count=_BOX_POINTS)
+    distributions = dict(metadata.distributions)
     derivatives = notation.derivatives
     return {
         "unknowns": [
@@ -99,8 +101,8 @@ def content(
             {
                 **named(name),
                 "range": list(ends),
-                "distribution": given.get(name, ""),
-                "median": _median(name, ends, given.get(name)),
+                "distribution": distributions.get(name, ""),
+                "median": _median(name, ends, distributions.get(name)),
             }
             for name, ends in solution.parameters.items()
         ],
@@ -116,29 +118,31 @@ def _median(name: str, ends: tuple[float, float], distribution: str | None) -> f
     if distribution is None:
         return lower + 0.5 * (upper - lower)
     measure = Measure(name, lower, upper, from_text(distribution), from_problem=True)
-    value = round(float(measure.sample(np.array(0.5))), 3 - math.floor(math.log10(upper - lower)))
-    return min(upper, max(lower, value))
+    digits = 3 - math.floor(math.log10(upper - lower))
+    return min(upper, max(lower, round(float(measure.sample(np.array(0.5))), digits)))
 
 
 def curve_times(solution: DistributionOverBox) -> Array:
-    """Times at which curves are drawn: even ones, and some of every slab.
+    """Times at which curves are drawn: evenly spaced, further ones in each slab.
 
-    Of each slab there is its beginning and the last time before its end, so that jumps are steep.
+    Each slab has its beginning and the last time before its end, so that jumps are steep.
     """
     start, end = solution.time
-    times = [np.linspace(start, end, _TIMES)]
+    times = [np.linspace(start, end, _CURVE_TIMES)]
     slabs = solution.outcome.slabs
     if len(slabs) <= _MOST_SLABS:
-        times += [np.linspace(slab.start, slab.end, _IN_SLAB, endpoint=False) for slab in slabs]
+        times += [
+            np.linspace(slab.start, slab.end, _TIMES_IN_SLAB, endpoint=False) for slab in slabs
+        ]
     return _with_both_sides(solution, np.concatenate(times))
 
 
 def _with_both_sides(solution: DistributionOverBox, times: Array) -> Array:
-    """Times, and those at which slabs begin with the last ones before them, ascending."""
+    """Times with the beginnings of slabs and the last times before those, ascending."""
     start, end = solution.time
     inner = [slab.start for slab in itertools.islice(solution.outcome.slabs, 1, None)]
-    found = np.unique(np.concatenate([times, inner, np.nextafter(inner, start)]))
-    return found[(found >= start) & (found <= end)]
+    merged = np.unique(np.concatenate([times, inner, np.nextafter(inner, start)]))
+    return merged[(merged >= start) & (merged <= end)]
 
 
 def _has_sensitivities(solution: DistributionOverBox) -> bool:
@@ -149,26 +153,28 @@ def _has_sensitivities(solution: DistributionOverBox) -> bool:
 def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
     """Sobol indices over time: (unknowns, parameters, times) each; null where not defined.
 
-    There are so many times that the page, which interpolates, is close enough in the middle
-    between any two, unless there would be too many.
+    The page interpolates: intervals between times are halved until that is accurate in their
+    middles, or there are too many times.
     """
-    times = _with_both_sides(solution, np.linspace(*solution.time, _SENSITIVITIES))
+    times = _with_both_sides(solution, np.linspace(*solution.time, _SENSITIVITY_TIMES))
     shares = _shares(solution, times)
-    for _ in range(_HALVINGS):
+    for _ in range(_MAX_HALVINGS):
         middles = 0.5 * (times[1:] + times[:-1])
-        wide = np.diff(times) > _NARROW * (times[-1] - times[0])
-        found, between = _shares(solution, middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
-        close = (np.abs(found - between) <= _SHARE) | (np.isnan(found) & np.isnan(between))
-        new = np.flatnonzero(wide & ~close.all(axis=(0, 1, 2)))
-        if not 0 < new.size <= _MOST_SENSITIVITIES - times.size:
+        wide = np.diff(times) > _NARROWEST_INTERVAL * (times[-1] - times[0])
+        exact, between = _shares(solution, middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
+        close = (np.abs(exact - between) <= _SHARE_TOLERANCE) | (
+            np.isnan(exact) & np.isnan(between)
+        )
+        halved = np.flatnonzero(wide & ~close.all(axis=(0, 1, 2)))
+        if not 0 < halved.size <= _MOST_SENSITIVITY_TIMES - times.size:
             break
-        times = np.insert(times, new + 1, middles[new])
-        shares = np.insert(shares, new + 1, found[..., new], axis=-1)
+        times = np.insert(times, halved + 1, middles[halved])
+        shares = np.insert(shares, halved + 1, exact[..., halved], axis=-1)
     return {
         "times": times.tolist(),
         **{
-            kind: [[_rounded(row, 5) for row in unknown] for unknown in share]
-            for kind, share in zip(("first", "total"), shares.tolist(), strict=True)
+            order: [[_rounded(row, _SHARE_DIGITS) for row in unknown] for unknown in share]
+            for order, share in zip(("first", "total"), shares.tolist(), strict=True)
         },
     }
 
@@ -179,48 +185,39 @@ def _shares(solution: DistributionOverBox, times: Array) -> Array:
     return np.stack([indices.first, indices.total])
 
 
-def _rounded(values: Any, digits: int = _DIGITS) -> list[float | None]:
-    """Numbers with as many digits as a picture needs; null for what is none."""
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]
+def _rounded(curve: Iterable[float], digits: int = _CURVE_DIGITS) -> list[float | None]:
+    """Numbers with as many digits as a picture needs; None for those that are not finite."""
+    return [float(f"{y:.{digits}g}") if np.isfinite(y) else None for y in curve]
 
 
 # --- sentences -----------------------------------------------------------------------------------
 
 
 def lead(data: Mapping[str, Any]) -> str:
-    """The unknowns and the box, as the first sentence of a page.
+    """The unknowns and the box, as the first sentence of a page with this :func:`content`."""
 
-    Parameters
-    ----------
-    data : mapping
-        Of :func:`rankone.export.explorer.content.content`.
-    """
-    names = [unknown["text"] for unknown in data["unknowns"]]
-    return f"{_named(names)} over {data['time']['text']}{_box(data)}."
+    def joined(names: Sequence[str]) -> str:
+        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
-
-def _box(data: Mapping[str, Any]) -> str:
-    """The box in words."""
-    if len(data["parameters"]) > _MOST_NAMED:
-        return f", for every value of {len(data['parameters'])} parameters"
-    ranges = [
-        f"{entry['text']} from {entry['range'][0]:g} to {entry['range'][1]:g} {entry['unit']}"
-        for entry in data["parameters"]
-    ]
-    return f", for every {_named([text.strip() for text in ranges])}" if ranges else ""
-
-
-def _named(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    parameters = data["parameters"]
+    box = f", for every value of {len(parameters)} parameters" if parameters else ""
+    if 0 < len(parameters) <= _MOST_NAMED:
+        ranges = [
+            f"{p['text']} from {p['range'][0]:g} to {p['range'][1]:g} {p['unit']}".strip()
+            for p in parameters
+        ]
+        box = f", for every {joined(ranges)}"
+    unknowns = joined([unknown["text"] for unknown in data["unknowns"]])
+    return f"{unknowns} over {data['time']['text']}{box}."
 
 
 def spread(data: Mapping[str, Any]) -> str:
-    """How the parameters vary of which the bands are."""
-    given = any(entry["distribution"] for entry in data["parameters"])
-    return "under their distributions" if given else "over their ranges"
+    """How the parameters vary to make the bands."""
+    distributed = any(parameter["distribution"] for parameter in data["parameters"])
+    return "under their distributions" if distributed else "over their ranges"
 
 
-def place(solution: Any) -> str:
+def place(solution: DistributionOverBox) -> str:
     """Where the error was measured; empty if it was not, or if there is no box."""
     measured = solution.outcome.measured
     if measured is None or not solution.metadata.parameters:
@@ -228,17 +225,17 @@ def place(solution: Any) -> str:
     return "in the whole box" if measured.cover == "box" else "inside the box"
 
 
-def quality(solution: Any, model: PackedModel) -> list[str]:
+def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
     """How good a solution is and what its success covers, in sentences.
 
     The first says how the solve ended.
     """
     end = solution.time[1]
-    wanted = solution.metadata.horizon[1]
+    horizon_end = solution.metadata.horizon[1]
     time = solution.metadata.time
     lines = [f"{solution.message[:1].upper()}{solution.message[1:]}".rstrip(".") + "."]
-    if end < wanted:
-        lines.append(f"Only a part was solved: {time} up to {end:.6g} of {wanted:.6g}.")
+    if end < horizon_end:
+        lines.append(f"Only a part was solved: {time} up to {end:.6g} of {horizon_end:.6g}.")
     if solution.metadata.correlations:
         lines.append("Parameters are correlated: bands know it, Sobol indices are not defined.")
     measured = solution.outcome.measured
@@ -262,7 +259,10 @@ def quality(solution: Any, model: PackedModel) -> list[str]:
         lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
     if measured.drift is not None:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
-    made = [line for line in model.summary if line.startswith("Made smaller")]
-    lines += [f"{line} The errors of the table are those of both together." for line in made]
+    lines += [
+        f"{line} The errors of the table are those of both together."
+        for line in model.summary
+        if line.startswith("Made smaller")
+    ]
     # a minus sign, at which lines are not broken
     return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]

@@ -13,6 +13,7 @@ import keyword
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 
 from rankone.ir.metadata import Role, SolutionMetadata
 
@@ -28,10 +29,12 @@ _SUBSCRIPTS = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅�
 _NAME = re.compile(r"([^\W\d_]+)(?:_?(\d+)|_(\w*[^\W_]))?")
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
-_PRIME, _TIMES, _DOT = "′", "<mo>&#x2062;</mo><mspace width='0.15em'></mspace>", "<mo>·</mo>"
-_OPEN, _CLOSE = "<mo stretchy='false'>(</mo>", "<mo stretchy='false'>)</mo>"
+_PRIME = "′"
+_TIMES = "<mo>&#x2062;</mo><mspace width='0.15em'></mspace>"
+_DOT = "<mo>·</mo>"
+_OPEN = "<mo stretchy='false'>(</mo>"
+_CLOSE = "<mo stretchy='false'>)</mo>"
 _SPACE = "<mspace width='0.35em'></mspace>"
-_CASES, _SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(6)
 _COMPARED: dict[type[ast.cmpop], str] = {
     ast.Lt: "&lt;",
     ast.LtE: "≤",
@@ -39,6 +42,17 @@ _COMPARED: dict[type[ast.cmpop], str] = {
     ast.GtE: "≥",
 }
 _LOGIC: dict[type[ast.operator], str] = {ast.BitAnd: "and", ast.BitOr: "or"}
+
+
+class _Binding(IntEnum):
+    """How strongly a formula holds together, from the loosest to the tightest."""
+
+    CASES = 0
+    SUM = 1
+    PRODUCT = 2
+    SIGN = 3
+    POWER = 4
+    ATOM = 5
 
 
 class _NoFormulaError(Exception):
@@ -62,22 +76,22 @@ class Notation:
         self._fixed = metadata.statements[len(metadata.equations) :]
         names = {*metadata.states, metadata.time, *metadata.parameters}
         names -= self._primes.keys()
-        shapes = Counter(_parts(name) for name in names)
-        self._alike = {name for name in names if shapes[_parts(name)] > 1}
+        shapes = Counter(_letter_and_index(name) for name in names)
+        self._alike = {name for name in names if shapes[_letter_and_index(name)] > 1}
 
     @property
     def derivatives(self) -> frozenset[str]:
         """Names of derivatives that are states."""
         return frozenset(self._primes)
 
-    def _parts(self, name: str) -> tuple[str, str]:
+    def _letter_and_index(self, name: str) -> tuple[str, str]:
         """Letters and subscript of a name; the name as it is if another one would look the same."""
-        return (name, "") if name in self._alike else _parts(name)
+        return (name, "") if name in self._alike else _letter_and_index(name)
 
     def text(self, name: str) -> str:
         """A name in plain text: ``θ₀``, ``Tᵢ``, ``C_D``, ``θ′``."""
         base, order = self._primes.get(name, (name, 0))
-        letter, index = self._parts(base)
+        letter, index = self._letter_and_index(base)
         if index:
             small = all(ord(character) in _SUBSCRIPTS for character in index)
             index = index.translate(_SUBSCRIPTS) if small else f"_{index}"
@@ -87,7 +101,7 @@ class Notation:
         """A name in MathML, without the element around; ``further`` times derived."""
         base, order = self._primes.get(name, (name, 0))
         letter, index = (
-            f"<mi>{html.escape(part)}</mi>" if part else "" for part in self._parts(base)
+            f"<mi>{html.escape(text)}</mi>" if text else "" for text in self._letter_and_index(base)
         )
         if index:
             index = re.sub(r"<mi>(\d+)</mi>", r"<mn>\1</mn>", index)
@@ -145,16 +159,16 @@ class Notation:
         """``at t = 12, 24: c -> c + 1, p -> 0``."""
         where, _, changes = text.removeprefix("at ").partition(": ")
         clock, _, times = where.partition(" = ")
-        parts = []
+        resets = []
         for change in re.split(r", (?=[^\s,]+ -> )", changes):
-            name, arrow, value = change.partition(" -> ")
+            name, arrow, after = change.partition(" -> ")
             if not arrow:
                 raise _NoFormulaError
-            parts.append(f"{self.name(name)}<mo>→</mo>{self.formula(value)}")
+            resets.append(f"{self.name(name)}<mo>→</mo>{self.formula(after)}")
         at = "<mo>,</mo>".join(f"<mn>{html.escape(time)}</mn>" for time in times.split(", "))
         return (
             f"<mrow><mtext>at</mtext>{_SPACE}{self.name(clock)}<mo>=</mo>{at}<mo>:</mo>"
-            f"<mspace width='0.6em'></mspace>{'<mo>,</mo>'.join(parts)}</mrow>"
+            f"<mspace width='0.6em'></mspace>{'<mo>,</mo>'.join(resets)}</mrow>"
         )
 
     def formula(self, text: str) -> str:
@@ -164,41 +178,43 @@ class Notation:
 
     # --- nodes: MathML and how strongly it holds together ----------------------------------------
 
-    def _written(self, node: ast.expr) -> tuple[str, int]:
+    def _written(self, node: ast.expr) -> tuple[str, _Binding]:
         match node:
-            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-                return _number(value)
+            case ast.Constant(value=int() | float() as x) if not isinstance(x, bool):
+                return _number(x)
             case ast.Name(id=name):
                 name = name.removesuffix(_KEYWORD_SUFFIX)
-                return self.name(name), _POWER if name in self._primes else _ATOM
+                return self.name(name), _Binding.POWER if name in self._primes else _Binding.ATOM
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return f"<mo form='prefix'>−</mo>{self._term(operand)}", _SIGN
+                return f"<mo form='prefix'>−</mo>{self._term(operand)}", _Binding.SIGN
             case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
                 sign = "+" if isinstance(op, ast.Add) else "−"
-                first, last = self._held(left, _SUM), self._term(right)
-                return f"{first}<mo>{sign}</mo>{last}", _SUM
+                first, last = self._held(left, _Binding.SUM), self._term(right)
+                return f"{first}<mo>{sign}</mo>{last}", _Binding.SUM
             case ast.BinOp(left=left, op=ast.Mult(), right=right):
-                first, last = self._held(left, _PRODUCT), self._held(right, _POWER)
+                first, last = self._held(left, _Binding.PRODUCT), self._held(right, _Binding.POWER)
                 between = _DOT if _begins_with_number(right) else _TIMES
-                return f"{first}{between}{last}", _PRODUCT
+                return f"{first}{between}{last}", _Binding.PRODUCT
             case ast.BinOp(left=left, op=ast.Div(), right=right):
                 if (positive := _without_sign(node)) is not None:
                     return self._written(ast.UnaryOp(op=ast.USub(), operand=positive))
                 above, below = self._written(left)[0], self._written(right)[0]
                 fraction = f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>"
-                return fraction, _POWER
+                return fraction, _Binding.POWER
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                return self._power(left, right), _POWER
+                return self._power(left, right), _Binding.POWER
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                holds = {"Piecewise": _CASES, "exp": _POWER}.get(name, _ATOM)
+                holds = {"Piecewise": _Binding.CASES, "exp": _Binding.POWER}.get(
+                    name, _Binding.ATOM
+                )
                 return self._call(name.removesuffix(_KEYWORD_SUFFIX), arguments), holds
         raise _NoFormulaError
 
     def _term(self, node: ast.expr) -> str:
         """What follows a sign: in parentheses if it is a sum or has a sign of its own."""
-        return self._held(node, _PRODUCT if _without_sign(node) is None else _ATOM)
+        return self._held(node, _Binding.PRODUCT if _without_sign(node) is None else _Binding.ATOM)
 
-    def _held(self, node: ast.expr, least: int) -> str:
+    def _held(self, node: ast.expr, least: _Binding) -> str:
         """A part of a formula, in parentheses if it holds together less than its place needs."""
         text, strength = self._written(node)
         fits = strength >= least
@@ -214,7 +230,7 @@ class Notation:
             ) if name not in plain:  # only these: sin to the power of -1 would be the arcsine
                 head = f"<msup><mi>{html.escape(name)}</mi>{above}</msup>"
                 return f"{head}{self._arguments(arguments)}"
-        return f"<msup>{self._held(base, _ATOM)}{above}</msup>"
+        return f"<msup>{self._held(base, _Binding.ATOM)}{above}</msup>"
 
     def _call(self, name: str, arguments: Sequence[ast.expr]) -> str:
         if name == "Piecewise":
@@ -237,8 +253,8 @@ class Notation:
         for branch in branches:
             if not isinstance(branch, ast.Tuple) or len(branch.elts) != 2:
                 raise _NoFormulaError
-            value, condition = branch.elts
-            cells = self._written(value)[0], self._condition(condition)
+            formula, condition = branch.elts
+            cells = self._written(formula)[0], self._condition(condition)
             rows += f"<mtr><mtd>{cells[0]}</mtd><mtd>{cells[1]}</mtd></mtr>"
         return f"<mrow><mo>{{</mo><mtable columnalign='left'>{rows}</mtable></mrow>"
 
@@ -249,12 +265,12 @@ class Notation:
             case ast.BinOp(left=left, op=ast.BitAnd() | ast.BitOr() as op, right=right):
                 word = f"{_SPACE}<mtext>{_LOGIC[type(op)]}</mtext>{_SPACE}"
                 return f"{self._condition(left)}{word}{self._condition(right)}"
-            case ast.Compare(left=left, ops=compared, comparators=others):
+            case ast.Compare(left=left, ops=signs, comparators=sides):
                 text = self._written(left)[0]
-                for sign, other in zip(compared, others, strict=True):
+                for sign, side in zip(signs, sides, strict=True):
                     if type(sign) not in _COMPARED:
                         raise _NoFormulaError
-                    text += f"<mo>{_COMPARED[type(sign)]}</mo>{self._written(other)[0]}"
+                    text += f"<mo>{_COMPARED[type(sign)]}</mo>{self._written(side)[0]}"
                 return text
         raise _NoFormulaError
 
@@ -282,16 +298,16 @@ def _without_sign(node: ast.expr) -> ast.expr | None:
 
 def _derivatives(metadata: SolutionMetadata) -> Mapping[str, tuple[str, int]]:
     """For each derivative that is a state the unknown and its order."""
-    found = {}
+    derivatives = {}
     for name, role in zip(metadata.states, metadata.roles, strict=True):
         base, _, suffix = name.rpartition("_")
         order = len(suffix) // max(len(metadata.time), 1)
         if role == Role.DERIVATIVE and base and suffix == metadata.time * order:
-            found[name] = base, order
-    return found
+            derivatives[name] = base, order
+    return derivatives
 
 
-def _parts(name: str) -> tuple[str, str]:
+def _letter_and_index(name: str) -> tuple[str, str]:
     """Letters and subscript of a name."""
     match = _NAME.fullmatch(name)
     if match is None:
@@ -300,16 +316,16 @@ def _parts(name: str) -> tuple[str, str]:
     return _GREEK.get(match[1], match[1]), _GREEK.get(index, index)
 
 
-def _number(value: float) -> tuple[str, int]:
-    digits, _, power = repr(value).partition("e")
+def _number(x: float) -> tuple[str, _Binding]:
+    digits, _, power = repr(x).partition("e")
     if not power:
-        return f"<mn>{digits}</mn>", _ATOM
+        return f"<mn>{digits}</mn>", _Binding.ATOM
     ten = f"<msup><mn>10</mn><mn>{int(power)}</mn></msup>".replace("<mn>-", "<mn>−")
-    return f"<mn>{digits.removesuffix('.0')}</mn><mo>·</mo>{ten}", _PRODUCT
+    return f"<mn>{digits.removesuffix('.0')}</mn><mo>·</mo>{ten}", _Binding.PRODUCT
 
 
 def _protected(match: re.Match[str]) -> str:
     """``lambda`` and its like as ordinary names."""
     word = match.group()
-    known = word in ("True", "False", "None") or not keyword.iskeyword(word)
-    return word if known else word + _KEYWORD_SUFFIX
+    allowed = word in ("True", "False", "None") or not keyword.iskeyword(word)
+    return word if allowed else word + _KEYWORD_SUFFIX
