@@ -15,7 +15,7 @@ import pytest
 import rankone as ro
 from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import limited
-from rankone.trajectories.integrator import jacobians
+from rankone.trajectories.integrator import Tolerances, jacobians
 from rankone.trajectories.steppers import StackedRadau
 from rankone.trajectories.workers import Workers
 from tests.problems import EXAMPLES
@@ -95,7 +95,7 @@ def test_large_stacks_are_inverted_in_pieces(monkeypatch):
     names = [f"x{i}" for i in range(30)]
     rates = {name: f"-{10 * (i + 1)}*k*{name}" for i, name in enumerate(names)}
     problem = ro.Problem.from_strings(rates, dict.fromkeys(names, "1"), {"k": (1, 2)}, (0, 1))
-    monkeypatch.setattr("rankone.support.costs._UNWATCHED", 1e6)
+    monkeypatch.setattr("rankone.support.costs._PIECE_OPERATIONS", 1e6)
     inverted = []
     inv = np.linalg.inv
     monkeypatch.setattr(np.linalg, "inv", lambda some: inverted.append(some.shape) or inv(some))
@@ -105,18 +105,11 @@ def test_large_stacks_are_inverted_in_pieces(monkeypatch):
     def rates_of_stack(t, y):
         return system.rhs(t, y.reshape(30, 200), points.T).ravel()
 
-    solver = StackedRadau(
-        rates_of_stack,
-        0.0,
-        np.ones(30 * 200),
-        1.0,
-        rtol=1e-3,
-        atol=1e-6,
-        max_step=np.inf,
-        trajectory_states=30,
-        control=None,
-        blocks=partial(jacobians, system, points),
+    tolerances, blocks = (
+        Tolerances(1e-3, np.full((30, 1), 1e-6)),
+        partial(jacobians, system, points),
     )
+    solver = StackedRadau(rates_of_stack, 0.0, np.ones((30, 200)), 1.0, tolerances, None, blocks)
     solver.step()
     assert len(inverted) > 2
     assert max(len(shape) and shape[0] for shape in inverted) < 100

@@ -6,8 +6,9 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.trajectories.diagnosis import amplification
-from rankone.verification.measure import measure
+from rankone.ir.domain import Domain
+from rankone.ir.request import Check, SolveRequest
+from rankone.verification.measure import ReferenceSet, measure
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference
 from tests.problems import REFERENCE
@@ -96,7 +97,7 @@ def test_the_error_measure_sees_an_error_put_in_by_hand():
 def test_amplification_of_a_linear_equation(rate, expected):
     problem = ro.Problem([sp.Eq(x.diff(t), rate * x)], (t, 0, 2), {a: (1, 2)}, {x: a})
     system = ro.compile(problem).system
-    reference = integrate_reference(system, check_points(np.array(system.box), 2), 0, 2, 1e-9)
-    growth = amplification(system, reference, np.ones(1), 2.0)
+    request = SolveRequest(3e-7, Domain.of(system), Check(2))
+    growth = ReferenceSet.of(system, request).amplification()
     assert growth(0.0) == pytest.approx(expected, rel=2e-3)
     assert growth(2.0) == 1.0

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,14 +18,13 @@ import numpy as np
 
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.outcome import Outcome
+from rankone.ir.outcome import Outcome, SafeInterval
 from rankone.ir.verdict import Status, SwitchingTerm
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
-from rankone.support.errors import BlowUpError, EvaluationError
+from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.evaluator import Rows, TrainEvaluator
-from rankone.verification.reference import MOST_SMALLER_BOXES, safe_sentence, solved_part
 
 __all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
 
@@ -35,6 +35,12 @@ _ENDS = {
     Status.SWITCHES: "switches to and fro without end",
 }
 """What a solution does whose trajectories do not reach the end of the horizon."""
+_KEPT_SHARES = (0.95, 0.8, 0.5)
+"""Parts of safe intervals to solve on: near their ends the states are very large."""
+_MOST_SMALLER_BOXES = 4
+"""Most boxes to solve on."""
+_MESSAGE_DIGITS = 100.0
+"""Parts of an interval that a limit in a message tells apart."""
 
 
 class SolutionCore:
@@ -335,13 +341,21 @@ def raise_blow_up(
     remedy = f"end the horizon before t = {when:.4g}"
     carried = f"the error carries the part up to t = {solution.time[1]:.4g} as .solution"
     if safe:
-        remedy += f", or narrow the box: {safe_sentence(safe, names)} would do"
+        remedy += f", or narrow the box: {_safe_sentence(safe[0], names)} would do"
         carried += "; its .part solves a smaller box over the whole horizon"
     elif names:
         remedy += ", or narrow the box"
 
-    def part() -> Any:
-        return solved_part(lambda j, ends: on_box({j: ends}, 1.0 / MOST_SMALLER_BOXES), safe)
+    def part() -> SolutionCore | None:
+        boxes = [interval.shortened(share) for interval in safe for share in _KEPT_SHARES]
+        for box in sorted(boxes, key=lambda each: -each.share)[:_MOST_SMALLER_BOXES]:
+            try:
+                smaller = on_box({box.parameter: (box.lower, box.upper)}, 1.0 / _MOST_SMALLER_BOXES)
+            except ConvergenceError:
+                continue
+            if smaller.status in (Status.CONVERGED, Status.UNCHECKED):
+                return smaller
+        return None
 
     raise BlowUpError(
         f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"
@@ -364,3 +378,12 @@ def _rows(positions: Sequence[int]) -> Rows:
     first, last = positions[0], positions[-1]
     adjacent = len(positions) == last + 1 - first
     return slice(first, last + 1) if adjacent else np.array(positions, dtype=np.intp)
+
+
+def _safe_sentence(interval: SafeInterval, names: Sequence[str]) -> str:
+    """An interval that would do, as a user reads it: "`k` below 1.83"."""
+    step = 10.0 ** math.floor(math.log10((interval.upper - interval.lower) / _MESSAGE_DIGITS))
+    end = interval.upper if interval.below else interval.lower
+    rounded = (math.floor if interval.below else math.ceil)(end / step) * step
+    side = "below" if interval.below else "above"
+    return f"{quote(names[interval.parameter])} {side} {rounded:.10g}"

@@ -1,4 +1,4 @@
-"""What trajectories show: why they end, how errors grow, which states are numerically zero.
+"""What trajectories show: why they end, and which states are numerically zero.
 
 A state is numerically zero if rounding errors of its rate are larger than it is: a difference of
 what stays constant but for rounding, and all that it drives. An integration to a part of the size
@@ -7,9 +7,8 @@ of such a state follows rounding errors with steps that shrink without end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from rankone.trajectories.integrator import jacobians
 __all__ = [
     "MOST_GROWTH",
     "Rounding",
-    "amplification",
     "first_to_end",
     "growth_rate",
     "rounding_errors",
@@ -45,12 +43,6 @@ _RESOLVED = 1e-7
 """Part of its size below which what is done to another state does not count."""
 _DRAWS = 4
 """Rounding errors drawn at each time for each trajectory: their largest effect is meant."""
-_GROWTH_STEPS = 32
-"""Steps over the horizon by which the growth of errors is followed."""
-_GROWTH_TRAJECTORIES = 5
-"""Check points at which it is, the centre first."""
-_BESIDE_CAYLEY_POLE = 0.99
-"""Factor on the rates where the Cayley transform does not exist for one of them."""
 MOST_GROWTH = 5.0
 """Growth over the horizon, as a power of e, from which small values are amplified."""
 
@@ -115,69 +107,6 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
         )
         fast = now[:, 0] * np.sign(state) * horizon > _RUNAWAY_GROWTH * np.abs(state)
         return bool((fast & (later / now > 0.5)[:, 0] & (later / now < 2.0)[:, 0]).any())
-
-
-class ManyTrajectories(Protocol):
-    """Trajectories at some points, dense in time."""
-
-    @property
-    def points(self) -> Array:
-        """Parameter points, (m, d)."""
-
-    @property
-    def start(self) -> float:
-        """Start of the horizon."""
-
-    def __call__(self, times: Array) -> Array:
-        """States at times (T,): shape (n, m, T)."""
-
-
-def amplification(
-    system: System, reference: ManyTrajectories, scale: Array, end: float
-) -> Callable[[float], float]:
-    """Largest later growth of an error made at time t, along a few trajectories.
-
-    The variational equation ``w' = J(t) w`` is stepped on a uniform grid with the Cayley
-    transform of the scaled Jacobian, which is stable for stiff systems.
-
-    Parameters
-    ----------
-    reference : ManyTrajectories
-        Over the whole horizon; the first point is the centre of the box.
-    scale : ndarray (n,)
-        Size of each differential state; errors are in this unit.
-    end : float
-        End of the horizon considered.
-
-    Returns
-    -------
-    callable
-        ``amplification(t) >= 1``: the largest Frobenius norm, divided by sqrt(n), of the
-        propagator from t to any later time.
-    """
-    n = system.n_differential
-    width = (end - reference.start) / _GROWTH_STEPS
-    middle = np.asarray(reference.start + width * (np.arange(_GROWTH_STEPS) + 0.5), dtype=float)
-    points = reference.points[:_GROWTH_TRAJECTORIES]
-    m = len(points)
-    states = reference(middle)[:, :m]
-    jacobian = system.jacobian(middle, states, points.T[:, :, None])
-    jacobian = np.broadcast_to(jacobian, (n, n, m, _GROWTH_STEPS)).transpose(3, 2, 0, 1)
-    half = 0.5 * width * jacobian * (scale[None, :] / scale[:, None])
-    eye = np.eye(n)
-    try:
-        step = np.linalg.solve(eye - half, eye + half)
-    except np.linalg.LinAlgError:  # a growth rate at a pole of the transform
-        step = np.linalg.solve(eye - _BESIDE_CAYLEY_POLE * half, eye + _BESIDE_CAYLEY_POLE * half)
-    largest = np.ones(_GROWTH_STEPS + 1)
-    propagator = step
-    for gap in range(1, _GROWTH_STEPS + 1):
-        norms = np.sqrt(np.einsum("kmij,kmij->km", propagator, propagator).max(axis=1) / n)
-        np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
-        if gap < _GROWTH_STEPS:
-            propagator = np.matmul(step[gap:], propagator[:-1])
-    grid = reference.start + width * np.arange(_GROWTH_STEPS + 1)
-    return lambda t: float(np.interp(t, grid, largest))
 
 
 def growth_rate(jacobian: Array) -> float:

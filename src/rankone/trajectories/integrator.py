@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,10 @@ class Tolerances:
     relative: float
     absolute: Array
     longest_step: float = math.inf
+
+    def times(self, factor: float) -> Tolerances:
+        """Looser tolerances, for steps of the same length."""
+        return replace(self, relative=factor * self.relative, absolute=factor * self.absolute)
 
 
 class DenseStep(Protocol):

@@ -215,31 +215,23 @@ class _Stack:
 
     def integrate(self, record: _Record) -> tuple[Array, float]:
         """The last state (n, m), and the steps of DOP853 left when it was given up."""
-        n, m = self.shape
-        relative, longest = self.tolerances.relative, self.tolerances.longest_step
-        absolute = np.broadcast_to(self.tolerances.absolute, (n, m)).ravel()
         control = None
         if not self.system.separated:
             control = DefectControl(self.system, self.points, self.options.looks_anywhere)
         avoided = np.inf
         with np.errstate(all="ignore"):
             if not self.options.stiff:
-
-                def explicit(rates: Rates, start: float, state: Array, end: float) -> Stepper:
-                    given = relative, absolute, longest, n, control
-                    return StackedDOP853(rates, start, state, end, *given)
-
+                explicit = partial(StackedDOP853, tolerances=self.tolerances, control=control)
                 state, avoided = self._steps(explicit, record, self._explicit_steps_left)
                 if not avoided:
                     return state, avoided
-            blocks = partial(jacobians, self.system, self.points)
-            looks_between = not has_smooth_rates(self.system, self.edges[0])
-
-            def implicit(rates: Rates, start: float, state: Array, end: float) -> Stepper:
-                looser = _RADAU_TOLERANCE * relative, _RADAU_TOLERANCE * absolute
-                given = *looser, longest, n, control
-                return StackedRadau(rates, start, state, end, *given, blocks, looks_between)
-
+            implicit = partial(
+                StackedRadau,
+                tolerances=self.tolerances.times(_RADAU_TOLERANCE),
+                control=control,
+                blocks=partial(jacobians, self.system, self.points),
+                looks_between=not has_smooth_rates(self.system, self.edges[0]),
+            )
             state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
         return state, avoided
 
@@ -255,7 +247,7 @@ class _Stack:
             state = self._jumped(a, state)
             if a != self.edges[0] and not self._goes_on(a, state):
                 return state, 0.0
-            solver = method(self._rates(a, b), a, state.ravel(), b)
+            solver = method(self._rates(a, b), a, state, b)
             while solver.status == "running":
                 charge(_STEP_COST(state.size))
                 solver.step()

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import scipy.integrate
@@ -25,7 +24,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, function_cost, in_pieces, inverse
-from rankone.trajectories.integrator import DenseStep
+from rankone.trajectories.integrator import Tolerances
 
 __all__ = ["DefectControl", "Rates", "StackedDOP853", "StackedRadau", "Stepper"]
 
@@ -75,35 +74,44 @@ _LOOK_COST = Cost(50e3, 15.0)
 
 Rates: TypeAlias = Callable[[float, Array], Array]
 """Stacked rates (n m,) at a time and a stacked state."""
-
-
-class Interpolant(Protocol):
-    """Some trajectories within a step, at one share (c,) of it for each."""
-
-    def states(self, shares: Array) -> Array:
-        """States, (n, c)."""
-
-    def states_and_slopes(self, shares: Array) -> tuple[Array, Array]:
-        """States, and their derivatives over the share."""
+Interpolant: TypeAlias = "Callable[[Array, bool], tuple[Array, Array]]"
+"""Of some trajectories the states (n, c) at shares (c,) of a step, and, if asked for, slopes over
+the share."""
 
 
 class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
-    """Steps that can be made again, of a stacked state in the order (state, trajectory).
+    """Steps of trajectories, a stacked state in the order (state, trajectory), made again if bad.
+
+    Parameters
+    ----------
+    rates : callable
+    start, end : float
+    states : ndarray (n, m)
+        At the start.
+    tolerances : Tolerances
+    control : DefectControl, optional
+        Looks for what the stages of a step do not see.
 
     Attributes
     ----------
-    trajectory_states : int
-        States of one trajectory.
-    control : DefectControl or None
-        Looks for what the stages of a step do not see.
     refusals : int
         Steps that were made again since :meth:`longest_tried` was last asked for.
     """
 
-    trajectory_states: int
-    control: DefectControl | None
-    refusals = 0
-    _longest_refused = 0.0
+    def __init__(
+        self,
+        rates: Rates,
+        start: float,
+        states: Array,
+        end: float,
+        tolerances: Tolerances,
+        control: DefectControl | None = None,
+    ) -> None:
+        self.trajectory_states, self.control = len(states), control
+        self.refusals, self._longest_refused = 0, 0.0
+        absolute = np.broadcast_to(tolerances.absolute, states.shape).ravel()
+        steps = {"rtol": tolerances.relative, "max_step": tolerances.longest_step}
+        super().__init__(rates, start, states.ravel(), end, atol=absolute, **steps)
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
         """The trajectories of some columns within the last step."""
@@ -111,7 +119,7 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
     def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
         """The error that a defect (n, c), times the step, of some trajectories comes to."""
-        raise NotImplementedError
+        return defect
 
     def longest_tried(self) -> float:
         """The longest of the last step and of those refused since this was last asked for."""
@@ -147,22 +155,8 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
     """Steps that suit every trajectory: the error is the largest of all, not their mean."""
 
-    def __init__(
-        self,
-        rates: Rates,
-        start: float,
-        state: Array,
-        end: float,
-        rtol: float,
-        atol: Array,
-        max_step: float,
-        trajectory_states: int,
-        control: DefectControl | None = None,
-    ) -> None:
-        self.trajectory_states, self.control = trajectory_states, control
-        self._weights = np.stack([self.E5, self.E3])
-        self._dense: scipy.integrate.DenseOutput | None = None
-        super().__init__(rates, start, state, end, max_step=max_step, rtol=rtol, atol=atol)
+    _dense: scipy.integrate.DenseOutput | None = None
+    _weights = np.stack([scipy.integrate.DOP853.E5, scipy.integrate.DOP853.E3])
 
     def _estimate_error_norm(self, K: Array, h: float, scale: Array) -> float:
         """As SciPy's (Hairer, Nørsett & Wanner, II.10), for each trajectory."""
@@ -171,50 +165,30 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
         below = np.sqrt((fifth + 0.01 * third) * self.trajectory_states)
         return float(abs(h) * np.max(fifth / np.where(below > 0.0, below, 1.0)))
 
-    def dense_output(self) -> DenseStep:
+    def dense_output(self) -> scipy.integrate.DenseOutput:
         """As SciPy's, once for each step."""
         if self._dense is None or self._dense.t != self.t or self._dense.t_old != self.t_old:
             self._dense = super().dense_output()
-        dense: DenseStep = self._dense
-        return dense
-
-    def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
-        """The defect itself."""
-        return defect
+        return self._dense
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
-        """The trajectories of some columns within the last step."""
+        """The trajectories of some columns within the last step: a nested polynomial."""
         n, dense = self.trajectory_states, self.dense_output()
-        nested = dense.F.reshape(len(dense.F), n, -1)[:, :, columns]  # type: ignore[attr-defined]
-        start = dense.y_old.reshape(n, -1)[:, columns]  # type: ignore[attr-defined]
-        return _NestedInterpolant(start, nested)
+        coefficients = dense.F.reshape(len(dense.F), n, -1)[::-1, :, columns]
+        start = dense.y_old.reshape(n, -1)[:, columns]
 
+        def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
+            y, slope, left = np.zeros_like(start), np.zeros_like(start), 1.0 - shares
+            for i, coefficient in enumerate(coefficients):
+                y += coefficient
+                if slopes:
+                    slope *= left if i % 2 else shares
+                    slope += -y if i % 2 else y
+                y *= left if i % 2 else shares
+            y += start
+            return y, slope
 
-@dataclass(frozen=True)
-class _NestedInterpolant:
-    """The nested polynomial of DOP853: start (n, c) and coefficients (degree, n, c)."""
-
-    start: Array
-    coefficients: Array
-
-    def states(self, shares: Array) -> Array:
-        y, remaining = np.zeros_like(self.start), 1.0 - shares
-        for i, coefficient in enumerate(self.coefficients[::-1]):
-            y += coefficient
-            y *= remaining if i % 2 else shares
-        y += self.start
-        return y
-
-    def states_and_slopes(self, shares: Array) -> tuple[Array, Array]:
-        y, slope = np.zeros_like(self.start), np.zeros_like(self.start)
-        remaining = 1.0 - shares
-        for i, coefficient in enumerate(self.coefficients[::-1]):
-            y += coefficient
-            slope *= remaining if i % 2 else shares
-            slope += -y if i % 2 else y
-            y *= remaining if i % 2 else shares
-        y += self.start
-        return y, slope
+        return evaluate
 
 
 class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
@@ -235,19 +209,15 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         self,
         rates: Rates,
         start: float,
-        state: Array,
+        states: Array,
         end: float,
-        rtol: float,
-        atol: Array,
-        max_step: float,
-        trajectory_states: int,
+        tolerances: Tolerances,
         control: DefectControl | None,
         blocks: Callable[[float, Array], Array],
         looks_between: bool = True,
     ) -> None:
-        self.trajectory_states, self.control = trajectory_states, control
         self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
-        super().__init__(rates, start, state, end, max_step=max_step, rtol=rtol, atol=atol)
+        super().__init__(rates, start, states, end, tolerances, control)
         self.J = blocks(self.t, self.y)
         self.I = np.eye(self.J.shape[1])
         self.lu, self.solve_lu = self._inverses, self._solve
@@ -297,10 +267,17 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         return np.asarray(np.matmul(self._newton[columns], right)[:, :, 0].T)
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
-        """The trajectories of some columns within the last step."""
-        n, order = self.trajectory_states, self.sol.order
-        coefficients = self.sol.Q.reshape(n, -1, order + 1)[:, columns]
-        return _PowerInterpolant(self.sol.y_old.reshape(n, -1)[:, columns], coefficients)
+        """The trajectories of some columns within the last step: powers of the share."""
+        n, exponents = self.trajectory_states, np.arange(self.sol.order + 1)
+        coefficients = self.sol.Q.reshape(n, -1, exponents.size)[:, columns]
+        start = self.sol.y_old.reshape(n, -1)[:, columns]
+
+        def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
+            powers = shares[:, None] ** exponents
+            y = start + (coefficients * (shares[:, None] * powers)).sum(axis=2)
+            return y, (coefficients * (powers * (exponents + 1))).sum(axis=2) if slopes else y
+
+        return evaluate
 
     @staticmethod
     def _solve(inverses: Array, right: Array) -> Array:
@@ -308,24 +285,6 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         charge(5.0 * CALL + m * (_MATRIX_ENTRY * n * n + _MATRIX))
         solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
         return np.ascontiguousarray(solved.T).ravel()
-
-
-@dataclass(frozen=True)
-class _PowerInterpolant:
-    """The polynomial of Radau: start (n, c) and coefficients (n, c, degree)."""
-
-    start: Array
-    coefficients: Array
-
-    def states(self, shares: Array) -> Array:
-        powers = shares[:, None] ** np.arange(self.coefficients.shape[2])
-        return np.asarray(self.start + (self.coefficients * (shares[:, None] * powers)).sum(axis=2))
-
-    def states_and_slopes(self, shares: Array) -> tuple[Array, Array]:
-        exponents = np.arange(self.coefficients.shape[2])
-        powers = shares[:, None] ** exponents
-        y = self.start + (self.coefficients * (shares[:, None] * powers)).sum(axis=2)
-        return y, (self.coefficients * (powers * (exponents + 1))).sum(axis=2)
 
 
 class DefectControl:
@@ -361,7 +320,7 @@ class DefectControl:
         columns = np.tile(np.arange(m), self.places)
         charge(self.rates_cost(columns.size) + _LOOK_COST(solver.y.size // m * columns.size))
         shares = self.generator.random(columns.size)
-        states, slopes = solver.interpolant(columns).states_and_slopes(shares)
+        states, slopes = solver.interpolant(columns)(shares, True)
         rates = self.rates(solver.t_old + h * shares, states, self.parameters[:, columns])
         error = np.abs(solver.error_of(slopes - h * rates, columns))
         return _largest(error / _tolerated(solver, states))
@@ -388,12 +347,12 @@ class DefectControl:
 
         def distance(shares: Array) -> Array:
             charge(self.surfaces_cost(columns.size) + look)
-            heights = surfaces(before + h * shares, interpolant.states(shares), p)
+            heights = surfaces(before + h * shares, interpolant(shares, False)[0], p)
             return np.asarray(heights[which, np.arange(columns.size)])
 
         def largest(shares: Array, narrow: NDArray[np.bool_], kink: NDArray[np.bool_]) -> float:
             charge(self.rates_cost(columns.size) + 2.0 * look)
-            states, slopes = interpolant.states_and_slopes(shares)
+            states, slopes = interpolant(shares, True)
             rates = h * self.rates(before + h * shares, states, p)
             defect = np.abs(rates - slopes)
             unknown = defect > _DIFFERENT_RATES * np.maximum(np.abs(rates), np.abs(slopes))

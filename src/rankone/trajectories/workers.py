@@ -17,7 +17,7 @@ from contextvars import Context
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.context import SpawnContext, SpawnProcess
-from typing import Any
+from typing import Generic, TypeAlias, TypeVar, cast
 
 from rankone.ir.system import ModuleSpecification, System
 from rankone.support.budget import (
@@ -35,6 +35,11 @@ __all__ = ["Workers", "open_workers"]
 _DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
 """How an executor says that a worker died."""
 _GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
+"""What to do if workers die at once."""
+Answer = TypeVar("Answer")
+"""What a task comes to."""
+Arguments: TypeAlias = "tuple[object, ...]"
+"""Those of a task, after the system."""
 
 
 class _Spawn(SpawnContext):
@@ -44,8 +49,8 @@ class _Spawn(SpawnContext):
         super().__init__()
         self.started: list[SpawnProcess] = []
 
-    def Process(self, *arguments: Any, **named: Any) -> SpawnProcess:  # type: ignore[override]
-        self.started.append(SpawnProcess(*arguments, **named))
+    def Process(self, *arguments: object, **named: object) -> SpawnProcess:  # type: ignore[override]
+        self.started.append(SpawnProcess(*arguments, **named))  # type: ignore[arg-type]
         return self.started[-1]
 
 
@@ -61,7 +66,7 @@ class Workers:
     """
 
     def __init__(self, system: System, executor: Executor | int | None = None) -> None:
-        self.system, self._asked = system, executor
+        self.system, self._wanted = system, executor
         self._executor: Executor | None = None
         self._processes: list[SpawnProcess] = []
         if executor is None:
@@ -77,51 +82,43 @@ class Workers:
 
     def map(
         self,
-        function: Callable[..., Any],
-        tasks: Sequence[tuple[Any, ...]],
+        function: Callable[..., Answer],
+        tasks: Sequence[Arguments],
         *failures: type[Exception],
         done: Callable[[float], None] | None = None,
-    ) -> list[Any]:
-        """The results of ``function(system, *task)`` in order.
+    ) -> list[Answer]:
+        """The answers of ``function(system, *task)`` in order.
 
         ``done`` is told the part of the tasks that is done after each, if they are run here.
         A single task is run here. Tasks of a worker that died are submitted once more. Failures
         of the function are raised as they are, other errors as a RankoneError. The work of the
         tasks is charged, and a failure raised, in their order: it does not matter who was first.
         """
+        answers: dict[int, Answer] = {}
         if self._executor is None or len(tasks) < 2:
-            return list(self._here(function, tasks, done))
+            for k, task in enumerate(tasks):
+                answers[k] = function(self.system, *task)
+                if done is not None:
+                    done((k + 1) / len(tasks))
+            return list(answers.values())
         limits = work_left(), time.time() + seconds_left()
-        results: dict[int, Any] = {}
-        lost = self._round(function, tasks, range(len(tasks)), limits, results, failures)
+        calls = [_Call(function, task, failures, *limits) for task in tasks]
+        lost = self._round(calls, answers)
         if lost is not None:
-            if isinstance(self._asked, int):
+            if isinstance(self._wanted, int):
                 self.close()
                 self.open()
-            left = [k for k in range(len(tasks)) if k not in results]
-            lost = self._round(function, tasks, left, limits, results, failures)
+            lost = self._round(calls, answers)
         if lost is not None:
             raise RankoneError(
                 f"a worker of the executor died, and once more when it was tried again: {lost}",
                 remedy="look for a crash or a lack of memory in the workers; " + _GUARD,
             ) from lost
-        return [results[k] for k in range(len(tasks))]
-
-    def _here(
-        self,
-        function: Callable[..., Any],
-        tasks: Sequence[tuple[Any, ...]],
-        done: Callable[[float], None] | None,
-    ) -> Iterator[Any]:
-        """The results of tasks that are run one after the other."""
-        for count, task in enumerate(tasks, 1):
-            yield function(self.system, *task)
-            if done is not None:
-                done(count / len(tasks))
+        return [answers[k] for k in range(len(tasks))]
 
     def close(self) -> None:
         """End the processes that were started here, also in the middle of a task or of a start."""
-        if not isinstance(self._asked, int) or self._executor is None:
+        if not isinstance(self._wanted, int) or self._executor is None:
             return
         self._executor.shutdown(wait=False, cancel_futures=True)
         running = [process for process in self._processes if process.is_alive()]
@@ -132,20 +129,21 @@ class Workers:
 
     def open(self) -> None:
         """Start processes, or ask whether the executor given takes work."""
-        if self._asked is None:
+        if self._wanted is None:
             return
-        self._executor, starts = self._asked, 1  # type: ignore[assignment]
-        if isinstance(self._asked, int):
-            starts, context = self._asked, _Spawn()
+        if isinstance(self._wanted, int):
+            starts, context = self._wanted, _Spawn()
             self._executor = ProcessPoolExecutor(starts, context, initializer=_obey_parent)
             self._processes = context.started
+        else:
+            self._executor, starts = self._wanted, 1
         for _ in range(starts):
             try:
                 self._submit(time.time)
             except _DEATHS:
                 return  # the tasks will say it
 
-    def _submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    def _submit(self, function: Callable[..., Answer], *arguments: object) -> Future[Answer]:
         assert self._executor is not None
         try:
             return self._executor.submit(function, *arguments)
@@ -158,27 +156,21 @@ class Workers:
             ) from error
 
     def _round(
-        self,
-        function: Callable[..., Any],
-        tasks: Sequence[tuple[Any, ...]],
-        chosen: Sequence[int],
-        limits: tuple[float, float],
-        results: dict[int, Any],
-        failures: tuple[type[Exception], ...],
+        self, calls: Sequence[_Call[Answer]], answers: dict[int, Answer]
     ) -> BaseException | None:
-        """Add results of the tasks chosen; how a worker was lost, if one was."""
-        futures: dict[int, Future[_Result]] = {}
+        """Add the answers that are missing; how a worker was lost, if one was."""
+        futures: dict[int, Future[_Return[Answer]]] = {}
         lost: BaseException | None = None
         try:
-            for k in chosen:
-                task = _Task(function, tasks[k], failures, *limits)
-                futures[k] = self._submit(_call, self._specification, task)
+            for k, call in enumerate(calls):
+                if k not in answers:
+                    futures[k] = self._submit(_run, self._specification, call)
         except _DEATHS as error:
             lost = error
         try:
             for k, future in futures.items():
                 try:
-                    results[k] = _taken(future, limits[1])
+                    answers[k] = _answer(future, calls[k].end)
                 except _DEATHS as error:
                     lost = error
         finally:
@@ -217,56 +209,55 @@ def _end_with_parent() -> None:
 
 
 @dataclass(frozen=True)
-class _Task:
+class _Call(Generic[Answer]):
     """A call for a worker, the failures it may have, and its limits.
 
     ``operations`` are those that all tasks together have left, ``end`` is a time of the clock on
     the wall.
     """
 
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
+    function: Callable[..., Answer]
+    arguments: Arguments
     failures: tuple[type[Exception], ...]
     operations: float
     end: float
 
 
 @dataclass(frozen=True)
-class _Result:
-    """What a call gave, or how it failed, and the work that was counted."""
+class _Return(Generic[Answer]):
+    """The answer of a call, or how it failed, and the work that was counted."""
 
     work: float
-    value: Any = None
+    answer: Answer | None = None
     failure: Exception | None = None
 
 
-def _call(specification: Any, task: _Task) -> _Result:
+def _run(specification: ModuleSpecification | bytes, call: _Call[Answer]) -> _Return[Answer]:
     """What a worker runs; an executor may run it in the thread of the solve, so it counts anew."""
     if isinstance(specification, bytes):
         specification = _unpickled(specification)
-    return Context().run(_counted, specification, task)
+    return Context().run(_counted, specification, call)
 
 
-def _counted(specification: Any, task: _Task) -> _Result:
-    seconds = math.inf if task.end == math.inf else task.end - time.time()
-    with limited(task.operations, seconds) as account:
+def _counted(specification: ModuleSpecification, call: _Call[Answer]) -> _Return[Answer]:
+    seconds = math.inf if call.end == math.inf else call.end - time.time()
+    failures: tuple[type[Exception], ...] = (OutOfBudgetError, *call.failures)
+    with limited(call.operations, seconds) as account:
         try:
-            value = specification.call(task.function, *task.arguments)
-        except Exception as failure:
-            if isinstance(failure, (OutOfBudgetError, *task.failures)):
-                return _Result(account.done, failure=failure)
-            raise
-        return _Result(account.done, value)
+            answer = specification.call(call.function, *call.arguments)
+        except failures as failure:
+            return _Return(account.done, failure=failure)
+        return _Return(account.done, answer)
 
 
-def _taken(future: Future[_Result], end: float) -> Any:
-    """The value of a task when it is done, or its failure; its work is charged."""
+def _answer(future: Future[_Return[Answer]], end: float) -> Answer:
+    """The answer of a call when it is done, or its failure; its work is charged."""
     left = None if end == math.inf else max(end - time.time(), 0.0)
     concurrent.futures.wait([future], left)
     if not future.done():
         raise OutOfTimeError
     try:
-        result = future.result()
+        returned = future.result()
     except (*_DEATHS, RankoneError):
         raise
     except Exception as error:
@@ -274,10 +265,10 @@ def _taken(future: Future[_Result], end: float) -> Any:
             f"a worker of the executor failed: {type(error).__name__}: {error}",
             remedy="solve without executor= to see whether the worker is the reason",
         ) from error
-    charge(result.work)
-    if result.failure is not None:
-        raise result.failure
-    return result.value
+    charge(returned.work)
+    if returned.failure is not None:
+        raise returned.failure
+    return cast(Answer, returned.answer)
 
 
 def _pickled(specification: ModuleSpecification) -> bytes:
@@ -292,9 +283,9 @@ def _pickled(specification: ModuleSpecification) -> bytes:
 
 
 @lru_cache(8)
-def _unpickled(specification: bytes) -> Any:
+def _unpickled(specification: bytes) -> ModuleSpecification:
     try:
-        return pickle.loads(specification)
+        return cast(ModuleSpecification, pickle.loads(specification))
     except Exception as error:
         raise OptionError(
             f"a worker cannot load a function of the user: {type(error).__name__}: {error}",

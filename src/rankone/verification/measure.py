@@ -57,6 +57,12 @@ _MOST_CHECKED_CUTS = 16
 """Cuts of a parameter that are checked on either side."""
 _CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
+_GROWTH_STEPS = 32
+"""Steps over the horizon by which the growth of errors is followed."""
+_GROWTH_TRAJECTORIES = 5
+"""Check points at which it is, the centre first."""
+_BESIDE_POLE = 0.99
+"""Factor on the rates where the Cayley transform does not exist for one of them."""
 _SAFE_QUANTILE = 0.95
 """Part of the points that have no larger error than the quantile that is reported."""
 _DRIFT_POINTS = 24
@@ -210,6 +216,41 @@ class ReferenceSet:
         with unlimited():
             return measure(slabs, self.reference, self.states, *counts)
 
+    def amplification(self) -> Callable[[float], float]:
+        """Largest later growth of an error made at time t, along a few trajectories.
+
+        The variational equation ``w' = J(t) w`` is stepped on a uniform grid with the Cayley
+        transform of the scaled Jacobian, which is stable for stiff systems.
+
+        Returns
+        -------
+        callable
+            ``amplification(t) >= 1``: the largest Frobenius norm, divided by sqrt(n), of the
+            propagator from t to any later time.
+        """
+        n, start = self.system.n_differential, self.reference.start
+        width = (self.end - start) / _GROWTH_STEPS
+        middle = np.asarray(start + width * (np.arange(_GROWTH_STEPS) + 0.5), dtype=float)
+        points = self.reference.points[:_GROWTH_TRAJECTORIES]
+        states = self.reference(middle)[:, : len(points)]
+        jacobian = self.system.jacobian(middle, states, points.T[:, :, None])
+        jacobian = np.broadcast_to(jacobian, (n, n, len(points), _GROWTH_STEPS))
+        scale = self.states[None, :] / self.states[:, None]
+        half, eye = 0.5 * width * jacobian.transpose(3, 2, 0, 1) * scale, np.eye(n)
+        try:
+            step = np.linalg.solve(eye - half, eye + half)
+        except np.linalg.LinAlgError:  # a growth rate at a pole of the transform
+            step = np.linalg.solve(eye - _BESIDE_POLE * half, eye + _BESIDE_POLE * half)
+        largest = np.ones(_GROWTH_STEPS + 1)
+        propagator = step
+        for gap in range(1, _GROWTH_STEPS + 1):
+            norms = np.sqrt(np.einsum("kmij,kmij->km", propagator, propagator).max(axis=1) / n)
+            np.maximum(largest[: norms.size], norms, out=largest[: norms.size])
+            if gap < _GROWTH_STEPS:
+                propagator = np.matmul(step[gap:], propagator[:-1])
+        grid = start + width * np.arange(_GROWTH_STEPS + 1)
+        return lambda t: float(np.interp(t, grid, largest))
+
     @property
     def interior_points(self) -> Array:
         """The centre and the interior points, (m, d)."""
@@ -293,7 +334,7 @@ def measure(
         Those of them whose error counts.
     """
     m = len(reference.points)
-    errors = np.zeros((reference.states, m))
+    errors = np.zeros((scale.size, m))
     largest = scale.copy()
     at_corners, not_corners = slice(1, 1 + corners), np.r_[0, 1 + corners : m]
     all_times = [times_within(slab.start, slab.end, _CHECK_SHARES) for slab in slabs]

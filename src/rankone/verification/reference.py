@@ -6,9 +6,8 @@ Each state is resolved relative to its own size, down to a small part of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,10 @@ from numpy.typing import NDArray
 from rankone.ir.domain import Domain
 from rankone.ir.outcome import SafeInterval
 from rankone.ir.system import System, refuse_gap
-from rankone.ir.verdict import Status
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge, limited, work_left
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
-from rankone.support.wording import quote
 from rankone.trajectories.diagnosis import (
     MOST_GROWTH,
     Rounding,
@@ -42,12 +39,9 @@ from rankone.verification.points import check_points
 from rankone.verification.search import bisected
 
 __all__ = [
-    "MOST_SMALLER_BOXES",
     "Reference",
     "integrate_reference",
     "safe_intervals",
-    "safe_sentence",
-    "solved_part",
 ]
 
 _NEGLIGIBLE = 1e-7
@@ -79,12 +73,6 @@ _FACE_WORK = 1.5e9
 """Most operations for all faces: about two seconds."""
 _FACE_WORK_SHARE = 0.5
 """Most of what is left of the budget for them."""
-_MESSAGE_DIGITS = 100.0
-"""Parts of an interval that a limit in a message tells apart."""
-_KEPT_SHARES = (0.95, 0.8, 0.5)
-"""Parts of safe intervals to solve on: near their ends the states are very large."""
-MOST_SMALLER_BOXES = 4
-"""Most boxes to solve on."""
 
 
 @dataclass(frozen=True)
@@ -95,18 +83,10 @@ class Reference:
     ----------
     points : ndarray (m, d)
         Parameter points; the first is the centre of the box.
-    end : float
-        Time reached; before the horizon where a trajectory blows up.
-    avoided : float
-        Explicit steps that were left when they were given up for implicit ones; 0 if none were.
     batches : tuple of DenseTrajectories
         Those of each integration, in the order of the points.
-    states : int
-        Number of states.
-    blown : int or None
-        The point whose trajectory blows up at ``end``, or leaves where its rates are finite.
-    large : bool
-        Whether it has grown by then.
+    end : float
+        Time that all of them reach; before the horizon where one blows up.
     floor : ndarray (n,)
         Size of each state below which its relative accuracy ends, where that is lower than usual
         since it is amplified later; else infinite.
@@ -114,16 +94,17 @@ class Reference:
         Rounding errors of states that are tiny beside the others; 0 for all others.
     zero : ndarray of bool (n,)
         The states that are numerically zero.
+    blown : int or None
+        The point whose trajectory blows up at ``end``, or leaves where its rates are finite.
+    large : bool
+        Whether it has grown by then.
     switching : int or None
         The state whose rate switches to and fro at ``end``, if that is why it ends.
     """
 
     points: Array
-    start: float
-    end: float
-    avoided: float
     batches: tuple[DenseTrajectories, ...]
-    states: int
+    end: float
     floor: Array
     rounded: Array
     zero: NDArray[np.bool_]
@@ -132,14 +113,24 @@ class Reference:
     switching: int | None = None
 
     @property
+    def start(self) -> float:
+        """Start of all trajectories."""
+        return self.batches[0].times[0]
+
+    @property
+    def avoided(self) -> float:
+        """Explicit steps that were left when they were given up for implicit ones, at most."""
+        return max(batch.avoided for batch in self.batches)
+
+    @property
     def stiff(self) -> bool:
         """Whether the stiff integrator was used."""
         return self.avoided > 0.0
 
     def __call__(self, times: Array) -> Array:
         """States at the times (T,): shape (n, m, T)."""
-        cost = _DENSE_COST(times.size * self.states * len(self.points))
-        charge(len(self.batches) * cost)
+        size = times.size * self.floor.size * len(self.points)
+        charge(len(self.batches) * _DENSE_COST(size))
         return np.concatenate([batch(times) for batch in self.batches], axis=1)
 
     def joined(self, second: Reference) -> Reference:
@@ -148,19 +139,14 @@ class Reference:
         if second.end < self.end and second.blown is not None:
             ending, blown = second, len(self.points) + second.blown
         both_rounded = np.minimum(self.rounded, second.rounded) > 0.0
-        return Reference(
-            np.concatenate([self.points, second.points]),
-            self.start,
-            ending.end,
-            max(self.avoided, second.avoided),
-            self.batches + second.batches,
-            self.states,
+        return replace(
+            ending,
+            points=np.concatenate([self.points, second.points]),
+            batches=self.batches + second.batches,
             floor=np.minimum(self.floor, second.floor),
             rounded=np.where(both_rounded, np.maximum(self.rounded, second.rounded), 0.0),
             zero=self.zero & second.zero,
             blown=blown,
-            large=ending.large,
-            switching=ending.switching,
         )
 
 
@@ -266,18 +252,9 @@ class _Resolution:
 
     def reference(self, dense: DenseTrajectories) -> Reference:
         """The trajectories, and why they end where they do."""
-        rounding = self.rounding
-        reference = Reference(
-            self.points,
-            self.start,
-            dense.end,
-            dense.avoided,
-            (dense,),
-            self.system.n_differential,
-            floor=self.floor[:, 0],
-            rounded=rounding.floor[:, 0],
-            zero=rounding.zero[:, 0],
-        )
+        rounding, floor = self.rounding, self.floor[:, 0]
+        rounded, zero = rounding.floor[:, 0], rounding.zero[:, 0]
+        reference = Reference(self.points, (dense,), dense.end, floor, rounded, zero)
         if self.end - dense.end <= LAST_GAP * np.spacing(abs(self.end)):
             return reference
         system, points, time, state = self.system, self.points, dense.end, dense.state
@@ -401,46 +378,3 @@ def _intervals(
             largest = share
             lower, upper = sorted((float(bounds[j, side]), safe))
             yield SafeInterval(j, lower, upper, below=side == 0, share=float(share))
-
-
-def safe_sentence(intervals: Sequence[SafeInterval], names: Sequence[str]) -> str:
-    """What a user reads of the best interval: "`k` below 1.83 would do"; empty without any."""
-    if not intervals:
-        return ""
-    best = intervals[0]
-    step = 10.0 ** math.floor(math.log10((best.upper - best.lower) / _MESSAGE_DIGITS))
-    end = best.upper if best.below else best.lower
-    rounded = (math.floor if best.below else math.ceil)(end / step) * step
-    return f"{quote(names[best.parameter])} {'below' if best.below else 'above'} {rounded:.10g}"
-
-
-class _Solution(Protocol):
-    """Tells how its solve ended."""
-
-    @property
-    def status(self) -> Status:
-        """How it ended."""
-
-
-_SomeSolution = TypeVar("_SomeSolution", bound=_Solution)
-
-
-def solved_part(
-    solve: Callable[[int, tuple[float, float]], _SomeSolution], intervals: Sequence[SafeInterval]
-) -> _SomeSolution | None:
-    """The solution on the largest of the smaller boxes on which a solve succeeds, or None.
-
-    Parameters
-    ----------
-    solve : callable
-        Solves with another interval of one parameter; may raise a ConvergenceError.
-    """
-    candidates = [interval.shortened(share) for interval in intervals for share in _KEPT_SHARES]
-    for interval in sorted(candidates, key=lambda each: -each.share)[:MOST_SMALLER_BOXES]:
-        try:
-            solution = solve(interval.parameter, (interval.lower, interval.upper))
-        except ConvergenceError:
-            continue
-        if solution.status in (Status.CONVERGED, Status.UNCHECKED):
-            return solution
-    return None

@@ -31,7 +31,6 @@ from rankone.solvers.greedy.options import GreedyOptions
 from rankone.solvers.greedy.slabs import Coupling, GreedyTrial, LaggedSlabs
 from rankone.solvers.march import March, MarchResult, Span
 from rankone.support.progress import Report
-from rankone.trajectories.diagnosis import amplification
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
@@ -114,7 +113,7 @@ class GreedyMarcher(Marcher):
         self.rtol, self.options = request.rtol, request.options_of(GreedyOptions)
         self.reference_set = reference_set
         system, domain, sizes = reference_set.system, reference_set.domain, reference_set.states
-        self.growth = amplification(system, reference_set.reference, sizes, reference_set.end)
+        self.growth = reference_set.amplification()
         self.coupling = Coupling(system, sizes, self.options)
         lagged = any(map(self.coupling.lagged, self.coupling.blocks))
         self.longest = (

@@ -19,7 +19,6 @@ from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
 from rankone.solvers.train.options import TrainOptions
 from rankone.support.progress import Report
-from rankone.trajectories.diagnosis import amplification
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points
@@ -44,12 +43,8 @@ class TrainMarcher(Marcher):
     ) -> None:
         self.rtol, self.options = request.rtol, request.options_of(TrainOptions)
         self.reference_set = reference_set
-        system, domain, reference = (
-            reference_set.system,
-            reference_set.domain,
-            reference_set.reference,
-        )
-        self.growth = amplification(system, reference, reference_set.states, reference_set.end)
+        system, domain = reference_set.system, reference_set.domain
+        self.growth = reference_set.amplification()
         self.collocation = RadauCollocation.of(self.options.nodes_in_time(self.rtol))
         self.bases, self.floors = first_bases(system, domain, self.rtol, self.options)
         self.inner = self.rtol * (
