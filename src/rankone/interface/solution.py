@@ -14,8 +14,8 @@ import numpy as np
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
 from rankone.outputs.solved import samples_of, with_outputs
+from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
-from rankone.solution.summary import summary_html, summary_text
 from rankone.solvers.registry import ENGINES
 from rankone.statistics.densities import DistributionOverBox
 from rankone.statistics.distributions import from_text
@@ -151,8 +151,6 @@ class Solution(DistributionOverBox, EstimationFromData):
         EvaluationError
             As for a call.
         """
-        from rankone.solution.labelled import dataset
-
         return dataset(self, merged(values, named))
 
     def to_dataframe(

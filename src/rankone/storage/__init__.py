@@ -37,15 +37,15 @@ def target(path: str | PathLike[str], overwrite: bool) -> Path:
         If its name ends in neither ``.npz`` nor ``.nc``, it exists and is not to be replaced, it
         cannot be written, or a package that it needs is not installed.
     """
-    given = as_path(path, StorageError)
-    if given.suffix not in SUFFIXES:
+    place = as_path(path, StorageError)
+    if place.suffix not in SUFFIXES:
         raise StorageError(
             f"`{path}` is no name for a saved solution",
             term=path,
             remedy="end the name in .npz, or in .nc for netCDF",
         )
-    of_kind = netcdf.target if given.suffix == netcdf.SUFFIX else npz.target
-    return of_kind(given, overwrite)
+    container_target = netcdf.target if place.suffix == netcdf.SUFFIX else npz.target
+    return container_target(place, overwrite)
 
 
 def write(
@@ -54,26 +54,26 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write what was solved to a file; paths and errors are those of :func:`target`.
+    """Write a solution to a file; paths and errors as in :func:`target`.
 
-    A file is either complete or not there, also after an interrupt.
+    The file is complete or absent, even after an interrupt.
     """
     place = target(path, overwrite)
-    of_kind = netcdf.write if place.suffix == netcdf.SUFFIX else npz.write
-    return of_kind(place, outcome, metadata, overwrite)
+    container_write = netcdf.write if place.suffix == netcdf.SUFFIX else npz.write
+    return container_write(place, outcome, metadata, overwrite)
 
 
 def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Read what was solved from a file written by :func:`write`, whatever its name.
+    """Read a solution from a file written by :func:`write`, whatever its name.
 
     Nothing in the file is executed.
 
     Parameters
     ----------
     records : mapping of str to type
-        For each method the class of the records of its history.
+        For each method the class of its records.
 
     Raises
     ------
@@ -81,12 +81,12 @@ def read(
         If there is no such file, it is not a rankone solution, it is damaged, a newer version of
         rankone wrote it, its method is none of these, or a package that it needs is not installed.
     """
-    of_kind = netcdf.read if _is_netcdf(as_path(path, StorageError)) else npz.read
-    return of_kind(path, records)
+    container_read = netcdf.read if _is_netcdf(as_path(path, StorageError)) else npz.read
+    return container_read(path, records)
 
 
 def _is_netcdf(path: Path) -> bool:
-    """Whether a file begins as one of netCDF-4; not if it cannot be read."""
+    """Whether a file begins with the signature of netCDF-4."""
     try:
         if path.is_file():
             with path.open("rb") as stream:

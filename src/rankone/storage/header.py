@@ -1,10 +1,9 @@
-"""What a file of a solution holds, whatever its container: a header and cores.
+"""The content of a solution file, whatever its container: a header and cores.
 
-The array ``header`` is a text that holds what was asked
-(:class:`~rankone.ir.metadata.SolutionMetadata`, and ``unknowns``), the bases of every slab and the
-:class:`~rankone.ir.outcome.Outcome` as JSON; ``core_<slab>_<dimension>`` are the cores of
-each :class:`~rankone.tensors.slab.SlabTrain`. Readers refuse versions newer than their own and pass
-over entries they do not know; the version grows when an old reader could misunderstand a file.
+The array ``header`` is a JSON text: the :class:`~rankone.ir.metadata.SolutionMetadata`, the bases
+of every slab and the :class:`~rankone.ir.outcome.Outcome`; ``core_<slab>_<dimension>`` are the
+cores of each :class:`~rankone.tensors.slab.SlabTrain`. Readers refuse newer versions and ignore
+entries they do not know; the version grows when an old reader could misunderstand a file.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from zipfile import BadZipFile
 from zlib import error as ZlibError
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization import BASES, Basis1D
 from rankone.ir.metadata import SolutionMetadata
@@ -37,6 +37,7 @@ from rankone.tensors.train import Train
 __all__ = [
     "FORMAT",
     "FORMAT_VERSION",
+    "Arrays",
     "digest_of",
     "not_a_solution",
     "packed",
@@ -60,30 +61,34 @@ _DAMAGE = (
     ZlibError,
 )
 """What reading a damaged file may raise."""
-_NEAR = 1e-9
-"""Part of the horizon by which the ends of slabs may miss each other."""
+_SLAB_GAP = 1e-9
+"""Fraction of the horizon by which neighbouring slabs may miss each other, from rounding."""
+
+
+Arrays = Mapping[str, NDArray[Any]]
+"""The arrays of a file by name: texts without dimensions, and cores."""
 
 
 @contextmanager
 def reading(path: str | PathLike[str]) -> Iterator[Path]:
-    """The path of a file to read; whatever goes wrong with it there is a StorageError."""
-    given = as_path(path, StorageError)
+    """The path of a file to read; whatever goes wrong inside becomes a StorageError."""
+    place = as_path(path, StorageError)
     try:
-        if given.exists() and not given.is_file():
-            raise StorageError(f"`{given}` cannot be read: it is no regular file", term=given)
-        yield given
+        if place.exists() and not place.is_file():
+            raise StorageError(f"`{place}` cannot be read: it is no regular file", term=place)
+        yield place
     except StorageError:
         raise
     except MemoryError as error:
-        raise StorageError(f"there is no memory for what `{given}` holds", term=given) from error
+        raise StorageError(f"there is no memory for what `{place}` holds", term=place) from error
     except FileNotFoundError:
-        raise StorageError(f"there is no file `{given}`", term=given) from None
+        raise StorageError(f"there is no file `{place}`", term=place) from None
     except OSError as error:
-        raise StorageError(f"`{given}` cannot be read: {error}", term=given) from error
+        raise StorageError(f"`{place}` cannot be read: {error}", term=place) from error
     except _DAMAGE as error:
         raise StorageError(
-            f"`{given}` is damaged ({type(error).__name__}: {error})",
-            term=given,
+            f"`{place}` is damaged ({type(error).__name__}: {error})",
+            term=place,
             remedy="restore it from a copy, or solve again",
         ) from error
 
@@ -100,7 +105,7 @@ def not_a_solution(path: Path) -> StorageError:
 # --- writing -----------------------------------------------------------------------------------
 
 
-def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
+def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
     """The arrays of a file by name: header, cores and digest."""
     bases: dict[Basis1D, int] = {}
     slabs = []
@@ -124,7 +129,7 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> dict[str, Any]:
     return arrays
 
 
-def digest_of(arrays: Mapping[str, Any]) -> str:
+def digest_of(arrays: Arrays) -> str:
     """SHA-256 of the header and of all cores, in the order of their names."""
     digest = hashlib.sha256(str(arrays["header"][()]).encode())
     for name in sorted(name for name in arrays if name.startswith("core_")):
@@ -137,11 +142,11 @@ def digest_of(arrays: Mapping[str, Any]) -> str:
 
 
 def unpacked(
-    arrays: Mapping[str, Any], path: Path, records: Mapping[str, type[SlabRecord]]
+    arrays: Arrays, path: Path, records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """What was solved, from the arrays of a file; checked.
+    """The solution in the arrays of a file, checked.
 
-    ``records`` has for each method the class of the records of its history.
+    ``records`` has for each method the class of its records.
     """
     header = _header(arrays, path)
     metadata = _metadata(header["metadata"])
@@ -157,7 +162,7 @@ def unpacked(
     return outcome, metadata
 
 
-def _header(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
+def _header(arrays: Arrays, path: Path) -> dict[str, Any]:
     """The header, if it is one that this version understands."""
     if "header" not in arrays:
         raise not_a_solution(path)
@@ -186,9 +191,7 @@ def _metadata(fields: Mapping[str, Any]) -> SolutionMetadata:
     return metadata
 
 
-def _outcome(
-    header: Mapping[str, Any], record: type[SlabRecord], arrays: Mapping[str, Any]
-) -> Outcome:
+def _outcome(header: Mapping[str, Any], record: type[SlabRecord], arrays: Arrays) -> Outcome:
     hints = get_type_hints(Outcome)
     bases = [_basis(fields) for fields in header["bases"]]
     slabs = [
@@ -213,9 +216,9 @@ def _basis(fields: Mapping[str, Any]) -> Basis1D:
 
 
 def _slab(
-    index: int, fields: Mapping[str, Any], bases: tuple[Basis1D, ...], arrays: Mapping[str, Any]
+    index: int, fields: Mapping[str, Any], bases: tuple[Basis1D, ...], arrays: Arrays
 ) -> SlabTrain:
-    """One slab; its cores have to be float64 and to fit together and to their bases."""
+    """One slab; its cores are float64 and fit together and to their bases."""
     cores = tuple(arrays[f"core_{index}_{j}"] for j in range(len(bases) + 1))
     for core, following in zip(cores, (*cores[1:], None), strict=True):
         rank = 1 if following is None else following.shape[0]
@@ -228,8 +231,8 @@ def _slab(
     )
 
 
-def _check_digest(arrays: Mapping[str, Any]) -> None:
-    """What is in a file has to be what was written."""
+def _check_digest(arrays: Arrays) -> None:
+    """Raise a ValueError unless the contents are those that were written."""
     if "digest" not in arrays:
         raise ValueError("it has no digest, so whether it is as it was saved is not known")
     if str(arrays["digest"][()]) != digest_of(arrays):
@@ -237,7 +240,7 @@ def _check_digest(arrays: Mapping[str, Any]) -> None:
 
 
 def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
-    """The names have to fit the cores and what was measured."""
+    """Raise a ValueError unless the entries of a file fit each other."""
     states, parameters = len(metadata.states), len(metadata.parameters)
     counts = {(len(slab.cores[0]), len(slab.bases)) for slab in outcome.slabs}
     measured = states if outcome.measured is None else len(outcome.measured.interior)
@@ -247,12 +250,12 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     if counted is not None and not (counted and {*counted} <= {*range(states)}):
         raise ValueError(f"the states that count are {counted}, of {states}")
     _check_texts(metadata)
-    for what, interval in (
+    for subject, interval in (
         ("the horizon", metadata.horizon),
         *((f"the range of {name}", metadata.box[j]) for j, name in enumerate(metadata.parameters)),
     ):
         if not _ascending(interval):
-            raise ValueError(f"{what} is {interval}, not two finite ascending numbers")
+            raise ValueError(f"{subject} is {interval}, not two finite ascending numbers")
     _check_slabs(outcome.slabs, metadata)
     end = metadata.horizon[1]
     if outcome.status is Status.CONVERGED and not outcome.slabs[-1].end >= end - _near(metadata):
@@ -263,7 +266,7 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
 
 
 def _check_texts(metadata: SolutionMetadata) -> None:
-    """Names have to be as those of a problem are, other texts lines that can be printed."""
+    """Raise a ValueError for names that a problem cannot have, or texts of several lines."""
     named = [(metadata.time, "the time")]
     named += [(name, f"parameter {quote(name)}") for name in metadata.parameters]
     named += [(name, f"unknown {quote(name)}") for name in metadata.states]
@@ -279,22 +282,19 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         "a fixed coordinate": tuple(name for name, _ in metadata.fixed),
         "the version": (metadata.version,),
     }
-    for what, texts in lines.items():
+    for subject, texts in lines.items():
         for text in texts:
             if not is_line(text):
-                raise ValueError(f"{what} is {text!r}, no text that can be printed in one line")
-    spread = {
-        *dict(metadata.distributions),
-        *(n for *pair, _ in metadata.correlations for n in pair),
-    }
-    if not spread <= {*metadata.parameters}:
+                raise ValueError(f"{subject} is {text!r}, no text that can be printed in one line")
+    random = {n for *pair, _ in metadata.correlations for n in pair}
+    if not random | {*dict(metadata.distributions)} <= {*metadata.parameters}:
         raise ValueError("a distribution or a correlation is of something else than a parameter")
-    if not all(math.isfinite(value) for _, value in metadata.fixed):
+    if not all(math.isfinite(at) for _, at in metadata.fixed):
         raise ValueError("a fixed coordinate is not finite")
 
 
 def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None:
-    """Slabs follow each other from the start of the horizon; bases cover the box."""
+    """Raise a ValueError unless slabs follow each other and their bases cover the box."""
     begin, end = metadata.horizon
     near = _near(metadata)
     for i, slab in enumerate(slabs):
@@ -313,13 +313,13 @@ def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None
 
 
 def _near(metadata: SolutionMetadata) -> float:
-    """By how much the ends of slabs may miss each other."""
+    """By how much neighbouring slabs may miss each other."""
     begin, end = metadata.horizon
-    return _NEAR * (end - begin)
+    return _SLAB_GAP * (end - begin)
 
 
 def _check_error(outcome: Outcome, rtol: float) -> None:
-    """A solution that converged has a measured error within the tolerance."""
+    """Raise a ValueError if a solution converged without an error within the tolerance."""
     if not 0.0 < rtol < math.inf:
         raise ValueError(f"rtol is {rtol}, not a positive number")
     if outcome.status is Status.CONVERGED:
@@ -329,7 +329,7 @@ def _check_error(outcome: Outcome, rtol: float) -> None:
             raise ValueError(f"the status is CONVERGED, the measured error {errors}, rtol {rtol}")
 
 
-def _ascending(numbers: Sequence[float]) -> bool:
-    """Whether numbers are finite and ascend."""
-    ascend = all(a < b for a, b in itertools.pairwise(numbers))
-    return ascend and all(map(math.isfinite, numbers))
+def _ascending(interval: Sequence[float]) -> bool:
+    """Whether the ends are finite and ascend."""
+    ascend = all(a < b for a, b in itertools.pairwise(interval))
+    return ascend and all(map(math.isfinite, interval))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -37,7 +37,7 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SEAL = b"\nrankone sha256 "
 """What stands between the netCDF file and its SHA-256."""
 _LONGEST_ATTRIBUTE = 15_000
-"""Characters of an attribute, which HDF5 keeps in less than 64 KiB of UTF-8."""
+"""Characters of an attribute: HDF5 keeps less than 64 KiB, four bytes for a character of UTF-8."""
 _SUMMARY = (
     "Tensor trains: rankone.load evaluates them for every parameter value and time, and reads "
     "header, digest and core_<slab>_<dimension> alone"
@@ -45,7 +45,7 @@ _SUMMARY = (
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:
-    """The path of a file that a solution can be written to; found out before a solve.
+    """The path of a file that a solution can be written to.
 
     Raises
     ------
@@ -64,9 +64,9 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write what was solved to a file; errors are those of :func:`target`.
+    """Write a solution to a file; errors as in :func:`target`.
 
-    A file is either complete or not there, also after an interrupt.
+    The file is complete or absent, even after an interrupt.
     """
     place = target(path, overwrite)
     content = BytesIO()
@@ -79,20 +79,20 @@ def write(
 def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Read what was solved from a file written by :func:`write`; nothing in it is executed.
+    """Read a solution from a file written by :func:`write`.
 
     Parameters and errors are those of :func:`rankone.storage.read`; there is one more if h5py is
     not installed.
     """
-    with reading(path) as given:
-        content = given.read_bytes()
+    with reading(path) as place:
+        content = place.read_bytes()
         if not (content.startswith(SIGNATURE) and FORMAT.encode() in content):
-            raise not_a_solution(given)
+            raise not_a_solution(place)
         content = _unsealed(content)
-        h5py = _module("h5py", given)
+        h5py = _module("h5py", place)
         try:
             with h5py.File(BytesIO(content), "r") as file:
-                return unpacked(_Arrays(file, h5py, len(content)), given, records)
+                return unpacked(_Variables(file, h5py, len(content)), place, records)
         except (OSError, RuntimeError) as error:  # of the HDF5 library
             raise ValueError(f"HDF5: {error}") from error
 
@@ -128,21 +128,21 @@ def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) ->
     """Write everything into an open file; ``text`` is the type of texts."""
     arrays = packed(outcome, metadata)
 
-    def add(name: str, dimensions: tuple[str, ...], values: Any, about: str = "") -> None:
-        values = np.asarray(values)
-        for dimension, size in zip(dimensions, values.shape, strict=True):
+    def add(name: str, dimensions: tuple[str, ...], content: object, about: str = "") -> None:
+        array = np.asarray(content)
+        for dimension, size in zip(dimensions, array.shape, strict=True):
             if dimension not in file.dimensions:
                 file.dimensions[dimension] = size
-        is_text = values.dtype.kind not in "fi"
-        made = file.create_variable(name, dimensions, text if is_text else "<f8")
-        made[...] = values.astype(object) if is_text else values
+        is_text = array.dtype.kind not in "fi"
+        variable = file.create_variable(name, dimensions, text if is_text else "<f8")
+        variable[...] = array.astype(object) if is_text else array
         if about:
-            made.attrs["long_name"] = about
+            variable.attrs["long_name"] = about
 
     file.attrs.update(_attributes(outcome, metadata))
-    for name, dimensions, values, about in _described(outcome, metadata):
-        if len(values):
-            add(name, dimensions, values, about)
+    for name, dimensions, content, about in _described(outcome, metadata):
+        if len(content):
+            add(name, dimensions, content, about)
     add("header", (), str(arrays["header"]), "what was asked and what came out, as JSON")
     add("digest", (), str(arrays["digest"]), "SHA-256 of header and cores")
     for i, slab in enumerate(outcome.slabs):
@@ -157,8 +157,8 @@ def _dimensions(i: int, j: int, count: int) -> tuple[str, str, str]:
     return left, f"time_mode_{i}" if j == 0 else f"mode_{i}_{j}", right
 
 
-_Variable = tuple[str, tuple[str, ...], Sequence[Any], str]
-"""Name, dimensions, values and what they are."""
+_Variable = tuple[str, tuple[str, ...], Sequence[object], str]
+"""Name, dimensions, content and description."""
 
 
 def _described(outcome: Outcome, metadata: SolutionMetadata) -> Iterator[_Variable]:
@@ -167,16 +167,16 @@ def _described(outcome: Outcome, metadata: SolutionMetadata) -> Iterator[_Variab
     yield "state", ("state",), _texts(metadata.states), "unknowns and other states"
     yield "role", ("state",), _texts(map(str, metadata.roles)), "what a state is"
     if units:
-        found = [units.get(name, "") for name in metadata.states]
-        yield "state_unit", ("state",), _texts(found), "unit"
+        state_units = [units.get(name, "") for name in metadata.states]
+        yield "state_unit", ("state",), _texts(state_units), "unit"
     if measured is not None:
         about = "largest measured error, relative to the largest value"
         yield "error", ("state",), measured.interior, about
         yield "corner_error", ("state",), measured.corners, f"{about}, at corners of the box"
     yield "parameter", ("parameter",), _texts(metadata.parameters), "parameters"
     if units:
-        found = [units.get(name, "") for name in metadata.parameters]
-        yield "parameter_unit", ("parameter",), _texts(found), "unit"
+        parameter_units = [units.get(name, "") for name in metadata.parameters]
+        yield "parameter_unit", ("parameter",), _texts(parameter_units), "unit"
     yield "lower", ("parameter",), [lower for lower, _ in metadata.box], "start of the interval"
     yield "upper", ("parameter",), [upper for _, upper in metadata.box], "end of the interval"
     yield "slab_start", ("slab",), [float(slab.start) for slab in outcome.slabs], "start in time"
@@ -208,14 +208,14 @@ def _text(text: str) -> str:
     return clip(text.replace("\0", "?"), _LONGEST_ATTRIBUTE)
 
 
-def _texts(texts: Any) -> list[str]:
+def _texts(texts: Iterable[str]) -> list[str]:
     return [_text(text) for text in texts]
 
 
 # --- reading -----------------------------------------------------------------------------------
 
 
-class _Arrays(Mapping[str, Any]):
+class _Variables(Mapping[str, Array]):
     """Variables of an open HDF5 file as arrays; only what lies in the file itself is read."""
 
     def __init__(self, file: Any, h5py: Any, size: int) -> None:
@@ -223,13 +223,13 @@ class _Arrays(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Array:
         link = self._file.get(name, getlink=True)
-        found = self._file[name] if isinstance(link, self._h5py.HardLink) else None
-        if not isinstance(found, self._h5py.Dataset) or found.is_virtual or found.external:
+        variable = self._file[name] if isinstance(link, self._h5py.HardLink) else None
+        if not isinstance(variable, self._h5py.Dataset) or variable.is_virtual or variable.external:
             raise ValueError(f"{name} is not a variable in the file itself")
-        plain = found.chunks is None and found.id.get_create_plist().get_nfilters() == 0
-        if not plain or not found.nbytes <= found.id.get_storage_size() <= self._size:
+        plain = variable.chunks is None and variable.id.get_create_plist().get_nfilters() == 0
+        if not plain or not variable.nbytes <= variable.id.get_storage_size() <= self._size:
             raise ValueError(f"{name} is not stored as it is, number after number")
-        return np.array(found.asstr()[()]) if found.shape == () else np.asarray(found[...])
+        return np.array(variable.asstr()[()]) if variable.shape == () else np.asarray(variable[...])
 
     def __contains__(self, name: object) -> bool:
         return name in self._file

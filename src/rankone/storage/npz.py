@@ -53,9 +53,9 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write what was solved to a file; paths and errors are those of :func:`target`.
+    """Write a solution to a file; paths and errors as in :func:`target`.
 
-    A file is either complete or not there, also after an interrupt.
+    The file is complete or absent, even after an interrupt.
     """
     place = target(path, overwrite)
     write_files({place: npz(packed(outcome, metadata))}, overwrite, StorageError)
@@ -65,28 +65,17 @@ def write(
 def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Read what was solved from a file written by :func:`write`.
+    """Read a solution from a file written by :func:`write`.
 
-    Nothing in the file is executed.
-
-    Parameters
-    ----------
-    records : mapping of str to type
-        For each method the class of the records of its history.
-
-    Raises
-    ------
-    StorageError
-        If there is no such file, it is not a rankone solution, it is damaged, a newer version of
-        rankone wrote it, or its method is none of these.
+    Parameters and errors are those of :func:`rankone.storage.read`.
     """
-    with reading(path) as given, given.open("rb") as stream:
+    with reading(path) as place, place.open("rb") as stream:
         if not is_zipfile(stream):
-            raise not_a_solution(given)
+            raise not_a_solution(place)
         stream.seek(0)
         size = stream.seek(0, os.SEEK_END)
         with ZipFile(stream) as archive:
-            return unpacked(_Members(archive, size), given, records)
+            return unpacked(_Members(archive, size), place, records)
 
 
 class _Members(Mapping[str, Array]):
@@ -115,11 +104,11 @@ class _Members(Mapping[str, Array]):
             version = np.lib.format.read_magic(stream)
             if version not in _READERS:
                 raise ValueError(f"{name} is an array of a format that is not known")
-            shape, fortran, kind = _READERS[version](stream)
+            shape, fortran, dtype = _READERS[version](stream)
             content = stream.read()
-            if kind.hasobject or math.prod(shape) * kind.itemsize != len(content):
+            if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content):
                 raise ValueError(f"{name} is said to be of shape {shape}, which does not fit it")
-        array = np.array(np.frombuffer(content, kind))
+        array = np.array(np.frombuffer(content, dtype))
         return array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
 
     def __iter__(self) -> Iterator[str]:

@@ -1,0 +1,168 @@
+"""A solution as people and other libraries see it: its summary, and xarray.
+
+Labelled values need xarray: ``pip install xarray``, or ``pip install ".[io]"`` in the folder of the
+project.
+"""
+
+from __future__ import annotations
+
+import html
+import importlib
+import textwrap
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rankone.discretization.coordinates import name_of
+from rankone.ir.metadata import with_unit
+from rankone.solution.core import SolutionCore
+from rankone.support.errors import RankoneError
+from rankone.support.wording import count, listing
+
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = ["dataset", "summary_html", "summary_text"]
+
+_TIMES = 101
+"""Times of labelled values where none are given: one per percent of the horizon."""
+_WIDTH = 96
+"""Characters of a line of the summary: it fits into a terminal beside a prompt."""
+_MOST_NAMES = 8
+"""Entries of a list before its middle is left out."""
+
+
+def summary_text(solution: SolutionCore) -> str:
+    """The summary in lines."""
+    lines = [f"Solution (rankone {solution.metadata.version})".replace(" (rankone )", "")]
+    for heading, text in _summary(solution):
+        lines += textwrap.wrap(
+            text,
+            _WIDTH,
+            initial_indent=f"  {heading:<10}",
+            subsequent_indent=" " * 12,
+            break_long_words=False,
+        )
+    return "\n".join(lines)
+
+
+def summary_html(solution: SolutionCore) -> str:
+    """The summary as a table, for notebooks."""
+    rows = "".join(
+        f"<tr><th style='text-align:left'>{html.escape(heading)}</th>"
+        f"<td style='text-align:left'>{html.escape(text)}</td></tr>"
+        for heading, text in _summary(solution)
+    )
+    return f"<table><caption>Solution</caption><tbody>{rows}</tbody></table>"
+
+
+def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
+    """Headings and texts of the summary."""
+    metadata, slabs = solution.metadata, solution.outcome.slabs
+    start, end = solution.time
+    lower, upper = metadata.horizon
+    whole = "" if end == upper else f" of [{lower:g}, {upper:g}]"
+    units, distributions = dict(metadata.units), dict(metadata.distributions)
+    named = [f"{name} [{units[name]}]" if name in units else name for name in solution.unknowns]
+    clock = with_unit(f"{metadata.time} in [{start:g}, {end:g}]{whole}", units, metadata.time)
+    box = [
+        with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name)
+        + (f" ~ {distributions[name]}" if name in distributions else "")
+        for name, (lo, hi) in solution.parameters.items()
+    ]
+    over = _some(box if metadata.timeless else [clock, *box]) or "nothing"
+    if metadata.fixed:
+        over += "; at " + _some(f"{name} = {at:g}" for name, at in metadata.fixed)
+    ranks = [slab.ranks for slab in slabs]
+    highest = max((max(each, default=1) for each in ranks), default=0)
+    train = [count(len(slabs), "slab"), f"rank {highest}"]
+    if slabs and slabs[0].bases:
+        largest = [max(column) for column in zip(*ranks, strict=True)]
+        sizes = ([basis.size for basis in slab.bases] for slab in slabs)
+        nodes = [max(column) for column in zip(*sizes, strict=True)]
+        train.append(f"ranks up to ({_some(map(str, largest))})")
+        train.append(f"nodes up to ({_some(map(str, nodes))})")
+    size = sum(core.nbytes for slab in slabs for core in slab.cores)
+    timings = [f"{stage} {seconds:.3g} s" for stage, seconds in solution.outcome.timings.items()]
+    return [
+        ("unknowns", _some(named)),
+        ("over", over),
+        ("success", f"{'yes' if solution.success else 'no'}: {solution.message}"),
+        ("error", _error(solution)),
+        (metadata.method, ", ".join([*train, f"{size / 1e6:.2g} MB"])),
+        ("timings", ", ".join(timings) or "none"),
+    ]
+
+
+def _error(solution: SolutionCore) -> str:
+    """The measured errors, and of which states."""
+    measured, tolerance = solution.outcome.measured, f"tolerance {solution.rtol:.3g}"
+    if measured is None:
+        return f"not measured, {tolerance}"
+    text = f"{solution.error:.2g} measured on {measured.points} trajectories, {tolerance}"
+    if measured.drift is not None:
+        text += f", lifted states drift by {measured.drift:.2g}"
+    if measured.counted is not None:
+        text = f"of {listing(solution.states[i] for i in measured.counted)} {text}"
+    if measured.quantile is not None:
+        text += f", 95 % below {measured.quantile:.2g}"
+    if len(solution.errors) > 1:
+        text += "; " + _some(f"{name} {error:.2g}" for name, error in solution.errors.items())
+    return text
+
+
+def _some(texts: Iterable[str]) -> str:
+    """Join texts, leaving out the middle of many."""
+    visible = list(texts)
+    if len(visible) > _MOST_NAMES:
+        hidden = len(visible) - _MOST_NAMES + 1
+        visible[_MOST_NAMES - 2 : -1] = [f"... ({hidden} more)"]
+    return ", ".join(visible)
+
+
+def dataset(solution: SolutionCore, coordinates: Mapping[Any, ArrayLike]) -> xarray.Dataset:
+    """The unknowns on the grid of all combinations; numbers become scalar coordinates.
+
+    Parameters
+    ----------
+    solution : SolutionCore
+    coordinates : mapping
+        For coordinates, by names, a number or one-dimensional values.
+    """
+    try:
+        module: Any = importlib.import_module("xarray")
+    except ImportError:
+        raise RankoneError(
+            "labelled values need xarray, which is not installed", remedy="pip install xarray"
+        ) from None
+    start, end = solution.time
+    points = {name_of(key): at for key, at in coordinates.items()}
+    if not solution.metadata.timeless:
+        points.setdefault(solution.metadata.time, np.linspace(start, end, _TIMES))
+    grid = solution.grid(points)
+    units = {name: {"units": unit} for name, unit in solution.metadata.units}
+    axes = {name: np.asarray(points[name], dtype=float) for name in solution.metadata.coordinates}
+    labelled: xarray.Dataset = module.Dataset(
+        {
+            name: (
+                tuple(axes),
+                on_grid,
+                {"long_name": name, "error": solution.errors[name], **units.get(name, {})},
+            )
+            for name, on_grid in zip(solution.unknowns, grid, strict=True)
+        },
+        {
+            name: (name, np.atleast_1d(axis), {"long_name": name, **units.get(name, {})})
+            for name, axis in axes.items()
+        },
+        {
+            "title": "; ".join(solution.metadata.statements),
+            "source": f"rankone {solution.metadata.version}, method {solution.method}",
+            "rtol": solution.rtol,
+            "success": int(solution.success),
+            "comment": solution.message,
+        },
+    )
+    return labelled.squeeze([name for name, axis in axes.items() if axis.ndim == 0])
