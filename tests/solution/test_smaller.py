@@ -172,7 +172,7 @@ def test_elements_are_cut_where_the_part_ends():
         (lambda s: s.diff("q"), "there is no parameter `q`"),
         (lambda s: s.fix(k=9), "`k` = 9 is outside of its range"),
         (lambda s: s.fix(k="x"), "`k` is 'x', not a number"),
-        (lambda s: s.fix(j=1), "there is no parameter `j`; remedy: known are `k`"),
+        (lambda s: s.fix(j=1), "there is no parameter `j`; remedy: choose from `k`"),
         (lambda s: s.restrict(k=(2, 1)), r"the interval \(2, 1\) of `k` does not ascend"),
         (lambda s: s.fix(5), "5 is not a mapping from names"),
         (lambda s: s.fix({"k": 1}, k=2), "`k` is given twice"),

@@ -85,8 +85,8 @@ from rankone.symbolic import (
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 
 logger = logging.getLogger("rankone")
-_KEPT = 1e-10
-"""Part of the largest rate up to which separated terms may be off; others are not separated."""
+_SEPARATION_TOLERANCE = 1e-10
+"""Error of separated terms, over the largest rate, up to which the separated form is used."""
 
 _ANY_SYSTEM = (AUTO, "cross")
 """Methods that need no separated terms."""
@@ -167,7 +167,7 @@ class CompiledProblem:
     @property
     def user_functions(self) -> Mapping[str, Callable[..., Any]]:
         """The functions of the user that the source calls, by the names it calls them by."""
-        jumps = (value for jump in self.first_order.jumps for value in jump.values)
+        jumps = (after for jump in self.first_order.jumps for after in jump.values)
         return namespace_of([*self.first_order.rhs, *self.first_order.initial, *jumps])
 
     @property
@@ -188,8 +188,8 @@ class CompiledProblem:
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, Any]:
-        made = ("system", "_lifting")
-        return {name: value for name, value in self.__dict__.items() if name not in made}
+        rebuilt = ("system", "_lifting")
+        return {name: stage for name, stage in self.__dict__.items() if name not in rebuilt}
 
     def __repr__(self) -> str:
         clock, *parameters = self.separated.coordinates
@@ -413,13 +413,13 @@ class CompiledProblem:
         )
 
 
-def _without_lifting(part: Any) -> str:
+def _without_lifting(expression: sp.Expr | LiftedProblem | None) -> str:
     """What to do about an expression that has no lifted form."""
     remedy = "method='cross', the default, takes it as it is"
-    if not isinstance(part, sp.Abs | sp.sign):
+    if not isinstance(expression, sp.Abs | sp.sign):
         return remedy
-    (argument,) = part.args
-    plain = argument if isinstance(part, sp.Abs) else sp.S.One
+    (argument,) = expression.args
+    plain = argument if isinstance(expression, sp.Abs) else sp.S.One
     return (
         f"{remedy}; where {quote(argument)} keeps its sign, write {quote(plain)} or {quote(-plain)}"
     )
@@ -472,19 +472,19 @@ def _compiled(problem: Problem) -> CompiledProblem:
 
 
 def _agreeing(compiled: CompiledProblem) -> CompiledProblem:
-    """What was compiled, checked; without separation where that loses digits.
+    """The compiled problem, checked against its equations; not separated where that loses digits.
 
-    A power of ``x - 310`` that is multiplied out is a difference of large numbers.
+    Multiplied out, a power of ``x - 310`` is a difference of large numbers.
     """
     problem, first_order = compiled.problem, compiled.first_order
     if compiled.quadratic is not None:
         try:
-            check_problem(problem, first_order, compiled.system, _KEPT)
+            check_problem(problem, first_order, compiled.system, _SEPARATION_TOLERANCE)
             return compiled
         except DisagreementError as error:
             as_written = _not_separated(compiled, error)
         try:
-            check_problem(problem, first_order, as_written.system, _KEPT)
+            check_problem(problem, first_order, as_written.system, _SEPARATION_TOLERANCE)
             return as_written
         except DisagreementError:
             pass  # no form keeps more digits

@@ -48,12 +48,12 @@ class LiftedProblem:
     @cached_property
     def system(self) -> System:
         """The generated module."""
-        jumps = (value for jump in self.lifting.system.jumps for value in jump.values)
+        jumps = (after for jump in self.lifting.system.jumps for after in jump.values)
         name = f"{self.name or 'system'} lifted"
         return ModuleSpecification(self.source, name, namespace_of(jumps)).load()
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name != "system"}
+        return {name: stage for name, stage in self.__dict__.items() if name != "system"}
 
     def __str__(self) -> str:
         return str(self.lifting)

@@ -269,12 +269,12 @@ class Solution(DistributionOverBox, EstimationFromData):
         -------
         ndarray (unknowns, parameters, *broadcast shape of the values)
         """
-        given = self._coordinates.gather(at, named)
-        parts = [part._evaluate(given, part._unknowns) for part in self._slopes]
-        if not parts:
-            value = self._evaluate(given, self._unknowns)
-            return np.zeros((len(value), 0, *value.shape[1:]))
-        return np.stack(parts, axis=1)
+        gathered = self._coordinates.gather(at, named)
+        slopes = [slope._evaluate(gathered, slope._unknowns) for slope in self._slopes]
+        if not slopes:
+            unknowns = self._evaluate(gathered, self._unknowns)
+            return np.zeros((len(unknowns), 0, *unknowns.shape[1:]))
+        return np.stack(slopes, axis=1)
 
     @cached_property
     def _slopes(self) -> list[Solution]:
@@ -345,8 +345,7 @@ class Solution(DistributionOverBox, EstimationFromData):
             If there is no such parameter, or its value is outside of its range.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        given = merged(values, named)
-        return Solution(*with_fixed(self.outcome, self.metadata, given))
+        return Solution(*with_fixed(self.outcome, self.metadata, merged(values, named)))
 
     def at(self, t: float) -> Solution:
         """The solution at one time, as a solution of the parameters alone.
@@ -377,8 +376,7 @@ class Solution(DistributionOverBox, EstimationFromData):
             If there is no such parameter, or an interval is not a part of its range.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        given = merged(intervals, named)
-        return Solution(*with_restricted(self.outcome, self.metadata, given))
+        return Solution(*with_restricted(self.outcome, self.metadata, merged(intervals, named)))
 
     # --- exploring -----------------------------------------------------------------------------
 

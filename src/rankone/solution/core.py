@@ -1,6 +1,6 @@
-"""The part of a solution that evaluates it, says how good it is and saves it.
+"""The core of a solution: evaluation, errors, files.
 
-:class:`~rankone.interface.solution.Solution` adds to it what only the library needs.
+:class:`~rankone.interface.solution.Solution` adds everything that exported solvers do without.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -31,16 +31,16 @@ __all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
 
 _ENDS = {
     Status.BLOW_UP: "blows up inside the horizon",
-    Status.LEAVES: "comes to where its right-hand side is not finite",
+    Status.LEAVES: "reaches a point where its right-hand side is not finite",
     Status.SWITCHES: "switches to and fro without end",
 }
-"""What a solution does whose trajectories do not reach the end of the horizon."""
+"""How trajectories end before the horizon."""
 _KEPT_SHARES = (0.95, 0.8, 0.5)
-"""Parts of safe intervals to solve on: near their ends the states are very large."""
+"""Fractions of a safe interval to solve on: near its end the states are very large."""
 _MOST_SMALLER_BOXES = 4
-"""Most boxes to solve on."""
+"""Most boxes to solve on; each has an equal share of the budget."""
 _MESSAGE_DIGITS = 100.0
-"""Parts of an interval that a limit in a message tells apart."""
+"""A message gives the end of an interval to a hundredth of its length."""
 
 
 class SolutionCore:
@@ -116,7 +116,7 @@ class SolutionCore:
         """
         return self._evaluate_grid(self._coordinates.gather(at, named), self._unknowns)
 
-    def __getitem__(self, state: Any) -> UnknownView:
+    def __getitem__(self, state: object) -> UnknownView:
         """Return one unknown, or one derivative that is a state: ``solution[x.diff(t)]``."""
         name = name_of(state, self.metadata.time)
         if name not in self.states:
@@ -131,27 +131,27 @@ class SolutionCore:
         success = "success" if self.success else "no success"
         return f"Solution of {', '.join(self.unknowns)}: {success}, {self.message}"
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> NoReturn:
         raise TypeError("a Solution is not iterable; its unknowns are in `.unknowns`")
 
-    def _evaluate(self, given: list[Any], rows: Rows) -> Array:
+    def _evaluate(self, gathered: list[Any], rows: Rows) -> Array:
         """Values of some states, (rows, *broadcast shape)."""
         evaluator = self._evaluator
-        numbers = self._coordinates.numbers(given)
-        if numbers is not None:
-            return evaluator.one(numbers, rows)
+        point = self._coordinates.numbers(gathered)
+        if point is not None:
+            return evaluator.one(point, rows)
         with _memory():
-            arrays = self._coordinates.arrays(given)
+            arrays = self._coordinates.arrays(gathered)
             if all(array.ndim == 0 for array in arrays):
                 return evaluator.one([float(array) for array in arrays], rows)
             curves = self._coordinates.curves(arrays)
             return curves.shaped(evaluator.curves(curves.times, curves.points, rows))
 
-    def _evaluate_grid(self, given: list[Any], rows: Rows) -> Array:
+    def _evaluate_grid(self, gathered: list[Any], rows: Rows) -> Array:
         """Values of some states on a tensor grid, (rows, *sizes of the axes)."""
         with _memory():
-            values = self._evaluator.grid(self._coordinates.axes(given), rows)
-        return values[:, 0] if self.metadata.timeless else values
+            on_grid = self._evaluator.grid(self._coordinates.axes(gathered), rows)
+        return on_grid[:, 0] if self.metadata.timeless else on_grid
 
     @cached_property
     def _evaluator(self) -> TrainEvaluator:
@@ -256,7 +256,7 @@ class SolutionCore:
         """
         return write(path, self.outcome, self.metadata, overwrite)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.outcome, self.metadata)
 
 
@@ -280,14 +280,14 @@ class UnknownView:
 
     def __call__(self, *at: Any, **named: Any) -> Any:
         """Evaluate: arguments and errors as for a solution, shape of the result as broadcast."""
-        given = self.solution._coordinates.gather(at, named)
-        return self.solution._evaluate(given, _rows([self.row]))[0]
+        gathered = self.solution._coordinates.gather(at, named)
+        return self.solution._evaluate(gathered, _rows([self.row]))[0]
 
     def grid(self, *at: Any, **named: Any) -> Array:
         """Evaluate for every combination of values: shape (times, values of parameter 1, ...)."""
-        given = self.solution._coordinates.gather(at, named)
-        values: Array = self.solution._evaluate_grid(given, _rows([self.row]))[0]
-        return values
+        gathered = self.solution._coordinates.gather(at, named)
+        on_grid: Array = self.solution._evaluate_grid(gathered, _rows([self.row]))[0]
+        return on_grid
 
     @property
     def error(self) -> float:
@@ -300,9 +300,9 @@ class UnknownView:
 
 
 class _ByState(dict[str, float]):
-    """Numbers by the names of states; symbols are understood."""
+    """Errors by the names of states; symbols are understood."""
 
-    def __missing__(self, state: Any) -> float:
+    def __missing__(self, state: object) -> float:
         name = name_of(state)
         if name not in self:
             raise KeyError(f"no state {name}{did_you_mean(name, self)}; known are {listing(self)}")
@@ -311,7 +311,7 @@ class _ByState(dict[str, float]):
 
 @contextmanager
 def _memory() -> Iterator[None]:
-    """An error of ours for more values than there is memory for."""
+    """Turn a MemoryError into an EvaluationError."""
     try:
         yield
     except MemoryError as error:
@@ -324,29 +324,29 @@ def raise_blow_up(
     solution: SolutionCore,
     on_box: Callable[[Mapping[int, tuple[float, float]], float], SolutionCore],
 ) -> None:
-    """Raise a BlowUpError that carries the solution if a trajectory has no end.
+    """Raise a BlowUpError with the solution if a trajectory ends before the horizon.
 
     ``on_box`` solves with other intervals of some parameters, and a fraction of the budget.
     """
     outcome = solution.outcome
     if not outcome.status.ends_early or outcome.blow_up is None:
         return
-    when, values = outcome.blow_up
+    when, point = outcome.blow_up
     names, safe = tuple(solution.parameters), outcome.safe
-    where = dict(zip(names, values, strict=True))
-    at = ", ".join(f"{name} = {value:.6g}" for name, value in where.items())
-    what = "the solution"
+    parameters = dict(zip(names, point, strict=True))
+    at = ", ".join(f"{name} = {coordinate:.6g}" for name, coordinate in parameters.items())
+    subject = "the solution"
     if outcome.switching is not None:
-        what = f"the rate of {quote(solution.states[outcome.switching])}"
+        subject = f"the rate of {quote(solution.states[outcome.switching])}"
     remedy = f"end the horizon before t = {when:.4g}"
-    carried = f"the error carries the part up to t = {solution.time[1]:.4g} as .solution"
+    attached = f"the error has the solution up to t = {solution.time[1]:.4g} as .solution"
     if safe:
         remedy += f", or narrow the box: {_safe_sentence(safe[0], names)} would do"
-        carried += "; its .part solves a smaller box over the whole horizon"
+        attached += "; its .part solves a smaller box over the whole horizon"
     elif names:
         remedy += ", or narrow the box"
 
-    def part() -> SolutionCore | None:
+    def solve_smaller_box() -> SolutionCore | None:
         boxes = [interval.shortened(share) for interval in safe for share in _KEPT_SHARES]
         for box in sorted(boxes, key=lambda each: -each.share)[:_MOST_SMALLER_BOXES]:
             try:
@@ -358,7 +358,7 @@ def raise_blow_up(
         return None
 
     raise BlowUpError(
-        f"{what} {_ENDS[outcome.status]}: near t = {when:.4g}"
+        f"{subject} {_ENDS[outcome.status]}: near t = {when:.4g}"
         + (f" at {at}" if at else "")
         + "".join(
             note.lead + note.sentence(outcome.status)
@@ -366,10 +366,10 @@ def raise_blow_up(
             if isinstance(note, SwitchingTerm)
         ),
         time=when,
-        parameters=where,
+        parameters=parameters,
         solution=solution,
-        part=part if safe else None,
-        remedy=f"{remedy}; {carried}",
+        part=solve_smaller_box if safe else None,
+        remedy=f"{remedy}; {attached}",
     )
 
 

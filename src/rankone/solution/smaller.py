@@ -1,4 +1,4 @@
-"""Solutions made of solutions: fewer parameters, a smaller box, derivatives."""
+"""Solutions made from solutions: fewer parameters, a smaller box, derivatives."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from rankone.tensors.slab import at_one_time, differentiated, fixed, restricted
 
 __all__ = ["at_time", "derived", "merged", "with_fixed", "with_restricted"]
 
-_NARROWEST = 1e-6
-"""Width of the smallest interval, in widths of the one before: derivatives grow with rounding."""
+_LEAST_SHARE = 1e-6
+"""Smallest interval over the one before: rounding errors of derivatives grow with its inverse."""
 
 _Pair = tuple[Outcome, SolutionMetadata]
 
 
-def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _Pair:
+def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) -> _Pair:
     """The derivatives of all states with respect to a parameter or time; their error is unknown."""
     name = name_of(coordinate)
     if name == metadata.time and not metadata.timeless:
         slabs = tuple(slab.derivative() for slab in outcome.slabs)
     else:
         slabs = differentiated(outcome.slabs, _position(metadata, name))
-    made = replace(
+    derivative = replace(
         outcome,
         slabs=slabs,
         status=Status.UNCHECKED,
@@ -41,7 +41,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: Any) -> _P
         notes=(),
     )
     units = of_derivatives(metadata.units, metadata.states, name)
-    return made, replace(metadata, equations=(), source=None, units=units)
+    return derivative, replace(metadata, equations=(), source=None, units=units)
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
@@ -52,31 +52,33 @@ def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
     return _part(replace(outcome, slabs=(slab,)), metadata.rtol), metadata
 
 
-def with_fixed(outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any, Any]) -> _Pair:
-    """The same for given values of some parameters, which are no coordinates any more."""
-    for key, value in given.items():
-        j = _position(metadata, name_of(key))
+def with_fixed(
+    outcome: Outcome, metadata: SolutionMetadata, parameters: Mapping[str, object]
+) -> _Pair:
+    """The same with some parameters fixed, which are no coordinates any more."""
+    for key, at in parameters.items():
+        j = _position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
-        number = _number(name, value, lower, upper)
-        outcome = replace(outcome, slabs=fixed(outcome.slabs, j, number))
+        point = _inside(name, at, lower, upper)
+        outcome = replace(outcome, slabs=fixed(outcome.slabs, j, point))
         metadata = replace(
             metadata,
             units=tuple(pair for pair in metadata.units if pair[0] != metadata.parameters[j]),
-            parameters=_without(metadata.parameters, j),
-            box=_without(metadata.box, j),
+            parameters=(*metadata.parameters[:j], *metadata.parameters[j + 1 :]),
+            box=(*metadata.box[:j], *metadata.box[j + 1 :]),
             distributions=tuple(pair for pair in metadata.distributions if pair[0] != name),
             correlations=tuple(c for c in metadata.correlations if name not in c[:2]),
-            fixed=(*metadata.fixed, (name, number)),
+            fixed=(*metadata.fixed, (name, point)),
         )
     return _part(outcome, metadata.rtol), replace(metadata, source=None)
 
 
 def with_restricted(
-    outcome: Outcome, metadata: SolutionMetadata, given: Mapping[Any, Sequence[float]]
+    outcome: Outcome, metadata: SolutionMetadata, intervals: Mapping[str, Sequence[float]]
 ) -> _Pair:
-    """The same for smaller intervals of some parameters."""
-    for key, interval in given.items():
-        j = _position(metadata, name_of(key))
+    """The same on smaller intervals of some parameters."""
+    for key, interval in intervals.items():
+        j = _position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         try:
             if isinstance(interval, str | Set | Mapping):
@@ -88,8 +90,8 @@ def with_restricted(
                 term=interval,
                 remedy=f"give ({lower:g}, {upper:g}) or a part of it",
             ) from None
-        low, high = (_number(name, end, lower, upper) for end in (low, high))
-        if 0.0 < high - low < _NARROWEST * (upper - lower):
+        low, high = (_inside(name, end, lower, upper) for end in (low, high))
+        if 0.0 < high - low < _LEAST_SHARE * (upper - lower):
             raise OptionError(
                 f"the interval ({low!r}, {high!r}) of {quote(name)} is too narrow",
                 term=interval,
@@ -108,67 +110,63 @@ def with_restricted(
     return _part(outcome, metadata.rtol), metadata
 
 
-def merged(values: Any, named: Mapping[str, Any]) -> dict[str, Any]:
-    """What was given by symbols and by keywords, by name.
+def merged(by_symbol: object, named: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments given by symbols and by keywords, all by name.
 
     Raises
     ------
     OptionError
         If it is no mapping, or a name is given twice.
     """
-    if not isinstance(values, Mapping | None):
+    if not isinstance(by_symbol, Mapping | None):
         raise OptionError(
-            f"{values!r} is not a mapping from names to values",
-            term=values,
+            f"{by_symbol!r} is not a mapping from names to values",
+            term=by_symbol,
             remedy="give {name: value}, or keywords",
         )
-    found = dict(named)
-    for key, value in (values or {}).items():
+    by_name = dict(named)
+    for key, argument in (by_symbol or {}).items():
         name = name_of(key)
-        if name in found:
+        if name in by_name:
             raise OptionError(f"{quote(name)} is given twice", term=name, remedy="give it once")
-        found[name] = value
-    return found
+        by_name[name] = argument
+    return by_name
 
 
 def _position(metadata: SolutionMetadata, name: str) -> int:
-    """Which parameter a name is."""
-    if name not in metadata.parameters:
-        known = metadata.parameters
+    """The position of a parameter."""
+    names = metadata.parameters
+    if name not in names:
         raise OptionError(
-            f"there is no parameter {quote(name)}{did_you_mean(name, known)}",
+            f"there is no parameter {quote(name)}{did_you_mean(name, names)}",
             term=name,
-            remedy=f"known are {listing(known)}" if known else "the solution has none",
+            remedy=f"choose from {listing(names)}" if names else "the solution has none",
         )
-    return metadata.parameters.index(name)
+    return names.index(name)
 
 
-def _number(name: str, value: Any, lower: float, upper: float) -> float:
-    """A value inside of an interval."""
+def _inside(name: str, at: Any, lower: float, upper: float) -> float:
+    """A number inside an interval, or an OptionError."""
     try:
-        if isinstance(value, str | bool):
+        if isinstance(at, str | bool):
             raise TypeError
-        number = float(value)
+        point = float(at)
     except (TypeError, ValueError, OverflowError):
-        raise OptionError(f"{quote(name)} is {value!r}, not a number", term=value) from None
+        raise OptionError(f"{quote(name)} is {at!r}, not a number", term=at) from None
     slack = round_off(lower, upper)
-    if not lower - slack <= number <= upper + slack:
+    if not lower - slack <= point <= upper + slack:
         raise OptionError(
-            f"{quote(name)} = {number:g} is outside of its range [{lower:g}, {upper:g}]",
-            term=value,
+            f"{quote(name)} = {point:g} is outside of its range [{lower:g}, {upper:g}]",
+            term=at,
             remedy="nothing is extrapolated; choose values inside",
         )
-    return float(np.clip(number, lower, upper))
-
-
-def _without(values: tuple[Any, ...], position: int) -> tuple[Any, ...]:
-    return (*values[:position], *values[position + 1 :])
+    return float(np.clip(point, lower, upper))
 
 
 def _part(outcome: Outcome, rtol: float) -> Outcome:
-    """What was measured on the whole box, said of a part of it.
+    """The outcome on a part of the box, of which the error on the whole box is known.
 
-    A part may be at the corners: where they did not count, and are worse, its error is not known.
+    The error of a part at corners that did not count, and are less accurate, is not known.
     """
     measured = outcome.measured
     if measured is None or any(isinstance(note, PartOfSolution) for note in outcome.notes):
