@@ -98,7 +98,7 @@ def observed(
     else:
         table = _reals("the data", data)
         table_shape, columns = table.shape, _columns(table, names)
-    clocks = [_times_of(solution, times, name, len(names)) for name in names]
+    clocks = [_times_of(solution, times, name) for name in names]
     for name, clock, column in zip(names, clocks, columns, strict=True):
         if column.shape != clock.shape:
             raise OptionError(
@@ -173,10 +173,10 @@ def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, 
     if len(set(names)) < len(names):
         raise OptionError(f"observe names one unknown twice: {listing(names)}", term=observe)
     if isinstance(data, Mapping):
-        there = [name_of(key, solution.metadata.time) for key in data]
-        if sorted(there) != sorted(names):
+        measured = [name_of(key, solution.metadata.time) for key in data]
+        if sorted(measured) != sorted(names):
             raise OptionError(
-                f"data are given for {listing(there)}, observed are {listing(names)}",
+                f"data are given for {listing(measured)}, observed are {listing(names)}",
                 term=observe,
                 remedy="leave observe out: the data say it",
             )
@@ -197,7 +197,7 @@ def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
     )
 
 
-def _times_of(solution: SolutionCore, times: Measurements, name: str, outputs: int) -> Array:
+def _times_of(solution: SolutionCore, times: Measurements, name: str) -> Array:
     """Times of one output."""
     if not isinstance(times, Mapping):
         return checked_times(solution, times)

@@ -10,13 +10,13 @@ from scipy.fft import dct
 from scipy.optimize import brentq
 from scipy.signal import fftconvolve
 
-from rankone.discretization.coordinates import name_of
+from rankone.solution.core import UnknownView
 from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.statistics.over_box import StatisticsOverBox, Times
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import checked_count
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.wording import listing, quote, shown
 
 __all__ = ["Density", "DistributionOverBox", "Probability", "density_of"]
 
@@ -104,7 +104,7 @@ class DistributionOverBox(StatisticsOverBox):
         OptionError
             If values are no real numbers, or times are several; and as for :meth:`mean`.
         """
-        name, row = self._one(unknown)
+        state = self._one(unknown)
         count = checked_count("count", count, 16, self._numbers_each())
         at = None if values is None else _reals("values", values)
         times = self._times(t)
@@ -113,18 +113,18 @@ class DistributionOverBox(StatisticsOverBox):
         statistics = self._statistics(under, correlation)
         points = statistics.parameters.even_points(count)
         clock = np.array([float(times), *np.linspace(*self.time, 5)])
-        samples = statistics.over_points(clock, points, lambda states: states[0], [row])
+        samples = statistics.over_points(clock, points, lambda states: states[0], [state.row])
         sample = samples[:, 0]
         if np.ptp(sample) <= _STILL * np.abs(samples).max():
             raise EvaluationError(
-                f"{quote(name)} does not vary there, and has no density",
+                f"{quote(state.name)} does not vary there, and has no density",
                 term=t,
                 remedy="choose another time, or ask for its mean",
             )
         abscissae, density, bandwidth = density_of(sample, None if at is None else at.ravel())
         if at is not None:
             abscissae, density = at, density.reshape(at.shape)
-        return Density(name, abscissae, density, bandwidth)
+        return Density(state.name, abscissae, density, bandwidth)
 
     def probability(
         self,
@@ -166,7 +166,7 @@ class DistributionOverBox(StatisticsOverBox):
             If neither ``above`` nor ``below`` is given, or one is no number; and as for
             :meth:`mean`.
         """
-        _, row = self._one(unknown)
+        row = self._one(unknown).row
         count = checked_count("count", count, _POINT_SETS, self._numbers_each())
         if above is None and below is None:
             raise OptionError(
@@ -179,7 +179,6 @@ class DistributionOverBox(StatisticsOverBox):
                 f"above={above!r} and below={below!r} are not the ends of an interval",
                 term=(above, below),
             )
-
         statistics = self._statistics(under, correlation)
 
         def share(states: Array) -> Array:
@@ -194,23 +193,16 @@ class DistributionOverBox(StatisticsOverBox):
         error = shares.std(axis=0, ddof=1) / np.sqrt(_POINT_SETS)
         return Probability(shares.mean(axis=0), np.maximum(error, 1.0 / count))
 
-    def _one(self, unknown: object) -> tuple[str, int]:
-        """Name and row of one state."""
+    def _one(self, unknown: object) -> UnknownView:
+        """One state; the only unknown where none is named."""
         if unknown is None and len(self.unknowns) == 1:
-            return self.unknowns[0], self.metadata.unknown_rows[0]
+            return self[self.unknowns[0]]
         if unknown is None:
             raise EvaluationError(
                 f"there are several unknowns, {listing(self.unknowns)}",
                 remedy=f"say which: unknown={self.unknowns[0]!r}",
             )
-        name = name_of(unknown, self.metadata.time)
-        if name not in self.states:
-            raise EvaluationError(
-                f"no unknown {quote(name)}{did_you_mean(name, self.states)}; "
-                f"the solution holds {listing(self.states)}",
-                term=unknown,
-            )
-        return name, self.states.index(name)
+        return self[unknown]
 
 
 def density_of(sample: Array, at: Array | None) -> tuple[Array, Array, float]:

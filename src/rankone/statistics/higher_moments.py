@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rankone.discretization import Basis1D
-from rankone.statistics.distributions import Measure
+from rankone.statistics.joint_distribution import JointDistribution
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
+from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
 __all__ = ["HigherMoments"]
@@ -34,13 +34,13 @@ _LARGEST_COMMON_RANK = 20
 
 
 class HigherMoments:
-    """Moments of the train whose parameters have these cores.
+    """Third and fourth moments of one slab.
 
     Parameters
     ----------
-    cores : sequence of ndarray (r_j, modes, r_{j+1})
-    bases : sequence of Basis1D
-    measures : sequence of Measure
+    slab : SlabTrain
+    parameters : JointDistribution
+        Of independent parameters.
     central : bool
         Whether the means are taken off first.
     tolerance : float
@@ -48,17 +48,13 @@ class HigherMoments:
     """
 
     def __init__(
-        self,
-        cores: Sequence[Array],
-        bases: Sequence[Basis1D],
-        measures: Sequence[Measure],
-        central: bool,
-        tolerance: float,
+        self, slab: SlabTrain, parameters: JointDistribution, central: bool, tolerance: float
     ) -> None:
         self.central, self.tolerance = central, max(tolerance, _LEAST_TOLERANCE)
         self.weights: list[Array] = []
         nodal = []
-        for core, basis, measure in zip(cores, bases, measures, strict=True):
+        triples = zip(slab.cores[1:], slab.bases, parameters.measures, strict=True)
+        for core, basis, measure in triples:
             points, weights = measure.rule(basis, 4)
             self.weights.append(weights)
             nodal.append(np.einsum("rms,pm->rps", core, basis.modal_values(points)))

@@ -168,10 +168,9 @@ def _pair(names: Sequence[str], key: object) -> tuple[int, int]:
             term=key,
             remedy="give correlation={(k, c): 0.6}",
         )
-    pair = [_checked_name(names, parameter) for parameter in key]
-    if pair[0] == pair[1]:
-        raise OptionError(f"{quote(pair[0])} is paired with itself", term=key)
-    i, j = sorted(map(names.index, pair))
+    i, j = sorted(names.index(_checked_name(names, parameter)) for parameter in key)
+    if i == j:
+        raise OptionError(f"{quote(names[i])} is paired with itself", term=key)
     return i, j
 
 

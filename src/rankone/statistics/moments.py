@@ -20,12 +20,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.discretization import Basis1D
-from rankone.statistics.distributions import Measure
-from rankone.statistics.joint_distribution import Copula
+from rankone.statistics.joint_distribution import Copula, JointDistribution
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.errors import warn
+from rankone.tensors.slab import SlabTrain
 
 __all__ = ["ConditionalMoments", "TrainMoments"]
 
@@ -39,24 +38,15 @@ _NUMBERS_AT_ONCE = 8_000_000
 
 
 class TrainMoments:
-    """What statistics need of the cores of all parameters.
+    """What statistics need of the cores of all parameters, for one slab."""
 
-    Parameters
-    ----------
-    cores : sequence of ndarray (r_j, modes, r_{j+1})
-    bases : sequence of Basis1D
-    measures : sequence of Measure
-        One for each parameter.
-    """
-
-    def __init__(
-        self, cores: Sequence[Array], bases: Sequence[Basis1D], measures: Sequence[Measure]
-    ) -> None:
-        self.count, self.cores, self.bases = len(cores), cores, bases
+    def __init__(self, slab: SlabTrain, parameters: JointDistribution) -> None:
+        self.cores, self.bases, self.parameters = slab.cores[1:], slab.bases, parameters
+        self.count = len(self.cores)
         self.means: list[Array] = []
         self.whole: list[Array] = []
         self.fluctuations: list[Array] = []
-        for core, basis, measure in zip(cores, bases, measures, strict=True):
+        for core, basis, measure in zip(self.cores, self.bases, parameters.measures, strict=True):
             mean, root = measure.integrals(basis)
             one = basis.to_modal @ np.sqrt(basis.weights)  # modes of the constant function one
             average = np.tensordot(core, mean, (1, 0))
@@ -150,24 +140,13 @@ class TrainMoments:
 
 
 class ConditionalMoments(TrainMoments):
-    """Mean and covariance where some parameters are correlated.
+    """Mean, covariance and main effects where some parameters are correlated."""
 
-    Parameters
-    ----------
-    cores, bases, measures
-        As for :class:`TrainMoments`.
-    copula : Copula
-    """
-
-    def __init__(
-        self,
-        cores: Sequence[Array],
-        bases: Sequence[Basis1D],
-        measures: Sequence[Measure],
-        copula: Copula,
-    ) -> None:
-        super().__init__(cores, bases, measures)
-        self.measures, self.copula = measures, copula
+    @property
+    def copula(self) -> Copula:
+        """The copula of the correlated parameters."""
+        assert self.parameters.copula is not None
+        return self.parameters.copula
 
     @property
     def mean(self) -> Array:
@@ -192,17 +171,15 @@ class ConditionalMoments(TrainMoments):
                     float(np.linalg.norm(mean - coarser[0]) / np.sqrt(size or 1.0)),
                     float(np.linalg.norm(covariance - coarser[1]) / (size or 1.0)),
                 )
-            settled = coarser is not None and change <= _SETTLED_CHANGE
+                if change <= _SETTLED_CHANGE:
+                    break
             coarser = mean, covariance
-            if settled:
-                break
-        assert coarser is not None
         if change > _WARNED_CHANGE:
             warn(
                 f"the quadrature over correlated parameters has settled to {change:.1e} only, "
                 "relative to the standard deviation"
             )
-        return coarser
+        return mean, covariance
 
     def main_effect(self, j: int, points: Array) -> Array:
         """The vectors m with the mean ``a(t) m`` given one parameter, (r_1, points)."""
@@ -228,7 +205,7 @@ class ConditionalMoments(TrainMoments):
         """The same for one value of a correlated parameter, (r_1,)."""
         place = self.copula.positions.index(j)
         coarser = None
-        for shares, weights in self.copula.given(place, self.measures[j].normal(point)):
+        for shares, weights in self.copula.given(place, self.parameters.measures[j].normal(point)):
             nodes = self._points(shares)
             nodes[place] = point
             fixed = dict(zip(self.copula.positions, nodes, strict=True))
@@ -254,7 +231,7 @@ class ConditionalMoments(TrainMoments):
     def _points(self, shares: Array) -> Array:
         """Values of the correlated parameters at shares of their probabilities, (k, Q)."""
         pairs = zip(self.copula.positions, shares, strict=True)
-        return np.array([self.measures[j].sample(row) for j, row in pairs])
+        return np.array([self.parameters.measures[j].sample(row) for j, row in pairs])
 
     def _over(self, nodes: Array, weights: Array) -> tuple[Array, Array]:
         """Mean and covariance of the product of all matrices by one rule."""

@@ -329,9 +329,7 @@ class StatisticsOverBox(SolutionCore):
     def _times(self, t: Times) -> Array:
         """Checked times; any one of the horizon if nothing depends on time."""
         if t is None and not self.metadata.timeless:
-            raise EvaluationError(
-                "no times were given", term=t, remedy="give t, a number or several"
-            )
+            raise EvaluationError("no times were given", remedy="give t, a number or several")
         if t is not None and self.metadata.timeless:
             raise EvaluationError(
                 f"t={t!r} is given, but the values do not depend on time",

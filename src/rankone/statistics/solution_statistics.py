@@ -103,12 +103,8 @@ class Statistics:
     @cached_property
     def _moments(self) -> list[TrainMoments]:
         """Of each slab; those that share their cores share them."""
-        measures, copula = self.parameters.measures, self.parameters.copula
-        if copula is None:
-            return self._of_slabs(lambda slab: TrainMoments(slab.cores[1:], slab.bases, measures))
-        return self._of_slabs(
-            lambda slab: ConditionalMoments(slab.cores[1:], slab.bases, measures, copula)
-        )
+        moments = TrainMoments if self.parameters.copula is None else ConditionalMoments
+        return self._of_slabs(lambda slab: moments(slab, self.parameters))
 
     def _of_slabs(self, moments_of: Callable[[SlabTrain], _Moments]) -> list[_Moments]:
         """Moments of each slab; those that share their cores share them."""
@@ -130,9 +126,8 @@ class Statistics:
         """Covariances, (states, states, times)."""
 
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
-            return np.asarray(
-                np.einsum("ntr,rs,mts->nmt", rows, moments.covariance[0], rows, optimize=True)
-            )
+            covariance = moments.covariance[0]
+            return np.asarray(np.einsum("ntr,rs,mts->nmt", rows, covariance, rows, optimize=True))
 
         return self._gathered(times, of_slab)
 
@@ -170,9 +165,8 @@ class Statistics:
 
         Where nothing but rounding varies these are NaN.
         """
-        measures = self.parameters.measures
         slab_moments = self._of_slabs(
-            lambda slab: HigherMoments(slab.cores[1:], slab.bases, measures, central, tolerance)
+            lambda slab: HigherMoments(slab, self.parameters, central, tolerance)
         )
 
         def of_slab(rows: Array, moments: HigherMoments) -> Array:
@@ -266,10 +260,8 @@ class Certainty:
         Start of the horizon.
     spread : ndarray (unknowns, times) or (unknowns,)
         Standard deviations over the box.
-    sizes : ndarray (unknowns,)
-        Largest values of the unknowns.
-    errors : ndarray (unknowns,)
-        Measured errors relative to the sizes; not finite where none was measured.
+    sizes, errors : ndarray (unknowns,)
+        Largest values, and measured errors relative to them; NaN where none was measured.
     """
 
     unknowns: tuple[str, ...]
