@@ -167,7 +167,7 @@ def test_a_bad_model_and_a_coarse_solution_are_said():
     fit = drug().fit(DOSE_TIMES, noisy(exact, 1e-6, 1), observe="c", sigma=1e-6)
     assert "the error of the solution" in fit.message
     assert (
-        "the solution is no success itself"
+        "the solution itself is not a success"
         in decay().diff("a").fit(TIMES, closed(TIMES, 1.3, 1.0), sigma=0.01, fixed={"a": 1}).message
     )
 

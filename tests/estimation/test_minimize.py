@@ -101,7 +101,7 @@ def test_a_minimum_that_may_be_local():
     [
         (("v", 1.0), {}, "there is no unknown `v`"),
         ((3, 1.0), {}, "neither an unknown nor a function"),
-        (("u", [1.0, 2.0]), {}, "best at several times"),
+        (("u", [1.0, 2.0]), {}, "is given at several times"),
         (("u",), {}, "no times are given"),
         (("u", 1.0), {"sense": "up"}, "sense='up'"),
         (("u", 1.0), {"effort": "huge"}, "effort='huge' is unknown"),

@@ -114,7 +114,7 @@ def test_main_effects_with_units():
         (lambda s: plotting.plot_sobol(s, "z"), ro.EvaluationError, "no unknown `z`"),
         (lambda s: plotting.plot_sobol(s, ["x", "y"]), ro.OptionError, "are several"),
         (lambda s: plotting.plot_sobol(s, t=7.0), ro.EvaluationError, "outside of its horizon"),
-        (lambda s: plotting.plot_main_effects(s), ro.OptionError, "needs it"),
+        (lambda s: plotting.plot_main_effects(s), ro.OptionError, "needs a time"),
         (lambda s: plotting.plot_main_effects(s, t=[1, 2]), ro.OptionError, "several times"),
         (lambda s: plotting.plot_main_effects(s, t="now"), ro.EvaluationError, "not a real number"),
         (lambda s: plotting.plot_sobol(s.at(1.0), t=1.0), ro.EvaluationError, "leave t out"),

@@ -130,7 +130,7 @@ def test_bands_of_standard_deviations():
         ({"quantiles": (0.1, 0.9), "sigmas": 2}, "both given"),
         ({"sigmas": -1}, "sigmas=-1"),
         ({"under": {"z0": scipy.stats.norm()}}, "no parameter `z0`"),
-        ({"unknowns": []}, "there are none"),
+        ({"unknowns": []}, "none is given"),
         ({"unknowns": ["x", "x"]}, "twice"),
         ({"correlation": {("x0", "z0"): 0.5}}, "no parameter `z0`"),
         ({"t": [[0.0, 1.0]]}, "more than one dimension"),

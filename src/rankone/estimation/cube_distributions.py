@@ -1,11 +1,11 @@
 """Distributions in a unit cube: on cells that are halved, or as points of a Markov chain.
 
 Up to three parameters the density is known on cells, each with a tensor grid of Gauss-Legendre
-nodes. A cell is halved, in the direction in which the density varies most, until its integral is
-that of its halves.
+nodes. A cell is halved, in the direction in which the density varies most, until its halves have
+the same integral.
 
-Beyond, walkers move by differences of others (ter Braak & Vrugt, "Differential evolution Markov
-chain with snooker updater", 2008), by emcee: ``pip install emcee``.
+Beyond three, walkers move by differences of others (ter Braak & Vrugt, "Differential evolution
+Markov chain with snooker updater", 2008), by emcee: ``pip install emcee``.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ _NODES = {1: 10, 2: 7, 3: 5}
 _TOLERANCE = {1: 1e-8, 2: 1e-5, 3: 3e-4}
 """Sum of the errors of the integrals over all cells, in shares of the whole, by dimension."""
 _LEAST_SHARES = 50
-"""A cell may have this share of the tolerance, or that of all cells if they are more."""
+"""Least number of equal shares into which the tolerance is divided among cells."""
 _MOST_POINTS = 2_000_000
-"""Points of the density after which no cell is halved any more: bounds time and memory."""
+"""Evaluations of the density after which no cell is halved, to bound time and memory."""
 _MOST_ROUNDS = 60
 """Most halvings of a cell: below 2**-52 there are no numbers between its ends."""
 _FIRST_CELLS = {1: 16, 2: 8, 3: 4}
 """Cells in each direction to begin with, by dimension."""
 _FIRST_DEVIATIONS = {1: 2.0, 2: 2.0, 3: 4.0}
-"""Widest first cells where the density is thought to be, in its standard deviations."""
+"""Width of the first cells where the density is large, in its standard deviations."""
 _MOST_FIRST_CELLS = 4000
-"""Cells after which the first ones are not cut any more."""
+"""Number of cells above which the first cells are not cut again."""
 _BISECTIONS = 60
-"""Bisections for a quantile: more than the digits of a number."""
+"""Bisections for a quantile: more than a number has binary digits."""
 _CEILING_RATIO = 1.3
 """Ceiling of the density on a cell, over its largest value at the nodes."""
 _WALKERS_EACH = 16
 """Walkers for each parameter."""
 _LEAST_WALKERS = 32
-"""Least number of walkers, whatever the number of parameters."""
+"""Least number of walkers, also for few parameters."""
 _LONG_ENOUGH = 40.0
-"""Steps in autocorrelation times from which a chain is long enough: quantiles to a few percent."""
+"""Least length of a chain, in autocorrelation times, at which its integrals are trusted."""
 _DISCARDED_TIMES = 5.0
 """Autocorrelation times at the start of a chain that are discarded."""
 
@@ -123,7 +123,7 @@ class Cells:
         return probability
 
     def quantile(self, j: int, shares: Array) -> Array:
-        """Values of coordinate j below which there are shares (k,) of the probability."""
+        """Quantiles of coordinate j at shares (k,) of the probability."""
         low, high = np.zeros(shares.shape), np.ones(shares.shape)
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
@@ -132,10 +132,7 @@ class Cells:
         return np.asarray(0.5 * (low + high))
 
     def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array:
-        """Points (count, n), by rejection on cells.
-
-        ``density`` is that of which the cells know the values, in the same unit.
-        """
+        """Random points (count, n), by rejection on cells; ``density`` is normalised."""
         flat = self.densities.reshape(len(self.densities), -1)
         ceiling = _CEILING_RATIO * flat.max(axis=1)
         share = ceiling * np.prod(self.width, axis=1)
@@ -153,8 +150,8 @@ class Cells:
 
     @cached_property
     def _marginals(self) -> list[tuple[Array, Array, Array, Array]]:
-        """For each coordinate lower ends and widths of the cells, the marginal density on each in
-        Legendre polynomials, and its mass."""
+        """For each coordinate: lower ends and widths of the cells, Legendre coefficients of the
+        marginal density on each, and its mass."""
         n = self.lower.shape[1]
         xi, weights = leggauss(_NODES[n])
         degrees = np.arange(xi.size)
@@ -179,9 +176,9 @@ def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, 
     log_density : callable
         Logarithm of the density, up to a summand, at points (N, n) of the unit cube: shape (N,).
     likely : ndarray (k, n)
-        Where the density is large: cells there begin small.
+        Points where the density is large: the first cells are small there.
     spread : ndarray (n,)
-        How far the density extends there in each direction, the others held.
+        Extent of the density there in each direction, with the other coordinates held.
     """
     lower, width = _first(likely, spread)
     logs = _evaluated(log_density, lower, width)
@@ -219,7 +216,7 @@ def _integrals(width: Array, logs: Array, top: float) -> Array:
 
 
 def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
-    """Cells to begin with: small where the density is likely to be large."""
+    """The first cells: small where the density is likely to be large."""
     n = likely.shape[1]
     count = _FIRST_CELLS[n]
     lower = np.array(list(itertools.product(range(count), repeat=n))) / count
@@ -240,7 +237,7 @@ def _first(likely: Array, spread: Array) -> tuple[Array, Array]:
 
 
 def _halved(lower: Array, width: Array, densities: Array) -> tuple[Array, Array]:
-    """Both halves of each cell, first all lower ones, cut where the density varies most."""
+    """All lower halves of the cells, then all upper ones, cut where the density varies most."""
     n = lower.shape[1]
     rough = np.empty(lower.shape)
     for j in range(n):
@@ -292,14 +289,14 @@ def _evaluated(log_density: Density, lower: Array, width: Array) -> Array:
 
 @dataclass(frozen=True)
 class Chain:
-    """Points of a chain after its start.
+    """Points of a chain without its start.
 
     Attributes
     ----------
     nodes : ndarray (k, n)
         In the unit cube.
     autocorrelation : float
-        Steps after which walkers forget; the largest over the parameters.
+        Autocorrelation time in steps; the largest over the parameters.
     length : int
         Number of steps.
     """
@@ -333,7 +330,7 @@ class Chain:
         return np.asarray(3.0 * kernel(z))
 
     def quantile(self, j: int, shares: Array) -> Array:
-        """Values of coordinate j below which there are shares (k,) of the points."""
+        """Quantiles of coordinate j at shares (k,) of the points."""
         return np.asarray(np.quantile(self.nodes[:, j], shares))
 
     def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array:

@@ -52,7 +52,7 @@ def quantity(given: object, names: Sequence[str]) -> Quantity:
     Raises
     ------
     OptionError
-        If it is none of these, or has names that are no parameters.
+        If it is none of these, or contains names of no parameters.
     """
     if isinstance(given, str):
         return _from_text(given, names)
@@ -73,7 +73,7 @@ def quantity(given: object, names: Sequence[str]) -> Quantity:
 def gradient(function: Quantity, point: Mapping[str, float], widths: Mapping[str, float]) -> Array:
     """Derivatives at a point, by central differences of fourth order.
 
-    ``widths`` are those of the intervals of the parameters that are varied.
+    ``widths`` are the lengths of the intervals, of the parameters to vary.
     """
     slopes = []
     for name, width in widths.items():
@@ -100,7 +100,7 @@ def _from_text(text: str, names: Sequence[str]) -> Quantity:
 
 
 def _evaluated(node: ast.expr, at: Mapping[str, float], text: str, dry: bool = False) -> float:
-    """The value of an expression; without arithmetic where only its form is checked."""
+    """The value of an expression; ``dry`` checks its form without arithmetic."""
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name) and node.id in at:

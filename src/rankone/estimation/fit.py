@@ -1,4 +1,4 @@
-"""A fit: best values, intervals, what is identified, and what speaks against it."""
+"""A fit: best values, intervals, what the data identify, and reasons not to trust it."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ __all__ = ["Fit", "checked_level", "quantile_of"]
 _FLAT_SHARE = 1e-3
 """Share of a gradient along flat directions above which a quantity is not identified."""
 _UNLIKELY = 1e-3
-"""Probability of the residuals below which they are too large."""
+"""Probability of residuals this large below which the model is rejected."""
 _MODEL_SHARE = 0.5
-"""How far the error of the solution may move an estimate, in its standard deviations."""
+"""Accepted shift of an estimate by the error of the solution, in its standard deviations."""
 
 Interval = tuple[float, float]
 
@@ -42,12 +42,11 @@ class Fit:
     observations : Observations
         What was measured, in a row.
     level : float
-        Level of intervals where none is asked for.
+        Default level of intervals.
     chi2 : float
-        Sum of squares of the residuals over sigma; with weights, or with sigma unknown, of the
-        weighted residuals.
+        Sum of squared residuals over sigma; of weighted residuals with weights or unknown sigma.
     converged : bool
-        Whether the search ended by itself.
+        Whether the search converged.
     others : tuple of dict of str to float
         Other minima that the data do not exclude at the level.
     size : ndarray (m,)
@@ -95,7 +94,7 @@ class Fit:
 
     @property
     def dof(self) -> int:
-        """Number of data less that of directions of the parameters that are fitted to them."""
+        """Degrees of freedom: number of data less the number of fitted directions."""
         return self.observations.size - self._identification.used
 
     @property
@@ -117,7 +116,7 @@ class Fit:
 
     @property
     def _unit(self) -> float:
-        """Standard deviation of scaled residuals: one, or the estimate."""
+        """Standard deviation of scaled residuals: one, or its estimate."""
         return 1.0 if self.observations.sigma_known else self.sigma
 
     @cached_property
@@ -147,12 +146,12 @@ class Fit:
         Parameters
         ----------
         level : float, optional
-            Probability that an interval has the true value in it, by default that of the fit.
+            Probability that an interval contains the true value; by default the level of the fit.
         method : {"linear", "profile"}
-            By linearisation at the estimate, with quantiles of the normal distribution if sigma
-            was given, else of Student's; these may reach beyond the box. Or the values for which
-            the rest can be fitted almost as well, :meth:`profile`; these end at the box, and NaN
-            says that an end is not known, since it is the box, not the data, that ends it.
+            "linear" linearises at the estimate, with quantiles of the normal distribution if sigma
+            was given, else of Student's; its intervals may reach beyond the box. "profile" takes
+            the values for which the other parameters can be fitted almost as well, see
+            :meth:`profile`; an end is NaN where the box ends the interval, not the data.
 
         Raises
         ------
@@ -171,7 +170,7 @@ class Fit:
     def interval_of(self, given: object, level: float | None = None) -> Interval:
         """An interval for a quantity of the parameters, such as ``"C_D/m"``, by linearisation.
 
-        Also for combinations that are identified while the parameters in them are not.
+        It may be a combination that is identified while its parameters are not.
 
         Parameters
         ----------
@@ -186,7 +185,7 @@ class Fit:
         Raises
         ------
         OptionError
-            If it is no quantity of the parameters.
+            If it is not a quantity of the parameters.
         """
         q = self._quantile(level)
         estimate, deviation = self._quantity(given)
@@ -202,7 +201,7 @@ class Fit:
         Returns
         -------
         Profile
-            In coordinates from 0 to 1 of the bounds; ends carry what stops them.
+            In coordinates from 0 to 1 between the bounds; each end says what stops it.
         """
         index = self._problem.free.index(parameter)
         limit = (self._quantile(level) * self._unit) ** 2
@@ -245,28 +244,28 @@ class Fit:
     def identifiable(self) -> dict[str, bool]:
         """Whether the data identify each parameter.
 
-        They do not where the others can make up for any value of it within the box.
+        They do not if the others can make up for any value of it within the box.
         """
         return {name: i not in self._identification.flat for i, name in enumerate(self.parameters)}
 
     @property
     def combinations(self) -> tuple[str, ...]:
-        """Combinations that are identified, of parameters that are not: ``("C_D/m",)``."""
+        """Identified combinations of parameters that are not identified: ``("C_D/m",)``."""
         return self._identification.combinations
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
-        """What speaks against the fit, a sentence each."""
+        """Reasons not to trust the fit, a sentence each."""
         return tuple(_findings(self))
 
     @property
     def success(self) -> bool:
-        """Whether nothing speaks against the fit; see :attr:`findings`."""
+        """Whether there are no :attr:`findings`."""
         return not self.findings
 
     @property
     def message(self) -> str:
-        """What speaks against the fit, or that nothing does."""
+        """The findings in one text, or that there are none."""
         return "; ".join(self.findings) or "the fit converged, and nothing speaks against it"
 
     @property
@@ -309,9 +308,9 @@ def quantile_of(level: float, sigma_known: bool, dof: int) -> float:
 
 
 def _findings(fit: Fit) -> Iterator[str]:
-    """What speaks against a fit, in sentences."""
+    """Reasons not to trust a fit, in sentences."""
     if not fit.converged:
-        yield "the search did not end; remedy: give a start, or more starts"
+        yield "the search did not converge; remedy: give a start, or more starts"
     names = [name for name, identified in fit.identifiable.items() if not identified]
     subject = f"the data do not identify {listing(names)}"
     if len(names) == 1:
@@ -336,7 +335,7 @@ def _findings(fit: Fit) -> Iterator[str]:
             "the data, or sigma is larger"
         )
     if not fit.solution.success:
-        yield f"the solution is no success itself: {fit.solution.message}"
+        yield f"the solution itself is not a success: {fit.solution.message}"
     yield from _error_of_solution(fit)
 
 

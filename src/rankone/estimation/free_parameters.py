@@ -1,4 +1,4 @@
-"""Which parameters are free, between which bounds, and from where a search starts."""
+"""The free parameters, their bounds, and the start of a search."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class FreeParameters:
     order : tuple of str
         Names of all parameters of the solution.
     start : ndarray (n,) or None
-        Where the search starts, in z.
+        Start of the search, in z.
     """
 
     names: tuple[str, ...]
@@ -73,7 +73,7 @@ class FreeParameters:
         return dict(zip(self.names, map(float, self.values(z)), strict=True))
 
     def index(self, parameter: object) -> int:
-        """Position of a free parameter among the names, or an OptionError if it is none."""
+        """Position of a free parameter among the names; an OptionError if it is not free."""
         name = name_of(parameter)
         if name not in self.names:
             raise OptionError(
@@ -142,7 +142,7 @@ def _start(
     box: Mapping[str, tuple[float, float]],
     start: ParameterValues,
 ) -> Array:
-    """Where to start in the unit cube; in the middle where nothing is said."""
+    """The start in the unit cube; the middle for parameters without one."""
     z = dict.fromkeys(box, 0.5)
     for name, given in _by_name(tuple(solution.parameters), "start", start):
         if name in held:
@@ -159,7 +159,7 @@ def _start(
 
 
 def _by_name(names: tuple[str, ...], option: str, given: object) -> list[tuple[str, Any]]:
-    """What an option gives for parameters, by their names."""
+    """The entries of an option, by names of parameters."""
     if not isinstance(given, Mapping | None):
         raise OptionError(
             f"{option}={given!r} is not a mapping from parameters",

@@ -1,12 +1,12 @@
 """Which parameters, and which combinations of them, the data identify, by profile likelihoods.
 
-A profile tells how the least cost grows as one parameter is held away from its best value (Venzon &
+A profile shows how the least cost grows as one parameter is held away from its best value (Venzon &
 Moolgavkar, "A method for computing profile-likelihood-based confidence intervals", 1988). Flat
 directions of the least squares are found by the singular values of the Jacobian, and checked by
-going along them: a parameter whose profile interval ends only where the box does is not identified
-(Raue et al., "Structural and practical identifiability analysis", 2009). What is left of several is
-named: the row space of the Jacobian with respect to their logarithms holds the powers of a product
-that is identified, such as (1, -1) for C_D/m.
+going along them: a parameter whose profile interval ends only at the box is not identified (Raue et
+al., "Structural and practical identifiability analysis", 2009). Identified combinations of such
+parameters get names: the row space of the Jacobian with respect to their logarithms holds the
+powers of an identified product, such as (1, -1) for C_D/m.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ _USED_RATIO = 1e-7
 _PATH_RISE = 0.25
 """Share of the limit up to which a profile is along the flat direction."""
 _NAMED_VARIATION = 0.1
-"""Variation of a combination along a path above which it is none."""
+"""Variation of a combination along a path above which it is not identified."""
 _CONSTANT_VARIATION = 0.02
-"""Variation of a product along a path below which it is constant, in shares of that of its
-factors."""
+"""Variation of a product along a path, in shares of the variation of its factors, below which it
+counts as constant."""
 
 
 class Stop(Enum):
-    """What ends an interval."""
+    """What stops an interval."""
 
     DATA = "the data"
     BOUND = "the bound of the parameter"
@@ -69,7 +69,7 @@ class Stop(Enum):
 
 @dataclass(frozen=True)
 class End:
-    """One end of an interval: its place in z, and what it is there for."""
+    """One end of an interval: its place in z, and what stops it there."""
 
     z: float
     stop: Stop
@@ -94,9 +94,9 @@ class Profile:
     path : ndarray (k, n)
         Best points for values of the parameter, ascending.
     rise : ndarray (k,)
-        How far their costs are above the least.
+        Their costs above the least cost.
     lower, upper : End
-        Where the rise reaches the limit, or where the box ends.
+        Ends of the interval, where the rise reaches the limit or the box ends.
     """
 
     index: int
@@ -112,7 +112,7 @@ class Profile:
 
     @property
     def bounded_by_box(self) -> bool:
-        """Whether no end is there because of the data."""
+        """Whether the data stop neither end."""
         return Stop.DATA not in (self.lower.stop, self.upper.stop)
 
 
@@ -151,14 +151,14 @@ def profiles(
 
 @dataclass
 class _Branch:
-    """From the best point in one direction: best points (k, n) in order, and rises (k,)."""
+    """A profile from the best point in one direction: points (k, n) in order, and rises (k,)."""
 
     index: int
     path: Array
     rise: Array
 
     def above(self, limit: float) -> int:
-        """The first point above the limit; the number of points if there is none."""
+        """Index of the first point above the limit; the number of points if all are below."""
         higher = np.flatnonzero(self.rise > limit)
         return int(higher[0]) if higher.size else len(self.rise)
 
@@ -175,7 +175,7 @@ class _Branch:
         return bool(near or abs(z[1] - z[0]) <= 1e-12)
 
     def between(self, limit: float, turn: int) -> float:
-        """A value between the points below and above: by the secant of the root, or halfbranch."""
+        """A place between the points below and above: by the secant of the root, or halfway."""
         k = self.above(limit)
         (a, b), (f, g) = self.path[[k - 1, k], self.index], np.sqrt(self.rise[[k - 1, k]])
         share = (np.sqrt(limit) - f) / (g - f) if g > f else 0.5
@@ -197,7 +197,7 @@ class _Branch:
 def _refine(
     problem: LeastSquares, best: Best, limit: float, branches: list[_Branch], close: float
 ) -> None:
-    """Close in on where the rise reaches the limit, on all branches at once."""
+    """Refine where the rise reaches the limit, on all branches at once."""
     for turn in range(_MOST_REFINEMENTS):
         waiting = [branch for branch in branches if not branch.settled(limit, close)]
         if not waiting:
@@ -211,7 +211,7 @@ def _refine(
 
 
 def _places(best: Best, index: int, sign: float) -> Array:
-    """Values to hold a parameter at, from the best one outwards to its bound."""
+    """Places at which a parameter is held, from the best one outwards to its bound."""
     z = best.z[index]
     way = z if sign < 0.0 else 1.0 - z
     steps = np.concatenate([_PATH_SHARES * way, _PATH_DEVIATIONS * best.spread[index]])
@@ -222,7 +222,7 @@ def _places(best: Best, index: int, sign: float) -> Array:
 def _along(
     problem: LeastSquares, best: Best, columns: Array, places: Array, near: Array | None = None
 ) -> tuple[Array, Array]:
-    """Best points (K, n) and costs (K,) with one coordinate of each held at a value."""
+    """Best points (K, n) and costs (K,) with one coordinate of each held at a place."""
     starts = np.tile(best.z, (len(places), 1)) if near is None else near.copy()
     rows = np.arange(len(places))
     starts[rows, columns] = places
@@ -237,20 +237,20 @@ def _along(
 
 @dataclass(frozen=True)
 class Identification:
-    """What the data say of the free parameters.
+    """What the data identify.
 
     Attributes
     ----------
     flat : tuple of int
-        Those that are not identified.
+        Positions of the parameters that are not identified.
     root : ndarray (n, n - q)
-        A root of the covariance in z over the directions that are identified, for unit sigma.
+        A root of the covariance in z over the identified directions, for unit sigma.
     null : ndarray (n, q)
-        Orthonormal directions in z that are not.
+        Orthonormal directions in z that are not identified.
     combinations : tuple of str
         Identified combinations of the flat parameters.
     used : int
-        Number of directions along which the data can be followed within the cube.
+        Number of directions along which the residuals change within the cube.
     """
 
     flat: tuple[int, ...]
@@ -261,7 +261,7 @@ class Identification:
 
     @property
     def spread(self) -> Array:
-        """Standard deviations in z for unit sigma, infinite for what is not identified."""
+        """Standard deviations in z for unit sigma; infinite where not identified."""
         deviations = np.sqrt(np.sum(self.root**2, axis=1))
         deviations[list(self.flat)] = np.inf
         return np.asarray(deviations)
@@ -348,7 +348,7 @@ def _reduced(jacobian: Array, flat: Sequence[int], q: int) -> Array:
 
 
 def _variation(path: Array, rows: Array) -> float:
-    """Largest variation of a combination along a path, as a share of that of its terms."""
+    """Largest variation of a combination along a path, over the variation of its terms."""
     terms = np.sum(np.abs(rows) * np.ptp(path, axis=0), axis=1)
     return float(np.max(np.ptp(path @ rows.T, axis=0) / np.maximum(terms, 1e-300)))
 

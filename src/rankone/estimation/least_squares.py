@@ -1,7 +1,7 @@
 """Least squares of a solution in a unit cube, for many starts at once.
 
-The method of Levenberg and Marquardt, with the step by the singular values of the Jacobian, so that
-directions which the data do not see are left alone (Nocedal & Wright, Numerical Optimization,
+The method of Levenberg and Marquardt, with steps by the singular values of the Jacobian: parameters
+do not move along directions that the data do not see (Nocedal & Wright, Numerical Optimization,
 ch. 10.3; bounds by an active set, Kelley, Iterative Methods for Optimization, ch. 5.4).
 """
 
@@ -26,11 +26,11 @@ _POINTS_AT_ONCE = 1024
 _MOST_ITERATIONS = 80
 """Most iterations of a search: a bound on the work where it does not settle."""
 _SETTLED_SHARE = 1e-13
-"""Share of the sum of squares that a step may still promise at the end: rounding."""
+"""Promised decrease, in shares of the sum of squares, below which a search ends: rounding."""
 _ROUNDING_SHARE = 1e-9
-"""Promised share below which a step that does not keep its promise means the end."""
+"""Promised share below which a search also ends if the step did not decrease the cost."""
 _UNSEEN_CHANGE = 1e-2
-"""Change of the residuals across the cube, in units of their mean, that counts as none."""
+"""Change of the residuals across the cube, in units of their mean, that counts as zero."""
 _FIRST_DAMPING = 1e-3
 """Damping at the start, in squares of the largest singular value: close to a Newton step."""
 _LEAST_DAMPING = 1e-14
@@ -40,10 +40,10 @@ _LARGEST_DAMPING = 1e10
 
 
 class TrainModel:
-    """Data of a solution: states at times that stay, as functions of the parameters.
+    """States of a solution at fixed times, as functions of the parameters.
 
-    The first core of the train is evaluated at the times once. What is left for a point of the
-    box is a product of small matrices, and for a derivative the same with one of them replaced.
+    The first core of the train is evaluated at the times once. Each point of the box then takes a
+    product of small matrices, and each derivative the same product with one matrix replaced.
 
     Parameters
     ----------
@@ -112,8 +112,7 @@ class TrainModel:
 def _with_slopes(slab: SlabTrain, points: Array, free: Sequence[int]) -> Array:
     """Product of the cores of the parameters and its derivatives, (r_1, N * (1 + k)).
 
-    For each point the value, then the derivatives in the order in which they are met, from the
-    last parameter to the first.
+    For each point the value, then the derivatives from the last parameter to the first.
     """
     count = points.shape[1]
     products = np.ones((1, count, 1))
@@ -172,7 +171,7 @@ class LeastSquares:
         return residuals, slopes * scale[:, None] * self.free.width
 
     def minima(self, starts: Array, held: NDArray[np.bool_] | None = None) -> Minima:
-        """Go down from starts (K, n); coordinates that are held (K, n) stay where they are."""
+        """Minima from starts (K, n); held coordinates (K, n) stay at their start."""
         z = np.clip(starts, 0.0, 1.0)
         kept = np.zeros(z.shape, dtype=bool) if held is None else held
         residuals, jacobian = self.linearised(z)
@@ -211,7 +210,7 @@ def _squares(residuals: Array) -> Array:
 def _step(
     z: Array, residuals: Array, jacobian: Array, held: NDArray[np.bool_], damping: Array
 ) -> tuple[Array, Array]:
-    """Damped steps (K, n), and the decrease (K,) that undamped ones promise."""
+    """Damped steps (K, n), and the decrease (K,) that undamped steps promise."""
     slope = np.einsum("kmn,km->kn", jacobian, residuals)
     stays = held | ((z <= 0.0) & (slope > 0.0)) | ((z >= 1.0) & (slope < 0.0))
     moving = np.where(stays[:, None, :], 0.0, jacobian)

@@ -46,7 +46,7 @@ _MOST_CORNERS = 64
 _MOST_STARTS = 256
 """Most searches from basins, whatever the effort."""
 _FIRST_PER_SECOND_SEARCH = 2
-"""Searches from the basins of the sample over those from the last generation."""
+"""Searches from basins of the sample, for each search from the last generation."""
 _GENERATIONS = 30
 """Generations of differential evolution, for normal effort."""
 _POPULATION = 32
@@ -60,7 +60,7 @@ _SEED = 7
 _DISTINCT_DISTANCE = 1e-2
 """Distance in the cube above which points are in different basins."""
 _SAME_OBJECTIVE = 1e-6
-"""Difference of objectives, relative to their range over the box, up to which minima are equal."""
+"""Difference of objectives, in shares of their range over the box, that counts as none."""
 _MISSED_WEIGHT = 1e3
 """Weight of constraints that are missed, beside the scaled objective."""
 _FEASIBLE_MISS = 1e-6
@@ -83,7 +83,7 @@ class Optimum:
     fun : float
         The objective there.
     success : bool
-        Whether a search ended at a minimum that fulfils the constraints.
+        Whether a search converged to a minimum that fulfils the constraints.
     message : str
     values : dict of str to float or ndarray
         The unknowns there, at the times of the objective.
@@ -94,10 +94,10 @@ class Optimum:
     searches : int
         Number of searches.
     agreeing : int
-        How many of them ended at a value as good as this one.
+        How many of them ended at an equally good value.
     is_global : bool
-        Whether this is the best of the box as far as it was looked at: several searches agree, or
-        every basin of the points that were looked at was searched. Otherwise it may be local.
+        Whether this is the best of the box as far as it was sampled: several searches agree, or
+        every basin of the sample was searched. Otherwise it may be local.
     """
 
     x: dict[str, float]
@@ -127,17 +127,17 @@ def minimize(
 ) -> Optimum:
     """The parameters for which an unknown, or a function of the unknowns, is least.
 
-    The objective is looked at all over the box (a Sobol sequence, the centre, corners). From
-    the best points of the basins seen there, and from the best after 30 generations of
-    differential evolution, searches begin: sequential quadratic programming (SciPy) with
+    The objective is sampled all over the box (a Sobol sequence, the centre, corners). Searches
+    start from the best points of the basins of this sample, and from the best points after 30
+    generations of differential evolution. They use sequential quadratic programming (SciPy) with
     derivatives from the separated form. The same call gives the same result.
 
     Parameters
     ----------
     objective : name, symbol or callable
-        An unknown, whose value at the time ``t`` is the objective, or a function
-        ``f(values, parameters)`` of two dictionaries: values of all states at ``t`` by name,
-        numbers or arrays like ``t``, and all parameters. It has to be smooth.
+        An unknown, whose value at the time ``t`` is the objective, or a smooth function
+        ``f(values, parameters)`` of two dictionaries: all states at ``t`` by name, numbers or
+        arrays like ``t``, and all parameters.
     t : float or array_like
         Time of the objective; several for a function. None if nothing depends on time.
     sense : {"min", "max"}
@@ -145,9 +145,9 @@ def minimize(
         As for :meth:`fit`.
     starts : int
         Most searches from basins of the box; half as many follow from the last generation. 0
-        with a ``start`` searches from there alone.
+        with a ``start`` searches from that start alone.
     effort : {"low", "normal", "high"} or float
-        Factor on the number of points, generations and searches: 0.2, 1, 10 or another one.
+        Factor on the numbers of points, generations and searches: 0.2, 1, 10 or any other.
     constraints : mapping, optional
         For unknowns ``(lower, upper)`` at the times ``t``, or ``(lower, upper, times)``; None
         for no limit. Limits are numbers, or one for each time; they hold at these times.
@@ -156,12 +156,12 @@ def minimize(
     -------
     Optimum
         With ``x``, ``fun``, ``success``, ``message`` and ``values``. ``is_global`` says
-        whether it is the best of the box as far as seen, or may be local.
+        whether it is the best of the box as far as it was sampled, or may be local.
 
     Raises
     ------
     OptionError, EvaluationError
-        As for :meth:`fit`, and if the objective is no number or the limits contradict.
+        As for :meth:`fit`, and if the objective is not a number or limits contradict each other.
     """
     solution._evaluator  # noqa: B018 - raises if nothing was solved
     if sense not in ("min", "max"):
@@ -173,7 +173,7 @@ def minimize(
     names = [state_name(solution, objective)] if function is None else list(solution.states)
     if function is None and not one:
         raise OptionError(
-            f"{quote(names[0])} is to be best at several times",
+            f"the objective {quote(names[0])} is given at several times",
             term=t,
             remedy="give one time, or a function of the values as the objective",
         )
@@ -205,7 +205,7 @@ def minimize(
 
 @dataclass(frozen=True)
 class _Minimum:
-    """Where a search ended: scaled objective, and by how much a constraint is missed."""
+    """The end of a search: scaled objective, and by how much a constraint is missed."""
 
     z: Array
     objective: float
@@ -221,7 +221,7 @@ class _Minimum:
 
 @dataclass(frozen=True)
 class _Merit:
-    """The objective, scaled, with what constraints are missed by."""
+    """The scaled objective with a penalty for missed constraints."""
 
     goal: Objective
     limits: Sequence[Constraint]
@@ -235,9 +235,9 @@ class _Merit:
         return np.where(np.isfinite(merits), merits, np.inf)
 
     def search(self, start: Array) -> _Minimum:
-        """Where sequential quadratic programming ends from a start.
+        """The minimum that sequential quadratic programming reaches from a start.
 
-        Where rounding ends it early it goes on with a tolerance that it can meet.
+        If rounding stops it early, it goes on with a tolerance that it can meet.
         """
         inequalities = [{"type": "ineq", "fun": c.margins, "jac": c.slopes} for c in self.limits]
         for tolerance in _TOLERANCES:
@@ -281,7 +281,7 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
         ends = [f"{quote(name)} at its {end} bound" for name, end in free.at_bounds(best.z).items()]
         message = (
             f"{agreeing} of {count(len(minima), 'search', 'searches')} ended at this {extremum}, "
-            + ("the best of the box as far as seen" if is_global else _LOCAL)
+            + ("the best of the box as far as it was sampled" if is_global else _LOCAL)
             + (f", with {' and '.join(ends)}" if ends else "")
         )
     return Optimum(
@@ -310,7 +310,7 @@ def _screened(count: int, d: int) -> Array:
 
 
 def _basins(points: Array, merits: Array) -> NDArray[np.intp]:
-    """Points (N, d) that are no worse than the nearest ones around them: indices, the best first.
+    """Indices of points (N, d) that are no worse than their neighbours, the best first.
 
     They are the minima of the graph that joins each point to its 2 d + 1 nearest neighbours.
     """

@@ -79,7 +79,7 @@ class Constraint:
     scale: float
 
     def margins(self, z: Array) -> Array:
-        """How far inside the limits, (k,): negative where they are missed; scaled."""
+        """Scaled distances to the limits, (k,): negative where they are missed."""
         return self._inside(self.states(z)[0][0])
 
     def slopes(self, z: Array) -> Array:
@@ -88,7 +88,7 @@ class Constraint:
         return np.concatenate([slope[np.isfinite(self.lower)], -slope[np.isfinite(self.upper)]])
 
     def missed(self, z: Array) -> Array:
-        """Sum by which the limits are missed at points (N, n): shape (N,)."""
+        """Sums over the limits of how far they are missed at points (N, n): shape (N,)."""
         rows = self.states.many(z)
         return np.array([-np.minimum(self._inside(row[0]), 0.0).sum() for row in rows])
 
@@ -99,7 +99,7 @@ class Constraint:
 
 
 class Objective:
-    """The objective on the cube, scaled; with the sign that makes it one to minimise."""
+    """The objective on the cube, scaled, with a sign such that it is minimised."""
 
     def __init__(
         self, states: States, function: ObjectiveFunction | None, sign: float, one: bool
@@ -156,7 +156,7 @@ def constraints_of(
     free: FreeParameters,
     points: Array,
 ) -> list[Constraint]:
-    """Checked limits of unknowns, scaled by how much these vary over points (N, n)."""
+    """Checked limits of unknowns, scaled by the range of each unknown over points (N, n)."""
     if not isinstance(given, Mapping | None):
         raise OptionError(
             f"constraints={given!r} is not a mapping from unknowns to limits",

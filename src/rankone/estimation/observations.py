@@ -1,4 +1,4 @@
-"""What was measured: data of some states at times, checked and put in a row."""
+"""Measured data of some states at times, checked and put in a row."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Observations:
     names : tuple of str
         The states observed.
     owner : ndarray of int (m,)
-        Which of them each datum is of.
+        For each datum the position of its state among the names.
     rows : ndarray of int (m,)
-        Its position among the states of the solution.
+        For each datum the position of its state in the solution.
     times, values : ndarray (m,)
     scale : ndarray (m,)
-        What residuals are multiplied with: one over sigma, or the root of the weight.
+        Factors of the residuals: one over sigma, or the root of the weight.
     sigma_known : bool
         Whether sigma was given.
     present : ndarray of bool (all data)
@@ -79,7 +79,7 @@ def observed(
     weights: Measurements | None = None,
     missing: str = "error",
 ) -> Observations:
-    """Check what was measured.
+    """Check the data of a fit.
 
     Parameters and errors are those of :meth:`~rankone.Solution.fit`.
     """
@@ -150,7 +150,7 @@ def checked_times(solution: SolutionCore, times: ArrayLike | None) -> Array:
     EvaluationError
         If a time is outside of the horizon or no number.
     OptionError
-        If there are none, or they are no one-dimensional row.
+        If there are no times, or they have more than one dimension.
     """
     if times is None and not solution.metadata.timeless:
         raise OptionError("no times are given", remedy="give the time of each value")
@@ -178,7 +178,7 @@ def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, 
             raise OptionError(
                 f"data are given for {listing(measured)}, observed are {listing(names)}",
                 term=observe,
-                remedy="leave observe out: the data say it",
+                remedy="leave observe out: the data name the unknowns",
             )
     return names
 
@@ -269,7 +269,7 @@ def _spread(
 
 
 def _present(every: Array, missing: str) -> NDArray[np.bool_]:
-    """Which data are there; an error for those that are no numbers, unless they may miss."""
+    """Which data are present; an error for infinite ones, and for NaN unless they are dropped."""
     if np.isinf(every).any():
         raise OptionError("the data have infinite values", remedy="leave them out")
     present: NDArray[np.bool_] = ~np.isnan(every)

@@ -34,13 +34,13 @@ _MOST_QUADRATURE_PARAMETERS = 3
 _ACCURATE = 1e-3
 """Error of integrals up to which the quadrature counts as exact."""
 _UNNOTICED_CHANGE = 1e-4
-"""Change of the data, in standard deviations of the noise, that does not count."""
+"""Change of the data by smaller ranks, in standard deviations of the noise: below notice."""
 _MODE_STARTS = 24
 """Starts of searches for modes."""
 _MODE_DEPTH = 6.0
-"""How far below the best one modes count, in standard deviations."""
+"""Depth below the best mode at which other modes are left out, in standard deviations."""
 _DRAWN_POINTS = 400
-"""Points by which the cells are told where the density is."""
+"""Random points around the modes that guide the first cells."""
 _END_DISTANCE = 1e-9
 """Distance from the ends of an interval, in widths: a density may be infinite there."""
 
@@ -73,7 +73,7 @@ class LogPosterior:
         return self.problem.free.lower, self.problem.free.width
 
     def __call__(self, z: Array) -> Array:
-        """Values at z (N, n): shape (N,); minus infinity where the prior is zero."""
+        """Logarithms at z (N, n): shape (N,); minus infinity where the prior is zero."""
         residuals = self.problem.residuals(z)
         squares = np.einsum("km,km->k", residuals, residuals)
         logs = -0.5 * squares
@@ -97,11 +97,11 @@ class Posterior:
     Attributes
     ----------
     fit : Fit
-        The fit by least squares that it was started from.
+        The fit by least squares that the posterior starts from.
     method : {"quadrature", "mcmc"}
     log_evidence : float
-        Logarithm of the integral of the likelihood over the prior, up to what depends on the data
-        and sigma alone; NaN for chains.
+        Logarithm of the integral of the likelihood over the prior, up to terms of the data and
+        sigma alone; NaN for chains.
     success : bool
         Whether the integrals are exact to about 1e-3, or the chain is long enough.
     message : str
@@ -167,7 +167,7 @@ class Posterior:
         }
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """For each parameter the interval between equal tails."""
+        """For each parameter the interval that leaves out equal tails."""
         level = checked_number("level", level, 0.0, 1.0, float)
         ends = self._quantiles(np.array([0.5 - 0.5 * level, 0.5 + 0.5 * level]))
         return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
@@ -225,20 +225,20 @@ def posterior(
 ) -> Posterior:
     """The distribution of the parameters after the data are known, for Gaussian noise.
 
-    Up to three free parameters by quadrature on cells that are refined where the density is,
-    beyond by a Markov chain, for which emcee is needed.
+    Up to three free parameters are integrated on cells that are refined where the density is
+    large. More take a Markov chain, which needs emcee.
 
     Parameters
     ----------
     times, data, observe, sigma, fixed, bounds, weights, missing
-        As for :meth:`fit`. If sigma is not given it is integrated over, with the density
+        As for :meth:`fit`. A sigma that is not given is integrated over, with the density
         1/sigma.
     prior : mapping, optional
         For parameters, by names or symbols, frozen continuous distributions of scipy.stats,
-        cut at the bounds. Others have the distribution that the problem gives them, or are
-        uniform. Priors are independent, also where the problem has correlations.
+        cut at the bounds. Other parameters have the distribution of the problem, or a uniform
+        one. Priors are independent, even if the problem has correlations.
     seed, steps : int
-        Of the Markov chain.
+        Seed and number of steps of the Markov chain.
 
     Returns
     -------
@@ -312,7 +312,7 @@ def _without_fixed(fit: Fit) -> LeastSquares:
 
 
 def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
-    """Points where the posterior is large (k, n), and its extents there, others held (n,)."""
+    """Points where the posterior is large (k, n), and its extents there (n,), others held."""
     problem, n = log_density.problem, log_density.dimension
     generator = np.random.default_rng(11)
     unit = max(fit._unit, 1e-12) if math.isfinite(fit._unit) else 1.0

@@ -34,9 +34,9 @@ _MOST_STARTS = 128
 _DISTINCT_DISTANCE = 1e-2
 """Distance in the cube above which minima are different ones."""
 _EQUAL_COST_SHARE = 1e-3
-"""Share of the mean square by which costs may differ where minima count as equally good."""
+"""Difference of costs, in shares of the mean square, that counts as none."""
 _SAME_DISTANCE = 1e-3
-"""Distance in the cube below which minima are the same one."""
+"""Distance in the cube below which minima are the same."""
 
 
 def fit(
@@ -60,50 +60,49 @@ def fit(
     Parameters
     ----------
     times : array_like (times,) or mapping
-        When the data were measured, in the unit of time; the same time may come more than
-        once. A mapping from outputs gives each its own times.
+        Times of the measurements; a time may occur more than once. A mapping from outputs
+        gives each its own times.
     data : array_like (times,) or (outputs, times), or mapping
-        What was measured: of one output, of several, or for each by name.
+        Measurements of one output, of several, or of each by name.
     observe : name, symbol or list of them, optional
-        The unknowns that were measured, or derivatives that are states. By default those
-        named by the data, or all unknowns.
+        The measured unknowns, or derivatives that are states. By default the names of the
+        data, or all unknowns.
     sigma : float or array_like, optional
-        Standard deviation of the noise: a number, one for each output, or one for each datum.
-        If it is not given, one for all data is estimated from the residuals.
+        Standard deviation of the noise: one number, one for each output, or one for each
+        datum. Without it, one for all data is estimated from the residuals.
     weights : array_like, optional
-        Instead of sigma, factors of the squares, in the same shapes: one over the variance up
-        to a factor, which is estimated.
+        Factors of the squares in place of sigma, in the same shapes: one over the variance up
+        to a common factor, which is estimated.
     fixed : mapping, optional
-        Parameters that are known, by names or symbols, and their values.
+        Values of known parameters, by names or symbols.
     start : mapping, optional
-        A value of some parameters to start from; the others start in the middle.
+        Values of some parameters to start from; the others start in the middle.
     bounds : mapping, optional
-        Intervals of some parameters, parts of the box; by default the box.
+        Intervals of some parameters inside the box; by default the box.
     starts : int
-        Number of further starts, the best of points all over the box.
+        Number of further starts, the best of a sample all over the box.
     effort : {"low", "normal", "high"} or float
-        Factor on the number of points and of starts: 0.2, 1, 10 or another one.
+        Factor on the numbers of points and starts: 0.2, 1, 10 or any other.
     level : float
-        Of the intervals.
+        Probability of the intervals.
     missing : {"error", "drop"}
-        Whether data that are NaN are an error, or left out.
+        Whether NaN among the data is an error, or left out.
 
     Returns
     -------
     Fit
         With the estimates ``x``, ``covariance``, ``interval()``, ``residuals``,
-        ``identifiable``, ``success`` and ``message``. It is a success if the search ended
-        inside of the bounds, every parameter is identified, the residuals are not far above
+        ``identifiable``, ``success`` and ``message``. It is a success if the search converged
+        inside the bounds, every parameter is identified, the residuals are not far above
         sigma, and the error of the solution is small beside the noise.
 
     Raises
     ------
     OptionError
-        If shapes do not fit, data are NaN, there are fewer data than free parameters, sigma
-        is not positive, an unknown or a parameter is not known, all parameters are fixed or
-        a start is outside of its bounds.
+        If shapes do not fit, data are NaN, free parameters outnumber the data, sigma is not
+        positive, a name is unknown, all parameters are fixed or a start is outside its bounds.
     EvaluationError
-        If a time is outside of the horizon, or a value outside of the box.
+        If a time is outside the horizon, or a value outside the box.
     """
     solution._evaluator  # noqa: B018 - raises if nothing was solved
     free = free_parameters(solution, fixed, bounds, start)
@@ -189,7 +188,7 @@ def _starts(problem: LeastSquares, starts: int, screened: int) -> tuple[Array, A
 
 
 def _chosen(minima: Minima) -> int:
-    """The best minimum; of those that are as good, the one farthest from the bounds."""
+    """The best minimum; among equally good ones the farthest from the bounds."""
     mean = minima.cost.min() / minima.residuals.shape[1]
     good = np.flatnonzero(minima.cost <= minima.cost.min() + _EQUAL_COST_SHARE * mean)
     inside = np.minimum(minima.z[good], 1.0 - minima.z[good]).min(axis=1)

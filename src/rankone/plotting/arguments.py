@@ -50,14 +50,14 @@ def states_of(solution: Solution, given: object) -> list[str]:
     EvaluationError
         If there is no such state.
     OptionError
-        If there are none, or one of them is there twice.
+        If none is given, or one of them twice.
     """
     if given is None:
         return list(solution.unknowns)
     several = given if isinstance(given, list | tuple) else [given]
     names = [solution[one].name for one in several]
     if not names or len(set(names)) < len(names):
-        problem = "one of them is there twice" if names else "there are none"
+        problem = "one of them occurs twice" if names else "none is given"
         raise OptionError(
             f"the unknowns are {shown(given)}: {problem}",
             term=given,
@@ -67,7 +67,7 @@ def states_of(solution: Solution, given: object) -> list[str]:
 
 
 def unknowns_of(solution: Solution, given: object) -> list[str]:
-    """The same for statistics, which are those of unknowns alone."""
+    """The same for statistics, which know unknowns alone."""
     names = states_of(solution, given)
     for name in names:
         if name not in solution.unknowns:
@@ -109,7 +109,7 @@ def state_of(solution: Solution, given: object, function: str) -> str:
 
 
 def times_of(solution: Solution, t: ArrayLike | None, count: int) -> Array:
-    """Times that were given, (times,), or so many over the horizon.
+    """The given times, (times,), or ``count`` times over the horizon.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def times_of(solution: Solution, t: ArrayLike | None, count: int) -> Array:
 
 
 def fine_times(solution: Solution, end: float, count: int) -> Array:
-    """So many times up to an end, and both sides of where slabs meet: states may jump there."""
+    """Even times up to an end, and both sides of each meeting of slabs: states may jump there."""
     evenly = np.linspace(solution.time[0], end, count)
     meetings = np.array([slab.start for slab in solution.outcome.slabs[1:]])
     meetings = meetings[(meetings > evenly[0]) & (meetings < end)]
@@ -158,12 +158,12 @@ def sometimes_of(solution: Solution, t: ArrayLike | None, count: int) -> Array |
 
 
 def one_time(solution: Solution, t: ArrayLike | None) -> float | None:
-    """The one time that was given; None if nothing depends on time.
+    """The one given time; None if nothing depends on time.
 
     Raises
     ------
     OptionError
-        If there is none, or there are several.
+        If no time is given, or several.
     """
     start, end = solution.time
     remedy = f"give a number in [{start:g}, {end:g}]"
@@ -171,7 +171,7 @@ def one_time(solution: Solution, t: ArrayLike | None) -> float | None:
     if times is None:
         return None
     if t is None:
-        raise OptionError("a plot for one time needs it", remedy=remedy)
+        raise OptionError("this plot needs a time", remedy=remedy)
     if times.size > 1:
         raise OptionError(f"t={shown(t)} are several times", term=t, remedy=remedy)
     return float(times[0])

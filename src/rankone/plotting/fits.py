@@ -1,4 +1,4 @@
-"""Measurements, the curve fitted to them and what is left: `plot_fit`."""
+"""Measurements, the fitted curves and the residuals: `plot_fit`."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
     EvaluationError
         If the values fitted do not depend on time.
     OptionError
-        If ``ax`` are not one or two axes, or ``fit`` is no fit.
+        If ``ax`` are not one or two axes, or ``fit`` is not a fit.
 
     Notes
     -----
@@ -115,7 +115,7 @@ def _output(fit: Fit, solution: Solution, index: int) -> _Output:
 
 
 def _half_widths(fit: Fit, name: str, times: Array) -> Array:
-    """Half the width of the band of a curve, by its exact derivatives; NaN where there is none."""
+    """Half the width of the band of a curve, by its exact derivatives; NaN where it is unknown."""
     solution = cast("Solution", fit.solution)
     slopes = {p: solution.diff(p)[name](times, fit.values) for p in fit.parameters}
 
@@ -189,7 +189,7 @@ def _legend(ax: Axes, colour: str, band: str | None) -> None:
 
 
 def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:
-    """What is left of each measurement."""
+    """Residuals of each output."""
     for output, colour in zip(outputs, style.colours_for(ax, len(outputs)), strict=True):
         ax.plot(output.times, output.residuals, "o", color=colour, markersize=4, label=output.name)
     scaled = outputs[0].sigma is not None

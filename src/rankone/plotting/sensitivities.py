@@ -45,7 +45,7 @@ def plot_sobol(
 ) -> Axes:
     """Plot the Sobol indices of one unknown: lines over time, or bars at one time.
 
-    Where the standard deviation is not above the measured error of the solution, there are none.
+    There are none where the standard deviation is below the measured error of the solution.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def plot_sobol(
         One time for bars, or times; about 201 over the horizon if left out. Where nothing depends
         on time there are bars.
     kind : {"total", "first", "both"}
-        Total indices, or first-order ones: over time their shares of the variance are stacked, and
-        what is left to one is that of interactions. Or both as lines.
+        Total indices; first-order ones, stacked over time with the share of interactions on top; or
+        both as lines.
     under : mapping, optional
         Distributions of parameters, as for :meth:`rankone.Solution.mean`.
     correlation : mapping, optional
@@ -184,7 +184,7 @@ def plot_main_effects(
 def _needs_parameters(solution: Solution) -> None:
     if not solution.parameters:
         raise EvaluationError(
-            "the solution has no parameters: there is nothing that varies",
+            "the solution has no parameters: nothing varies",
             remedy="plot_trajectories plots its unknowns over time",
         )
 

@@ -63,7 +63,7 @@ _LINE_HEIGHT = 1.25
 
 
 def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_], bool]:
-    """The axes of so many panels (count,), and whether they are those of a new figure.
+    """Axes of some panels (count,), and whether they are in a new figure.
 
     A new figure has a title, and at most three panels in a row (four as two by two).
 
@@ -72,7 +72,7 @@ def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_
     RankoneError
         If Matplotlib is not installed.
     OptionError
-        If another number was given, or what is given are no axes.
+        If another number was given, or something else than axes.
     """
     axes = np.empty(count, dtype=object)
     if ax is not None:
@@ -120,7 +120,7 @@ def axes_for(ax: object) -> Axes:
     RankoneError
         If Matplotlib is not installed.
     OptionError
-        If what was given are no axes.
+        If something else than axes was given.
     """
     pyplot = _pyplot()
     if ax is None:
@@ -166,7 +166,7 @@ def _pyplot() -> ModuleType:
 
 
 def colours_for(ax: Axes, count: int) -> list[str]:
-    """Colours of new lines, which go on where those that are there stop; of a scale for many."""
+    """Colours of new lines: the next ones of the palette, or of a scale for many lines."""
     if count > len(PALETTE):
         return shades(np.linspace(0.0, 1.0, count))
     first = len(ax.get_lines())

@@ -33,7 +33,7 @@ _BAND_TIMES = 201
 _BAND_PROBABILITIES = (0.025, 0.975)
 """Probabilities at the ends of a band: 95 %."""
 _BAND_POINTS = 2**14
-"""Points over the box of which the quantiles are."""
+"""Points over the box for quantiles."""
 _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 """Strokes of the unknowns of a family of curves."""
 
@@ -215,7 +215,7 @@ def plot_bands(
     quantiles : (float, float), optional
         Probabilities at the lower and the upper end of the band; 0.025 and 0.975 if left out.
     sigmas : float, optional
-        Instead of quantiles: the band is the mean and so many standard deviations to either side.
+        Half width of the band in standard deviations, in place of quantiles.
     under, correlation : mapping, optional
         Distributions of parameters and correlations of pairs of them, as for
         :meth:`rankone.Solution.mean`.

@@ -23,7 +23,7 @@ __all__ = ["Density", "DistributionOverBox", "Probability", "density_of"]
 _BINS = 4096
 """Bins of the histogram that is smoothed; far narrower than any kernel."""
 _POINT_SETS = 8
-"""Sets of points of which the spread is the error of a probability."""
+"""Sets of points whose spread is the error of a probability."""
 _STILL = 1e-12
 """Range of values, relative to their size, below which there is no density: rounding."""
 
@@ -80,18 +80,18 @@ class DistributionOverBox(StatisticsOverBox):
         """Probability density of one unknown at one time.
 
         A kernel estimate from evenly spread points, whose kernel does not leak out of the range of
-        the values. Smooth densities, which may jump at the ends of the range, are met to 1 or 2 %
-        of their peak with the default ``count``; kinks and jumps inside and poles are smeared out
-        over ``.bandwidth``.
+        the values. With the default ``count`` it is good to 1 or 2 % of the peak for smooth
+        densities, also if they jump at the ends of the range; it smears poles, and kinks and jumps
+        inside, over ``.bandwidth``.
 
         Parameters
         ----------
         t : float, optional
             One time; none if nothing depends on time.
         unknown : str or Symbol, optional
-            Which one, or a derivative that is a state; not needed if there is only one unknown.
+            An unknown, or a derivative that is a state; by default the only unknown.
         values : array_like, optional
-            Where the density is wanted; otherwise 512 values over the range.
+            Values of the unknown at which the density is evaluated; by default 512 over its range.
         under, correlation
             As for :meth:`mean`.
         count : int
@@ -102,7 +102,7 @@ class DistributionOverBox(StatisticsOverBox):
         EvaluationError
             If there is no such unknown, or it does not vary; and as for :meth:`mean`.
         OptionError
-            If values are no real numbers, or times are several; and as for :meth:`mean`.
+            If values are not real numbers, or ``t`` is several times; and as for :meth:`mean`.
         """
         state = self._one(unknown)
         count = checked_count("count", count, 16, self._numbers_each())
@@ -139,15 +139,15 @@ class DistributionOverBox(StatisticsOverBox):
     ) -> Probability:
         """Probability that an unknown is above, below or between values at times.
 
-        The share of evenly spread points. Its error is part of the answer; with the default
-        ``count`` it is about 1e-3 or less. Probabilities that small need more points.
+        It is a share of evenly spread points, and comes with its error: about 1e-3 or less with the
+        default ``count``. Smaller probabilities need more points.
 
         Parameters
         ----------
         t, under, correlation
             As for :meth:`mean`.
         unknown : str or Symbol, optional
-            Which one, or a derivative that is a state; not needed if there is only one unknown.
+            An unknown, or a derivative that is a state; by default the only unknown.
         above, below : float
             One of them, or both for an interval.
         count : int
@@ -163,14 +163,14 @@ class DistributionOverBox(StatisticsOverBox):
         EvaluationError
             If there is no such unknown; and as for :meth:`mean`.
         OptionError
-            If neither ``above`` nor ``below`` is given, or one is no number; and as for
+            If neither ``above`` nor ``below`` is given, or one is not a number; and as for
             :meth:`mean`.
         """
         row = self._one(unknown).row
         count = checked_count("count", count, _POINT_SETS, self._numbers_each())
         if above is None and below is None:
             raise OptionError(
-                "a probability of what?", remedy="give above=value, below=value, or both"
+                "a probability needs a limit", remedy="give above=value, below=value, or both"
             )
         lower = -np.inf if above is None else _reals("above", above)
         upper = np.inf if below is None else _reals("below", below)
@@ -228,7 +228,7 @@ def density_of(sample: Array, at: Array | None) -> tuple[Array, Array, float]:
 
 
 def _fitted(shares: Array, bandwidth: float) -> Array:
-    """Values at bins of lines fitted to shares with a normal kernel, as wide as so many bins."""
+    """Lines fitted to the shares of bins with a normal kernel of a bandwidth in bins."""
     reach = min(int(8.0 * bandwidth) + 1, _BINS - 1)
     u = np.arange(-reach, reach + 1) / bandwidth
     kernel = np.exp(-0.5 * u**2)
@@ -244,8 +244,8 @@ def _fitted(shares: Array, bandwidth: float) -> Array:
 
 
 def _best_time(spectrum: Array, sample: Array) -> float:
-    """The squared bandwidth, relative to that of the range, at which the error is estimated least:
-    the fixed point of section 5 of the paper, or Silverman's rule where there is none."""
+    """The squared bandwidth, in squares of the range, with the least estimated error: the fixed
+    point of section 5 of the paper, or Silverman's rule where it has none."""
     squares = np.arange(1.0, _BINS) ** 2
     sizes = (0.5 * spectrum[1:]) ** 2
     size = sample.size
@@ -284,4 +284,4 @@ def _reals(name: str, given: ArrayLike) -> Array:
             raise TypeError
         return array.astype(float)
     except (TypeError, ValueError):
-        raise OptionError(f"{name}={shown(given)} are no real numbers", term=given) from None
+        raise OptionError(f"{name}={shown(given)} are not real numbers", term=given) from None

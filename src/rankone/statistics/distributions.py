@@ -113,7 +113,7 @@ def as_text(distribution: object) -> str:
     Raises
     ------
     OptionError
-        If it is none with a name there.
+        If scipy.stats has no distribution of its name.
     """
     family = getattr(distribution, "dist", None)
     name = getattr(family, "name", None)
@@ -138,7 +138,7 @@ def from_text(text: str) -> Distribution:
     Raises
     ------
     OptionError
-        If it is no name of one with numbers.
+        If it is not the name of a distribution with numbers.
     """
     try:
         name, arguments, keywords = _parsed(text)
@@ -171,7 +171,7 @@ def from_text(text: str) -> Distribution:
 
 
 def _shown(distribution: Any) -> str:
-    """Name and numbers, as far as they are known."""
+    """Name and numbers of a distribution of scipy.stats; the repr of any other."""
     name = getattr(getattr(distribution, "dist", None), "name", None)
     if name is None:
         return repr(distribution)
@@ -214,7 +214,7 @@ class Measure:
     distribution : frozen continuous distribution of scipy.stats, optional
         Cut at the ends of the interval; uniform if none is given.
     from_problem : bool
-        Whether it came with the problem, which said where it is cut.
+        Whether it comes from the problem: its author chose where to cut it.
     """
 
     name: str
@@ -266,13 +266,13 @@ class Measure:
 
     @cached_property
     def _ends(self) -> tuple[float, float]:
-        """Probabilities at both ends, of what is below, or above in the upper tail."""
+        """Probabilities below both ends, or above them in the upper tail."""
         lower, upper = self._cumulative([self.lower, self.upper])
         return float(lower), float(upper)
 
     @cached_property
     def _in_upper_tail(self) -> bool:
-        """Whether most of the distribution is below the interval: differences to one are lost."""
+        """Whether most of the distribution is below the interval: cdf would be one to rounding."""
         return self.distribution is not None and bool(self.distribution.cdf(self.lower) > 0.5)
 
     def _cumulative(self, points: ArrayLike) -> Array:
@@ -282,9 +282,9 @@ class Measure:
         return tail(points)
 
     def integrals(self, basis: Basis1D) -> tuple[Array, Array]:
-        """Means of the modes of a basis, (size,), and a root R of those of their products.
+        """Means of the modes of a basis, (size,), and a root R (size, k) of means of products.
 
-        R (size, k) has the means of products as R R^T; by QR, so that nothing is squared.
+        R R^T has the means of products of two modes. R is found by QR: nothing is squared.
         """
         points, weights = self._quadrature(basis)
         modes = basis.modal_values(points)
@@ -301,7 +301,7 @@ class Measure:
         return np.asarray(np.clip(points, self.lower, self.upper))
 
     def normal(self, point: float) -> float:
-        """The standard normal number below which there is as much probability as below a point."""
+        """The standard normal quantile at the share of the probability below a point."""
         if self.distribution is None:
             share = (point - self.lower) / (self.upper - self.lower)
         else:
@@ -310,9 +310,9 @@ class Measure:
         return float(ndtri(min(max(share, 1e-15), 1.0 - 1e-15)))
 
     def rule(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
-        """Few points and weights of sum one that integrate products of so many modes.
+        """The Gauss rule of each element: it integrates products of ``factors`` modes.
 
-        On each element the Gauss rule of the distribution.
+        The weights have the sum one.
         """
         points, weights = self._quadrature(basis, factors)
         count = factors * (basis.degree - 1) // 2 + 1
@@ -338,7 +338,7 @@ class Measure:
         return points, weights / weights.sum()
 
     def _by_probability(self, basis: Basis1D) -> tuple[Array, Array]:
-        """The same over the probability, for densities that are not finite, jump or have gaps.
+        """The same over the probability, for densities that are infinite, jump or have gaps.
 
         Panels are halved until the means of the modes do not change.
         """

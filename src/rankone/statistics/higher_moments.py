@@ -44,7 +44,7 @@ class HigherMoments:
     central : bool
         Whether the means are taken off first.
     tolerance : float
-        Of the truncation, relative to the root mean square of y; more where ranks are high.
+        Of the truncation, relative to the root mean square of y; larger where ranks are high.
     """
 
     def __init__(
@@ -101,8 +101,8 @@ class HigherMoments:
         return np.asarray(rows @ self.root)
 
     def _normed(self, rows: Array) -> Array:
-        """Third and fourth moments for rows of norm one, (2, T): as many at once as their common
-        ranks allow."""
+        """Third and fourth moments for rows of norm one, (2, T), computed together while their
+        common ranks allow it."""
         check_time()
         if not self.cores:
             return np.stack([rows[:, 0] ** 3, rows[:, 0] ** 4])

@@ -41,7 +41,7 @@ Correlations = Mapping[Any, float] | None
 _LARGEST_NORMAL = 6.5
 """Largest normal number of the quadrature; the probability beyond is 1e-10."""
 _MOST_GRID_DIMENSIONS = 3
-"""Correlated parameters up to which there is a grid; beyond, points are spread evenly."""
+"""Most correlated parameters for a grid; more take evenly spread points."""
 _GRID_STEPS = (1.0, 0.75, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625)
 """Steps of grids in normal numbers, finer and finer."""
 _MOST_GRID_POINTS = 2**17
@@ -69,17 +69,17 @@ class Copula:
 
     @cached_property
     def root(self) -> Array:
-        """The upper triangle U with U U^T the matrix: the last parameter has a number alone."""
+        """The upper triangle U with U U^T = matrix: the last parameter depends on one number."""
         return np.linalg.cholesky(np.array(self.matrix)[::-1, ::-1])[::-1, ::-1]
 
     def joined(self, shares: Array) -> Array:
-        """Independent shares in [0, 1] of all parameters (d, M), with those here correlated."""
+        """Shares (d, M) of all parameters: independent ones turned into correlated ones."""
         joined, rows = shares.copy(), list(self.positions)
         joined[rows] = ndtr(self.root @ ndtri(np.clip(shares[rows], 1e-300, 1.0 - 2.0**-53)))
         return joined
 
     def rules(self) -> list[tuple[Array, Array]]:
-        """Quadratures over the parameters here, finer and finer: shares (k, Q), weights (Q,).
+        """Quadratures over the correlated parameters, finer and finer: shares (k, Q), weights (Q,).
 
         The trapezoidal rule in independent normal numbers, which converges exponentially for smooth
         functions (Trefethen, "Exactness of quadrature formulas", SIAM Review 64, 2022); one rule of
@@ -88,7 +88,7 @@ class Copula:
         return [(ndtr(self.root @ z), weights) for z, weights in _normal(len(self.positions))]
 
     def given(self, index: int, normal: float) -> list[tuple[Array, Array]]:
-        """The same given the normal number of one parameter, the one at ``index`` here."""
+        """The same, conditional on the normal number of the parameter at ``index``."""
         matrix = np.array(self.matrix)
         free = [i for i in range(len(matrix)) if i != index]
         slope = matrix[free, index]
@@ -124,8 +124,8 @@ def copula_of(names: Sequence[str], correlation: Correlations) -> Copula | None:
     Raises
     ------
     OptionError
-        If a key is no pair of two parameters, a pair is there twice, a number is not inside of
-        (-1, 1), or the matrix is not positive definite.
+        If a key is not a pair of parameters, a pair occurs twice, a number is not inside (-1, 1),
+        or the matrix is not positive definite.
     """
     if not isinstance(correlation, Mapping | None):
         raise OptionError(
@@ -154,7 +154,7 @@ def copula_of(names: Sequence[str], correlation: Correlations) -> Copula | None:
             f"the correlations of {listing(names[i] for i in positions)} contradict each other: "
             "their matrix is not positive definite",
             term=correlation,
-            remedy="pairs that are not given have the correlation 0; give all of them, or smaller "
+            remedy="pairs that are left out have the correlation 0; give all pairs, or smaller "
             "numbers",
         )
     return Copula(tuple(positions), tuple(map(tuple, matrix.tolist())))
@@ -175,7 +175,7 @@ def _pair(names: Sequence[str], key: object) -> tuple[int, int]:
 
 
 def _checked_name(names: Sequence[str], key: object) -> str:
-    """The name of a parameter, or an OptionError if there is none of that name."""
+    """The name of a parameter; an OptionError if there is no such parameter."""
     name = name_of(key)
     if name not in names:
         raise OptionError(
@@ -248,7 +248,7 @@ class JointDistribution:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Equal for equal correlations and the same objects as distributions."""
+        """Equal for equal correlations of the same distribution objects."""
         return self.copula, tuple(id(measure.distribution) for measure in self.measures)
 
     def points(self, shares: Array) -> Array:

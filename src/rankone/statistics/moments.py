@@ -8,8 +8,8 @@ squares of fluctuations ``c_j - E c_j``, so that nothing cancels (ANOVA decompos
 Ballester-Ripoll, Paredes & Pajarola, "Sobol tensor trains for global sensitivity analysis", 2019).
 
 Given the parameters that are correlated, the others are independent: means are products again.
-Over the correlated ones there is a quadrature, finer and finer until nothing changes. The variance
-is the variance of the mean given them plus the mean of the variance given them.
+The correlated ones take a quadrature, refined until mean and covariance settle. The variance is the
+variance of the mean given them plus the mean of the variance given them.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class TrainMoments:
 
     @cached_property
     def total(self) -> Array:
-        """For each parameter that of the mean of the variance over it, the others given."""
+        """For each parameter the matrix of the mean, over the others, of the variance over it."""
         matrices = []
         for j in range(self.count):
             matrix = _sandwich(self.fluctuations[j], self._squares[j + 1])
@@ -104,7 +104,7 @@ class TrainMoments:
 
     @cached_property
     def second(self) -> Array:
-        """For pairs i < j that of their interaction beyond their first orders, by i, then by j."""
+        """For pairs i < j the matrix of the variance of their interaction, by i, then by j."""
         matrices = []
         for i, fluctuation in enumerate(self.fluctuations[:-1]):
             between, before = np.eye(fluctuation.shape[2]), self._before(i)

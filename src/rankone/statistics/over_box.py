@@ -49,15 +49,15 @@ class StatisticsOverBox(SolutionCore):
             Times; none if nothing depends on time.
         under : mapping, optional
             For parameters, by symbols or names, frozen continuous distributions of scipy.stats, cut
-            at the ends of the box. Others have the distribution that the problem gives them, or
-            are uniform.
+            at the ends of the box. Other parameters have the distribution of the problem, or a
+            uniform one.
         correlation : mapping, optional
             For pairs of parameters, the correlation of the normal numbers of their Gaussian copula:
             ``{(k, c): 0.6}``. It is the correlation of normal parameters, and 2 sin(pi s/6) for a
-            rank correlation s of Spearman. Other pairs are independent. Over up to three
-            correlated parameters there is a quadrature, refined until mean and covariance change
-            by less than 1e-6, relative to the spread; over more there are evenly spread points,
-            good to about 1e-3 of the standard deviation.
+            rank correlation s of Spearman. Other pairs are independent. Up to three correlated
+            parameters are integrated by a quadrature, refined until mean and covariance change by
+            less than 1e-6, relative to the spread; more by evenly spread points, good to about
+            1e-3 of the standard deviation.
 
         Returns
         -------
@@ -66,10 +66,10 @@ class StatisticsOverBox(SolutionCore):
         Raises
         ------
         EvaluationError
-            If a time is outside of the horizon, or there are none.
+            If a time is outside the horizon, or no times are given.
         OptionError
-            If there is no such parameter, or a distribution has no probability in its interval, or
-            correlations are not inside of (-1, 1) or contradict each other.
+            If a parameter is unknown, a distribution has no probability in its interval, or
+            correlations are not inside (-1, 1) or contradict each other.
         """
         return self._at(t, self._statistics(under, correlation).mean)
 
@@ -104,8 +104,8 @@ class StatisticsOverBox(SolutionCore):
 
         Nothing is sampled. The third and fourth are inner products of squares of the tensor train,
         truncated first to a tenth of the solution's ``rtol``, relative to the standard deviation.
-        Their cost grows with the sixth power of the ranks left; where these are above 32 for a
-        single unknown and time, more is truncated, and from 1e-5 on a warning says so.
+        Their cost grows with the sixth power of the remaining ranks. Ranks above 32 for a single
+        unknown and time are truncated further, with a warning above 1e-5.
 
         Parameters
         ----------
@@ -145,8 +145,8 @@ class StatisticsOverBox(SolutionCore):
     ) -> Array:
         """Third central moments over the cubes of the standard deviations.
 
-        Arguments, shape and errors as for :meth:`moment`. NaN where nothing varies; where the
-        standard deviation is below the error of the solution, they are those of the error.
+        Arguments, shape and errors as for :meth:`moment`. NaN where nothing varies; meaningless
+        where the standard deviation is below the error of the solution.
         """
         return np.asarray(self._higher(t, self._statistics(under, correlation), True)[1])
 
@@ -155,8 +155,8 @@ class StatisticsOverBox(SolutionCore):
     ) -> Array:
         """Fourth central moments over the squared variances, minus 3 (0 for a normal distribution).
 
-        Arguments, shape and errors as for :meth:`moment`. NaN where nothing varies; where the
-        standard deviation is below the error of the solution, they are those of the error.
+        Arguments, shape and errors as for :meth:`moment`. NaN where nothing varies; meaningless
+        where the standard deviation is below the error of the solution.
         """
         return np.asarray(self._higher(t, self._statistics(under, correlation), True)[2] - 3.0)
 
@@ -165,12 +165,12 @@ class StatisticsOverBox(SolutionCore):
     ) -> Sobol:
         """Variance-based sensitivities at times: first-order, total and second-order Sobol indices.
 
-        Arguments as for :meth:`mean`; times are one-dimensional. Where an unknown does not vary by
-        more than its measured error the indices are NaN; a warning says so, but for the start of
-        the horizon, where initial values are usually numbers. It also names indices that the error
-        may change visibly, because the spread is less than five times as large. Correlations are
-        refused: the shares of correlated parameters overlap, and depend on the order in which they
-        are counted.
+        Arguments as for :meth:`mean`; times are one-dimensional. The indices are NaN where an
+        unknown varies by less than its measured error. A warning says so, except at the start of
+        the horizon, where initial values are usually numbers. The warning also names indices that
+        the error may change visibly: there the spread is less than five times the error.
+        Correlations are refused: the shares of correlated parameters overlap, and depend on the
+        order in which they are counted.
         """
         indices, certainty = self._indices(t, self._statistics(under, correlation))
         if message := certainty.message:
@@ -187,8 +187,8 @@ class StatisticsOverBox(SolutionCore):
     ) -> MainEffects:
         """Means of the unknowns as functions of each parameter, over all others.
 
-        Exact for the tensor train. Of correlated parameters the others follow the one that is
-        given: what is seen is what is observed, not what a change of this one alone would do.
+        Exact for the tensor train. Correlated parameters follow the given one: the mean is what is
+        observed, not the effect of changing this parameter alone.
 
         Parameters
         ----------
@@ -230,8 +230,8 @@ class StatisticsOverBox(SolutionCore):
     ) -> Array:
         """Quantiles of the unknowns over the box at times.
 
-        Of evenly spread values of the parameters (an additive recurrence), the same in every call:
-        the probabilities are met to about 1e-3 with the default ``count`` of them.
+        Computed from evenly spread values of the parameters (an additive recurrence), the same in
+        every call. With the default ``count`` the probabilities are good to about 1e-3.
 
         Parameters
         ----------
@@ -277,8 +277,8 @@ class StatisticsOverBox(SolutionCore):
     def _higher(self, t: Times, statistics: Statistics, central: bool) -> Array:
         """Root mean squares, and third and fourth moments relative to them."""
         statistics.parameters.require_independent(
-            "third and fourth moments are not there for correlated parameters",
-            remedy="take those of samples: solution(t=t, **solution.sample(10**5, "
+            "third and fourth moments need independent parameters",
+            remedy="take moments of samples: solution(t=t, **solution.sample(10**5, "
             "correlation=...))",
         )
         tolerance = _TRUNCATION_SHARE * self.rtol
@@ -287,8 +287,8 @@ class StatisticsOverBox(SolutionCore):
     def _indices(self, t: Times, statistics: Statistics) -> tuple[Sobol, Certainty]:
         """Sobol indices, and how far they can be trusted."""
         statistics.parameters.require_independent(
-            "Sobol indices are not defined for correlated parameters: what two of them explain "
-            "together cannot be told apart without an order",
+            "Sobol indices are not defined for correlated parameters: their shares of the variance "
+            "overlap",
             remedy="leave out the correlation (correlation={} if the problem has it); compare "
             "the standard deviations with one parameter fixed at a time; main_effects takes "
             "correlations",
@@ -323,7 +323,7 @@ class StatisticsOverBox(SolutionCore):
         return MainEffects(tuple(ranges), self.unknowns, times, ranges, means)
 
     def _numbers_each(self) -> int:
-        """How many numbers each of evenly spread points takes."""
+        """Numbers in memory for each evenly spread point."""
         return 3 * (len(self.metadata.parameters) + len(self.unknowns))
 
     def _times(self, t: Times) -> Array:
@@ -346,7 +346,7 @@ class StatisticsOverBox(SolutionCore):
     def _joint_distribution(
         self, under: Distributions, correlation: Correlations
     ) -> JointDistribution:
-        """Distributions and correlations as given, or else those of the problem."""
+        """The distributions and correlations given, completed by the problem."""
         names, box = self.metadata.parameters, self.metadata.box
         if correlation is None:
             correlation = {(a, b): number for a, b, number in self.metadata.correlations}

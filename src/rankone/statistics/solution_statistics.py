@@ -1,4 +1,4 @@
-"""Statistics of all states at given times, and whether shares of the variance are certain."""
+"""Statistics of states at given times, and how certain shares of the variance are."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Sobol:
     first : ndarray (unknowns, parameters, times)
         Share of the variance that one parameter explains alone.
     total : ndarray (unknowns, parameters, times)
-        Share that is left if all others are known.
+        Share that remains if all other parameters are known.
     second : ndarray (unknowns, parameters, parameters, times)
         Share of the interaction of two parameters, beyond what they explain alone; symmetric, with
         zeros for a parameter and itself.
@@ -89,7 +89,7 @@ class Statistics:
     ----------
     slabs : sequence of SlabTrain
     rows : sequence of int
-        The states that are wanted.
+        The states to compute statistics of.
     parameters : JointDistribution
         Means, covariances and points know correlations; other statistics need independence.
     """
@@ -197,7 +197,7 @@ class Statistics:
     ) -> Array:
         """A function of values (states, points) of arrays of numbers, (..., times).
 
-        ``rows`` are other states than those of the statistics.
+        ``rows`` selects other states than the statistics have.
         """
         rows = self.rows if rows is None else list(rows)
         owner = np.searchsorted(self._starts, times, side="right")
@@ -273,7 +273,7 @@ class Certainty:
 
     @property
     def error(self) -> Array:
-        """Absolute errors, (unknowns,): at least those of rounding."""
+        """Absolute errors, (unknowns,): at least rounding."""
         relative = np.where(np.isfinite(self.errors), self.errors, 0.0)
         return np.asarray(self.sizes * np.maximum(relative, _ROUNDING_ERROR))
 
@@ -294,8 +294,8 @@ class Certainty:
     def _sentences(self) -> Iterator[str]:
         """For each unknown what is wrong with its shares.
 
-        The start of the horizon is left out, where most initial values are numbers, and so is an
-        unknown that does not vary at all.
+        The start of the horizon, where most initial values are numbers, does not count, nor does
+        an unknown that does not vary at all.
         """
         later = self.times > self.start if self.times.size else np.ones(1, dtype=bool)
         for name, spread, size, error in zip(
