@@ -20,8 +20,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rankone.codegen import generate_source, load_module
-    from rankone.codegen.lowering import quadratic_system
+    from rankone.codegen import generate_source, load_module, quadratic_system
     from rankone.estimation.fit import Fit
     from rankone.estimation.minimize import Optimum
     from rankone.estimation.posterior import Posterior

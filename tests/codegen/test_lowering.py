@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rankone as ro
-from rankone.codegen.grouping import vertex_cover
-from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.pairs import extract_pairs
-from rankone.codegen.right_hand_side import right_hand_side
+from rankone.codegen import quadratic_system
+from rankone.codegen.lowering import right_hand_side, vertex_cover
+from rankone.codegen.sums import extract_pairs
 from rankone.ir.forms import Role, SeparatedForm, Term
 from rankone.support.errors import SeparationError
 from tests.codegen.systems import decay, driven, lotka_volterra, separated

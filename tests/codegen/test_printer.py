@@ -8,8 +8,8 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions, numpy_text
+from rankone.codegen.text import Names
 from rankone.support.errors import SeparationError
 
 k = sp.Symbol("k", real=True)

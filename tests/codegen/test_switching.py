@@ -6,9 +6,9 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen.events import moving_switches
-from rankone.codegen.switching import switches
 from rankone.ir.forms import Coordinate
+from rankone.symbolic.cuts import cuts_of
+from rankone.symbolic.features import features_of
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)
@@ -16,7 +16,7 @@ TIME = Coordinate("t", t, 0.0, 10.0)
 
 
 def found(expression, coordinate=TIME):
-    (result,) = switches([coordinate], [expression])
+    (result,) = cuts_of([coordinate], [expression])
     return result
 
 
@@ -133,26 +133,5 @@ def test_switches_that_move_with_a_parameter_are_not_stepped_over(rate):
 
 def test_moving_switches_are_those_of_time_and_parameters():
     coordinates = [TIME, Coordinate("k", k, 0.5, 1.0)]
-    found = moving_switches(
-        coordinates,
-        [sp.Heaviside(2 * t - k) * sp.Heaviside(t - x) + sp.Abs(t - 3) + sp.exp(-k * t)],
-    )
-    assert found == (k / 2,)
-
-
-@pytest.mark.parametrize(
-    ("shape", "area"),
-    [
-        ("1e7*exp(-((t - 0.31234)/1e-7)**2)", math.sqrt(math.pi)),
-        ("1e6*(tanh((t - 0.31234)*1e9) - tanh((t - 0.312341)*1e9))", 2.0),
-        ("1e7/(1 + ((t - 0.31234)*1e7)**2)", math.pi),
-    ],
-)
-@pytest.mark.parametrize("method", ["train", "cross"])
-def test_a_narrow_smooth_pulse_is_not_stepped_over(shape, area, method):
-    problem = ro.Problem.from_strings({"x": f"k*{shape}"}, {"x": "1"}, {"k": (0.5, 1.5)}, (0, 1))
-    solution = ro.solve(problem, 1e-4, method=method)
-    if solution.success:
-        assert solution(t=1, k=1)[0] == pytest.approx(1 + area, rel=1e-3)
-    else:
-        assert solution.error > 1e-4
+    rate = sp.Heaviside(2 * t - k) * sp.Heaviside(t - x) + sp.Abs(t - 3) + sp.exp(-k * t)
+    assert features_of(coordinates, [rate], []).moving_cuts == (k / 2,)

@@ -26,12 +26,12 @@ BOX = ((0.5, 5.0),)
 TERMS = (
     (-1.0, 0, (0, 1), (0,)),  # u': -k*u
 )
-SIGNATURES = ((1,),)
 INITIAL = (
     (1.0, 0, (0,)),  # u(0): 1
 )
 
 
+# --- Factors --------------------------------------------------------------------------------------
 def time_factors(t):
     """Factors of t: 1."""
     out = np.empty((1, t.size))
@@ -55,6 +55,7 @@ def parameter_factors(dimension, p):
     return PARAMETER_FACTORS[dimension](p)
 
 
+# --- Kernels --------------------------------------------------------------------------------------
 def linear_0(phi, x):
     """Linear terms of group 0, to be multiplied by k (1)."""
     y = np.empty(x.shape)
@@ -69,6 +70,8 @@ def linear_adjoint_0(phi, w):
     return v
 
 
+SIGNATURES = ((1,),)
+PAIRED = ((),)
 KERNELS = {
     "constant": (None,),
     "linear": (linear_0,),
@@ -76,9 +79,9 @@ KERNELS = {
     "quadratic": (None,),
     "quadratic_adjoint": (None,),
 }
-PAIRED = ((),)
 
 
+# --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (1, ...): shape (1, ...)."""
     shape = np.broadcast(t, *u, *p).shape
@@ -103,6 +106,3 @@ def jacobian(t, u, p):
 def with_products(u):
     """All states, (1, ...): there are no products to append."""
     return np.array(u, dtype=float)
-
-
-quadratic_jacobian = jacobian

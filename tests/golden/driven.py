@@ -38,13 +38,13 @@ TERMS = (
     (-2.0, 1, (0, 0, 0), (1,)),  # y': -2*y
     (0.3333333333333333, 1, (0, 2, 0), (0,)),  # y': 0.3333333333333333*lambda*x
 )
-SIGNATURES = ((0, 0), (1, 0), (2, 0))
 INITIAL = (
     (1.0, 0, (0, 1)),  # x(0): x_{0}
     (1.0, 1, (0, 0)),  # y(0): 1
 )
 
 
+# --- Factors --------------------------------------------------------------------------------------
 def time_factors(t):
     """Factors of t: 1, sin(t), cos(t)**2."""
     out = np.empty((3, t.size))
@@ -79,6 +79,7 @@ def parameter_factors(dimension, p):
     return PARAMETER_FACTORS[dimension](p)
 
 
+# --- Kernels --------------------------------------------------------------------------------------
 def _contract(x, z, q):
     """Every row of x (a, P, r) times z (P, r, s), into q (a, P, s)."""
     np.matmul(x.transpose(1, 0, 2), z, out=q.transpose(1, 0, 2))
@@ -199,6 +200,8 @@ def quadratic_adjoint_2(phi, x, w):
     return v
 
 
+SIGNATURES = ((0, 0), (1, 0), (2, 0))
+PAIRED = ((0,), (0,), (1,))
 KERNELS = {
     "constant": (constant_0, None, None),
     "linear": (linear_0, None, linear_2),
@@ -206,9 +209,9 @@ KERNELS = {
     "quadratic": (quadratic_0, quadratic_1, quadratic_2),
     "quadratic_adjoint": (quadratic_adjoint_0, quadratic_adjoint_1, quadratic_adjoint_2),
 }
-PAIRED = ((0,), (0,), (1,))
 
 
+# --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
     shape = np.broadcast(t, *u, *p).shape

@@ -53,7 +53,6 @@ TERMS = (
     (-0.22222222222222215, 5, (0, 0, 0, 0, 0, 0, 0), (3, 4)),  # o2': -0.22222222222222215*o0*o1
     (-0.5555555555555556, 5, (0, 0, 0, 0, 0, 0, 0), (0, 1)),  # o2': -0.5555555555555556*v0*v1
 )
-SIGNATURES = ((0, 0, 0, 0, 0, 0),)
 INITIAL = (
     (1.0, 0, (1, 0, 0, 0, 0, 0)),  # v0(0): a0
     (1.0, 1, (0, 1, 0, 0, 0, 0)),  # v1(0): a1
@@ -64,6 +63,7 @@ INITIAL = (
 )
 
 
+# --- Factors --------------------------------------------------------------------------------------
 def time_factors(t):
     """Factors of t: 1."""
     out = np.empty((1, t.size))
@@ -87,6 +87,7 @@ def parameter_factors(dimension, p):
     return PARAMETER_FACTORS[dimension](p)
 
 
+# --- Kernels --------------------------------------------------------------------------------------
 def _matrix(shape, *entries):
     """Matrix with the given entries (row, column, value)."""
     matrix = np.zeros(shape)
@@ -161,6 +162,8 @@ def quadratic_adjoint_0(phi, x, w):
     return v
 
 
+SIGNATURES = ((0, 0, 0, 0, 0, 0),)
+PAIRED = ((0, 1, 3, 4),)
 KERNELS = {
     "constant": (constant_0,),
     "linear": (None,),
@@ -168,9 +171,9 @@ KERNELS = {
     "quadratic": (quadratic_0,),
     "quadratic_adjoint": (quadratic_adjoint_0,),
 }
-PAIRED = ((0, 1, 3, 4),)
 
 
+# --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (6, ...): shape (6, ...)."""
     shape = np.broadcast(t, *u, *p).shape
@@ -222,6 +225,3 @@ def jacobian(t, u, p):
 def with_products(u):
     """All states, (6, ...): there are no products to append."""
     return np.array(u, dtype=float)
-
-
-quadratic_jacobian = jacobian

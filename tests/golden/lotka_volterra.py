@@ -32,13 +32,13 @@ TERMS = (
     (-3.0, 1, (0, 0, 0), (1,)),  # y': -3*y
     (1.0, 1, (0, 0, 0), (0, 1)),  # y': x*y
 )
-SIGNATURES = ((0, 0),)
 INITIAL = (
     (1.0, 0, (1, 0)),  # x(0): x0
     (1.0, 1, (0, 1)),  # y(0): y0
 )
 
 
+# --- Factors --------------------------------------------------------------------------------------
 def time_factors(t):
     """Factors of t: 1."""
     out = np.empty((1, t.size))
@@ -62,6 +62,7 @@ def parameter_factors(dimension, p):
     return PARAMETER_FACTORS[dimension](p)
 
 
+# --- Kernels --------------------------------------------------------------------------------------
 def _contract(x, z, q):
     """Every row of x (a, P, r) times z (P, r, s), into q (a, P, s)."""
     np.matmul(x.transpose(1, 0, 2), z, out=q.transpose(1, 0, 2))
@@ -113,6 +114,8 @@ def quadratic_adjoint_0(phi, x, w):
     return v
 
 
+SIGNATURES = ((0, 0),)
+PAIRED = ((0,),)
 KERNELS = {
     "constant": (None,),
     "linear": (linear_0,),
@@ -120,9 +123,9 @@ KERNELS = {
     "quadratic": (quadratic_0,),
     "quadratic_adjoint": (quadratic_adjoint_0,),
 }
-PAIRED = ((0,),)
 
 
+# --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
     shape = np.broadcast(t, *u, *p).shape
@@ -152,6 +155,3 @@ def jacobian(t, u, p):
 def with_products(u):
     """All states, (2, ...): there are no products to append."""
     return np.array(u, dtype=float)
-
-
-quadratic_jacobian = jacobian

@@ -12,8 +12,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen import generate_source
-from rankone.codegen.lowering import quadratic_system
+from rankone.codegen import generate_source, quadratic_system
 from rankone.expressions.numbers import exact
 from rankone.symbolic import first_order, separate, weak_form
 from tests.problems import REFERENCE

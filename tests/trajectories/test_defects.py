@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.codegen.events import event_functions, parameter_surfaces
 from rankone.ir.domain import Domain
 from rankone.ir.forms import Coordinate
+from rankone.symbolic.features import features_of
 from rankone.trajectories.steppers import StackedDOP853, roots
 from rankone.verification.points import check_points, surface_points
 from rankone.verification.reference import integrate_reference
@@ -53,16 +53,14 @@ def test_what_no_event_tells_is_met_at_random_places():
     )
 
 
-def test_events_are_middles_and_borders():
+def test_surfaces_over_states_are_middles_and_borders():
     x = unknown("x")
-    found = event_functions(t, [ro.Problem.from_strings(
-        {"x": "exp(-(x - 2)**2) + Abs(x - 1) + Heaviside(x - 3) + tanh(x - 4) + exp(-x)"},
-        {"x": "1"}, {}, (0, 1),
-    ).equations[0].rhs])  # fmt: skip
-    peaks, kinks, switches = ([str(f) for f in part] for part in found)
-    assert peaks == ["x(t) - 2"]
-    assert kinks == ["x(t) - 1"]
-    assert sorted(switches) == ["x(t) - 3", "x(t) - 4"]
+    rate = "exp(-(x - 2)**2) + Abs(x - 1) + Heaviside(x - 3) + tanh(x - 4) + exp(-x)"
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {}, (0, 1))
+    features = features_of([Coordinate("t", t, 0, 1)], [problem.equations[0].rhs], [])
+    assert [str(f) for f in features.peaks] == ["x(t) - 2"]
+    assert [str(f) for f in features.kinks] == ["x(t) - 1"]
+    assert sorted(map(str, features.steps)) == ["x(t) - 3", "x(t) - 4"]
     assert str(x) == "x(t)"
 
 
@@ -73,8 +71,8 @@ def test_surfaces_are_those_of_several_parameters():
     )
     a, b = problem.problem.parameters
     coordinates = [Coordinate("t", t, 0, 1), Coordinate("a", a, 0, 1), Coordinate("b", b, 0, 1)]
-    found = parameter_surfaces(coordinates, problem.first_order.rhs)
-    assert len(found) == 3  # the middle of the ridge, its exponent and the kink
+    features = features_of(coordinates, problem.first_order.rhs, [])
+    assert len(features.parameter_surfaces) == 3  # middle and exponent of the ridge, and the kink
     points = surface_points(problem.system, Domain.of(problem.system))
     on_ridge = np.abs(points[:, 0] * points[:, 1] - 0.3) < 1e-12
     on_kink = np.abs(points.sum(axis=1) - 1) < 1e-12

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions, factor_text
-from rankone.codegen.text import assignment, docstring, table
+from rankone.codegen.text import Names, assignment, docstring, table
 from rankone.ir.forms import Coordinate
 
 __all__ = ["coordinate_functions"]
 
-_ARGUMENT = "p"
-"""How the parameter is called in a function that serves several."""
-_LONGEST_SUMMARY = 90
+_SHARED_ARGUMENT = "p"
+"""Name of the parameter in a function that serves several parameters."""
+_MAX_SUMMARY = 90
+"""Characters of a summary that lists the factors."""
 
 
 def coordinate_functions(
@@ -28,26 +28,28 @@ def coordinate_functions(
     """
     clock, *parameters = coordinates
     names = Names(["np", "special", "out"])
-    words = [names(parameter.name) for parameter in parameters]
+    identifiers = [names(parameter.name) for parameter in parameters]
+    shared = sp.Symbol(_SHARED_ARGUMENT)
     renamed = [
-        tuple(e.xreplace({c.symbol: sp.Symbol(_ARGUMENT)}) for e in found)
-        for c, found in zip(parameters, expressions[1:], strict=True)
+        tuple(factor.xreplace({c.symbol: shared}) for factor in factors)
+        for c, factors in zip(parameters, expressions[1:], strict=True)
     ]
-    blocks = [factor_function("time_factors", "t", clock.symbol, expressions[0], clock.name)]
+    blocks = [_factor_function("time_factors", "t", clock.symbol, expressions[0], clock.name)]
     functions: dict[tuple[sp.Expr, ...], str] = {}
-    for j, key in enumerate(renamed):
-        if key in functions:
+    for j, factors in enumerate(renamed):
+        if factors in functions:
             continue
-        users = [i for i, other in enumerate(renamed) if other == key]
-        if len(users) == 1:
-            functions[key] = f"factors_of_{words[j]}"
-            argument, found, symbol = words[j], expressions[j + 1], parameters[j].symbol
-        else:
-            functions[key] = f"factors_of_{words[j]}_and_{len(users) - 1}_more"
-            argument, found, symbol = _ARGUMENT, key, sp.Symbol(_ARGUMENT)
+        users = [i for i, candidate in enumerate(renamed) if candidate == factors]
         title = ", ".join(parameters[i].name for i in users)
-        blocks.append(factor_function(functions[key], argument, symbol, found, title))
-    listed = [functions[key] for key in renamed]
+        name = f"factors_of_{identifiers[j]}"
+        if len(users) == 1:
+            arguments = identifiers[j], parameters[j].symbol, expressions[j + 1]
+        else:
+            name += f"_and_{len(users) - 1}_more"
+            arguments = _SHARED_ARGUMENT, shared, factors
+        functions[factors] = name
+        blocks.append(_factor_function(name, *arguments, title))
+    listed = [functions[factors] for factors in renamed]
     alike = len(listed) > 1 and len(functions) == 1
     repeated = [f"PARAMETER_FACTORS = ({listed[0]},) * {len(listed)}"] if alike else []
     blocks.append(
@@ -63,16 +65,16 @@ def coordinate_functions(
     return blocks
 
 
-def factor_function(
+def _factor_function(
     name: str, argument: str, symbol: sp.Symbol, expressions: Sequence[sp.Expr], title: str
 ) -> list[str]:
     """A function that evaluates all factors of a coordinate, called ``title``."""
     names = Names(["np", "special", "out", argument])
     shared, texts = common_subexpressions(expressions, {symbol: argument}, names.numbered("c"))
     summary = f"Factors of {title}: {', '.join(map(factor_text, expressions))}."
-    if len(summary) > _LONGEST_SUMMARY:
+    if len(summary) > _MAX_SUMMARY:
         summary = f"Factors of {title} ({len(expressions)})."
-    if len(summary) > _LONGEST_SUMMARY:
+    if len(summary) > _MAX_SUMMARY:
         summary = f"Factors of several parameters ({len(expressions)})."
     lines = [f"def {name}({argument}):", *docstring([summary])]
     for target, text in shared:

@@ -1,24 +1,53 @@
 """Kernels: the separated right-hand side of one group, acting on many columns at once.
 
-A quadratic kernel first multiplies states, one batched matrix product for each paired state;
-then every kernel combines rows with the coefficients of the terms.
+A quadratic kernel first multiplies states, one batched matrix product for each paired state; then
+every kernel combines rows with the coefficients of the terms. A combination of few terms is written
+out, one line for each output. One of many terms becomes a product with a coefficient matrix, listed
+term by term above the kernel: a statement on a few hundred numbers costs as much as a hundred
+matrix entries.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 
-from rankone.codegen.combination import Combination, Entry
 from rankone.codegen.header import signature_text
-from rankone.codegen.names import Names
-from rankone.codegen.sums import Addend, share
-from rankone.codegen.text import assignment, commented, docstring
+from rankone.codegen.printer import factor_text
+from rankone.codegen.sums import Addend, SharedSums, share
+from rankone.codegen.text import (
+    INDENT,
+    Names,
+    assignment,
+    commented,
+    docstring,
+    literal,
+    nested,
+    statement,
+    table,
+    tuple_lines,
+)
 from rankone.ir.forms import Group, QuadraticSystem
 
-__all__ = ["KERNELS", "KernelWriter", "helpers"]
+__all__ = ["kernel_blocks"]
 
 KERNELS = ("constant", "linear", "linear_adjoint", "quadratic", "quadratic_adjoint")
+"""The kernels of a group, in the order of the module."""
+
+STATEMENT_COST = 0.3
+"""Microseconds of an assignment to a row of about 500 numbers, measured."""
+OPERATION_COST = 0.5
+"""Microseconds of an operation on such rows."""
+MATRIX_COST = 1.5
+"""Microseconds of a matrix product with such rows, whatever its size."""
+ENTRY_COST = 0.02
+"""Microseconds of each of its entries."""
+FACTOR_COST = 1.0
+"""Microseconds of its multiplication by a time factor."""
+MATRIX_GAIN = 2.0
+"""Microseconds that a matrix must save, since written-out sums read better."""
 
 MATRIX_HELPERS = '''\
 def _matrix(shape, *entries):
@@ -48,7 +77,27 @@ def _expand(x, w, v):
 '''
 
 
-def helpers(writers: Iterable[KernelWriter]) -> list[str]:
+def kernel_blocks(system: QuadraticSystem) -> list[list[str]]:
+    """Source blocks: helpers, the kernels of every group, then the tables that list them."""
+    time_factors = [factor_text(factor.expression) for factor in system.factors[0]]
+    writers = [KernelWriter(system, group, time_factors) for group in system.groups]
+    blocks = [_helpers(writers)]
+    listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}
+    for writer in writers:
+        functions = writer.functions()
+        blocks += [writer.tables(), *functions.values()]
+        for kernel, names in listed.items():
+            names.append(f"{kernel}_{writer.group.index}" if kernel in functions else "None")
+    listing = ["KERNELS = {"]
+    for kernel in KERNELS:
+        listing += tuple_lines(f'"{kernel}": ', listed[kernel], ",", INDENT)
+    listing.append("}")
+    signatures = table("SIGNATURES", nested(group.signature for group in system.groups))
+    paired = table("PAIRED", nested(group.paired for group in system.groups))
+    return [*blocks, [*signatures, *paired, *listing]]
+
+
+def _helpers(writers: Iterable[KernelWriter]) -> list[str]:
     """Functions shared by the kernels, as far as the writers use them."""
     used = []
     if any(combination.uses_matrix for writer in writers for combination in writer.combinations):
@@ -99,7 +148,14 @@ class KernelWriter:
         """Source lines of the kernels the group needs, by kernel."""
         terms = self.group.by_degree
         needed = [kernel for kernel in KERNELS if terms[kernel.removesuffix("_adjoint")]]
-        return {kernel: getattr(self, kernel)() for kernel in needed}
+        writers = {
+            "constant": self.constant,
+            "linear": self.linear,
+            "linear_adjoint": self.linear_adjoint,
+            "quadratic": self.quadratic,
+            "quadratic_adjoint": self.quadratic_adjoint,
+        }
+        return {kernel: writers[kernel]() for kernel in needed}
 
     def constant(self) -> list[str]:
         sums: list[list[Addend]] = [[] for _ in range(len(self.rates))]
@@ -169,16 +225,16 @@ class KernelWriter:
         lines, first = [], 0
         for k, block in enumerate(self.group.blocks):
             last = first + len(block)
-            line = statement.format(rows=selection(block), k=k, products=f"{first}:{last}")
+            line = statement.format(rows=_selection(block), k=k, products=f"{first}:{last}")
             lines.append(commented(f"    {line}", ", ".join(self.monomials[first:last])))
             first = last
         return lines
 
 
-def selection(rows: Sequence[int]) -> str:
+def _selection(rows: Sequence[int]) -> str:
     """Index that selects the rows, a slice if they are equally spaced.
 
-    >>> selection([1, 2]), selection([0, 3]), selection([4]), selection([0, 1, 3])
+    >>> _selection([1, 2]), _selection([0, 3]), _selection([4]), _selection([0, 1, 3])
     ('1:3', '0:4:3', '4:5', '[0, 1, 3]')
     """
     steps = {b - a for a, b in itertools.pairwise(rows)} or {1}
@@ -186,3 +242,117 @@ def selection(rows: Sequence[int]) -> str:
         return repr(list(rows))
     step = steps.pop()
     return f"{rows[0]}:{rows[-1] + 1}" + (f":{step}" if step > 1 else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """``target[row] += coefficient * phi[factor] * source[column]``."""
+
+    row: int
+    coefficient: Fraction | float
+    factor: int
+    column: int
+
+
+class Combination:
+    """A linear map between rows of arrays, with coefficients that may depend on time.
+
+    ``name`` is that of the coefficient matrix, if there is one. For comments: what the targets
+    (rows) and sources (columns) are, and the time factors as people write them.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        rows: Sequence[str],
+        columns: Sequence[str],
+        entries: Sequence[Entry],
+        time_factors: Sequence[str],
+    ) -> None:
+        self.name = name
+        self.rows = rows
+        self.columns = columns
+        self.entries = entries
+        self.time_factors = time_factors
+        self.factors = sorted({entry.factor for entry in entries})
+        self.uses_matrix = self._matrix_saves() > MATRIX_GAIN
+
+    def _matrix_saves(self) -> float:
+        """Microseconds by which matrix products beat written-out sums, both ways together."""
+        written_out = sum(
+            OPERATION_COST * sums.operations + STATEMENT_COST * sum(map(bool, sums.sums))
+            for sums in (self._sums("x", adjoint=False), self._sums("x", adjoint=True))
+        )
+        size = len(self.rows) * len(self.columns)
+        product = MATRIX_COST + ENTRY_COST * size
+        scaled = sum(FACTOR_COST for factor in self.factors if factor)
+        return written_out - 2 * (product * len(self.factors) + scaled)
+
+    def tables(self) -> list[str]:
+        """Definitions of the coefficient matrices; none if the sums are written out."""
+        lines: list[str] = []
+        if self.uses_matrix:
+            for factor in self.factors:
+                lines.append(f"{self._matrix(factor)} = _matrix(")
+                lines.append(f"    ({len(self.rows)}, {len(self.columns)}),")
+                for entry in self.entries:
+                    if entry.factor == factor:
+                        line = f"    ({entry.row}, {entry.column}, {literal(entry.coefficient)}),"
+                        meaning = f"{self.rows[entry.row]}: {self.columns[entry.column]}"
+                        lines.append(commented(line, meaning))
+                lines.append(")")
+        return lines
+
+    def statements(
+        self, target: str, shape: str, source: str, *, adjoint: bool = False, final: bool = False
+    ) -> list[str]:
+        """Lines that bind ``target``, of the given shape, to the combination of the source.
+
+        The ``final`` combination of a function is returned.
+        """
+        lines = [
+            commented(f"    phi_{factor} = phi[{factor}, :, None]", self.time_factors[factor])
+            for factor in self.factors
+            if factor
+        ]
+        if self.uses_matrix:
+            start = "return" if final else f"{target} ="
+            return [*lines, *statement(start, self._matrix_products(source, adjoint=adjoint))]
+        sums = self._sums(source, adjoint=adjoint)
+        for name, text in sums.intermediate:
+            lines += assignment(name, [text])
+        lines.append(f"    {target} = np.{'empty' if all(sums.sums) else 'zeros'}({shape})")
+        for row, terms in enumerate(sums.sums):
+            if terms:
+                meaning = self.columns[row] if adjoint else self.rows[row]
+                lines += assignment(f"{target}[{row}]", terms, meaning)
+        return [*lines, f"    return {target}"] if final else lines
+
+    def _matrix_products(self, source: str, *, adjoint: bool) -> list[str]:
+        """The products with the coefficient matrices, one for each time factor."""
+        products: list[str] = []
+        for factor in self.factors:
+            sign = "+ " if products else ""
+            scale = f"phi_{factor} * " if factor else ""
+            transpose = ".T" if adjoint else ""
+            products.append(f"{sign}{scale}_combine({self._matrix(factor)}{transpose}, {source})")
+        return products
+
+    def _matrix(self, factor: int) -> str:
+        """Name of the coefficient matrix of a time factor."""
+        return f"{self.name}_PHI_{factor}" if factor else self.name
+
+    def _sums(self, source: str, *, adjoint: bool) -> SharedSums:
+        """The written-out sums; symbols are the time factors, then the rows of the source."""
+        n_targets, n_sources = len(self.rows), len(self.columns)
+        if adjoint:
+            n_targets, n_sources = n_sources, n_targets
+        scales = {factor: k for k, factor in enumerate(factor for factor in self.factors if factor)}
+        symbols = [f"phi_{factor}" for factor in scales]
+        symbols += [f"{source}[{k}]" for k in range(n_sources)]
+        sums: list[list[Addend]] = [[] for _ in range(n_targets)]
+        for entry in self.entries:
+            to, of = (entry.column, entry.row) if adjoint else (entry.row, entry.column)
+            scale = (scales[entry.factor],) if entry.factor else ()
+            sums[to].append((entry.coefficient, (*scale, len(scales) + of)))
+        return share(sums, symbols, Names().numbered("c"))

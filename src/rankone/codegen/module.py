@@ -1,41 +1,40 @@
-"""The generated module: its parts in the order a person reads them, and how it is imported."""
+"""The generated module: its sections in the order a person reads them."""
 
 from __future__ import annotations
 
-import hashlib
-import linecache
-import os
-import uuid
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache, partial
-from typing import TypeVar, cast
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import sympy as sp
-from threadpoolctl import threadpool_limits
+from sympy.core.function import AppliedUndef
 
-from rankone.codegen.definitions import constants, cut_table, definitions, module_source
-from rankone.codegen.events import parameter_surfaces
 from rankone.codegen.factors import coordinate_functions
-from rankone.codegen.gaps import gap_functions, gap_tables
-from rankone.codegen.header import header, sum_text
-from rankone.codegen.initial import coupled_initial
-from rankone.codegen.jumps import jump_function, jump_table, jumped_values
-from rankone.codegen.kernels import KERNELS, KernelWriter, helpers
+from rankone.codegen.header import general_header, header, sum_text
+from rankone.codegen.kernels import kernel_blocks
 from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.meanings import meanings_function
 from rankone.codegen.pointwise import PointwiseWriter
-from rankone.codegen.printer import factor_text
-from rankone.codegen.text import INDENT, described_table, nested, table, tuple_lines
-from rankone.codegen.variables import Variables
-from rankone.ir.forms import QuadraticSystem, SeparatedForm, Term
-from rankone.ir.system import GeneratedNames, System, UserFunction, system_of
-from rankone.support.errors import OptionError, check_kind
-from rankone.support.wording import number, quote
+from rankone.codegen.rates import GeneralWriter, SeparatedWriter
+from rankone.codegen.text import (
+    WIDTH,
+    described_table,
+    docstring,
+    literal,
+    nested,
+    quoted,
+    table,
+)
+from rankone.expressions.admissible import known_functions
+from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, SeparatedForm, State, Term
+from rankone.ir.functions import known_applied
+from rankone.support.errors import check_kind
+from rankone.support.wording import number
+from rankone.symbolic.features import SymbolicFeatures, features_of
+from rankone.symbolic.first_order import FirstOrderSystem
+from rankone.symbolic.gaps import Gap, NamedExpression, gaps_in_unknowns
 
-__all__ = ["ModuleSpecification", "generate_source", "load_module"]
+__all__ = ["general_source", "generate_source"]
 
-Answer = TypeVar("Answer")
+Block = Sequence[str]
+"""Source lines that stand together."""
 
 
 def generate_source(
@@ -57,8 +56,9 @@ def generate_source(
     Returns
     -------
     str
-        A module that fulfils :class:`rankone.ir.system.System` and imports NumPy alone, or SciPy as
-        well where functions need it. The same form gives the same text, byte for byte.
+        A module that :func:`rankone.codegen.load_module` makes a
+        :class:`rankone.ir.system.System` of; it imports NumPy alone, or SciPy as well where
+        functions need it. The same form gives the same text, byte for byte.
 
     Raises
     ------
@@ -70,175 +70,247 @@ def generate_source(
     remedy = "give separate(problem) or quadratic_system(form); what is compiled has `.source`"
     check_kind("generate_source", form, QuadraticSystem, SeparatedForm, remedy=remedy)
     system = form if isinstance(form, QuadraticSystem) else quadratic_system(form)
-    pointwise = PointwiseWriter(system)
-    functions = pointwise.functions()
+    writer = SeparatedWriter(system)
     factors = [tuple(factor.expression for factor in distinct) for distinct in system.factors]
-    known = [expression for distinct in factors for expression in distinct]
-    surface_table, surfaces = _surfaces(system)
-    blocks = [
-        *definitions([*known, *jumped_values(system.jumps)]),
-        *coordinate_functions(system.coordinates, factors),
-        *kernel_functions(system),
-        *functions,
-        coupled_initial(system),
-        jump_function(system.differential, system.coordinates, system.jumps),
-        *gap_functions([], system.jumps, system.differential, system.coordinates),
-        meanings_function(system.differential, system.coordinates, meanings),
-        surfaces,
+    expressions = [expression for distinct in factors for expression in distinct]
+    expressions += [value for jump in system.jumps for value in jump.values]
+    features = features_of(system.coordinates, (), expressions)
+    sections: dict[str, Sequence[Block]] = {
+        "Factors": coordinate_functions(system.coordinates, factors),
+        "Kernels": kernel_blocks(system),
+        "Right-hand side": writer.functions(),
+        "Initial values": [writer.initial()],
+        "Lifted states": _lifted(writer, system.differential, meanings),
+        **_further_sections(writer, features, system.jumps, system.differential, []),
+    }
+    tables = [
+        *_constants(True, system.names, len(system.differential), system.products),
+        *_domain(system.coordinates),
+        *_rhs_table(system),
+        *_initial_table(system),
     ]
-    head = partial(header, system, pointwise.operations, title)
-    cuts = cut_table(system.coordinates, known)
-    more = [f"N_LIFTED = {len(meanings)}"] if meanings else []
-    more += [*jump_table(system.jumps), *gap_tables([], system.jumps, system.differential)]
-    return module_source(head, [*tables(system), *more, *cuts, *surface_table], blocks)
+    printed = [*expressions, *writer.printed]
+    return _module(
+        lambda scipy: header(system, writer.operations, title, scipy), tables, sections, printed
+    )
 
 
-def _surfaces(system: QuadraticSystem) -> tuple[list[str], list[str]]:
-    """Where functions of several parameters in jumps are narrow: tables and functions."""
-    found = parameter_surfaces(system.coordinates, jumped_values(system.jumps))
-    if not found:
-        return [], []
-    variables = Variables(system.differential, system.coordinates)
-    about = f"Zero where functions of p (d, ...) switch or peak: ({len(found)}, ...)."
-    shape = "    shape = np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
-    written = variables.function("parameter_surfaces(p)", about, shape, found)
-    return [f"N_PARAMETER_SURFACES = {len(found)}"], written
+def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
+    """Python source of the module for a system that does not separate.
 
-
-def load_module(
-    source: str, name: str, namespace: Mapping[str, UserFunction] | None = None
-) -> System:
-    """The system that generated source defines, without a file or an entry in ``sys.modules``.
-
-    Tracebacks show the generated lines.
+    It has what sampling trajectories needs: pointwise functions, features, and the known functions
+    of one coordinate, which say where to look closely. There are no terms and no kernels.
 
     Parameters
     ----------
-    source : str
-        Text written by :func:`generate_source`.
-    name : str
-        Name of the module.
-    namespace : mapping of str to callable, optional
-        Functions of the user that the source calls by these names.
+    system : FirstOrderSystem
+    title : str, optional
+        First line of the module's docstring.
 
     Raises
     ------
-    OptionError
-        If the source or the name is not a text.
+    ProblemError
+        If a function cannot be written with NumPy or SciPy, or has no derivative that can.
     """
-    check_kind("load_module", source, str, remedy="give the text of generate_source(form)")
-    check_kind("load_module", name, str, remedy="give the name of the module as text")
-    digest = hashlib.sha256(source.encode(errors="replace")).hexdigest()[:8]
-    filename = f"<rankone {name} {digest}>"
-    names = {"__name__": name, "__file__": filename, **(namespace or {})}
-    try:
-        code = compile(source, filename, "exec")
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise OptionError(
-            f"the source of {quote(name)} is no module that Python can compile: {error}",
-            remedy="give the text of generate_source(form)",
-        ) from None
-    exec(code, names)
-    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    return system_of(cast(GeneratedNames, names))
+    writer = GeneralWriter(system)
+    further = [*system.initial, *(value for jump in system.jumps for value in jump.values)]
+    expressions = [*system.rhs, *further]
+    factors = known_functions(system.coordinates, expressions)
+    features = features_of(system.coordinates, system.rhs, further)
+    sections: dict[str, Sequence[Block]] = {
+        "Factors": coordinate_functions(
+            system.coordinates, [(sp.S.One, *functions) for functions in factors]
+        ),
+        "Right-hand side": writer.functions(),
+        "Initial values": [writer.initial()],
+        **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
+    }
+    names = [state.name for state in system.states]
+    tables = [*_constants(False, names, len(names), ()), *_domain(system.coordinates)]
+    printed = [*expressions, *writer.printed]
+    return _module(
+        lambda scipy: general_header(system, writer.operations, title, scipy),
+        tables,
+        sections,
+        printed,
+    )
 
 
-_MAX_LOADED = 8
-"""Modules that a process keeps loaded: enough for the problems one session works on at a time."""
+def _module(
+    header_of: Callable[[bool], list[str]],
+    tables: Sequence[str],
+    sections: Mapping[str, Sequence[Block]],
+    printed: Sequence[sp.Expr],
+) -> str:
+    """The text of a module.
 
-
-@dataclass(frozen=True)
-class ModuleSpecification:
-    """What a generated module is loaded from; modules cannot be pickled, their source can.
-
-    Fulfils :class:`rankone.ir.system.ModuleSpecification`.
-
-    Attributes
+    Parameters
     ----------
-    source, name : str
-        As for :func:`load_module`.
-    namespace : mapping of str to callable
-        Functions of the user, by the names that the source calls them by.
-    key : str
-        Specifications are equal if their keys are.
-    home : int
-        The process that made it.
+    header_of : callable
+        From whether SciPy is imported to the lines of the docstring.
+    tables : sequence of str
+        What describes the system.
+    sections : mapping of str to sequence of Block
+        Those without lines are left out.
+    printed : sequence of Expr
+        All expressions: functions that they apply and that are defined by data come first.
     """
-
-    source: str = field(compare=False)
-    name: str = field(compare=False)
-    namespace: Mapping[str, UserFunction] = field(compare=False)
-    key: str = field(default_factory=lambda: uuid.uuid4().hex)
-    home: int = field(default_factory=os.getpid, compare=False)
-
-    def load(self) -> System:
-        """The system, with this specification as its own."""
-        return replace(load_module(self.source, self.name, self.namespace), specification=self)
-
-    def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
-        """``function(system, *arguments)``; a process loads the module once.
-
-        In a process other than its own the BLAS is set to one thread, as it is in a solve.
-        """
-        if os.getpid() != self.home:
-            _one_blas_thread()
-        return function(_loaded(self), *arguments)
+    data = {type(applied).__name__: type(applied) for applied in known_applied(printed)}
+    definitions = [function.definition() for _, function in sorted(data.items())]
+    blocks: list[Block] = []
+    for title, listed in {"Data": definitions, **sections}.items():
+        first, *following = [block for block in listed if block] or [[]]
+        if first:
+            blocks += [[f"# --- {title} ".ljust(WIDTH, "-"), *first], *following]
+    body = "\n\n\n".join(map("\n".join, blocks)) + "\n"
+    imports = ["import numpy as np"]
+    if "special." in body:
+        imports.append("from scipy import special")
+    if "CubicSpline(" in body:
+        imports.append("from scipy.interpolate import CubicSpline")
+    lines = docstring(header_of(len(imports) > 1), indent="")
+    return "\n".join([*lines, "", *imports, "", *tables]) + "\n\n\n" + body
 
 
-@lru_cache(_MAX_LOADED)
-def _loaded(specification: ModuleSpecification) -> System:
-    return specification.load()
+# --- tables that describe the system -------------------------------------------------------------
 
 
-@cache
-def _one_blas_thread() -> None:
-    """For good: other tasks of this process may run at the same time."""
-    threadpool_limits(1, user_api="blas")
-
-
-def tables(system: QuadraticSystem) -> list[str]:
-    """The tables that describe the system."""
-    n = len(system.differential)
+def _constants(
+    separated: bool, names: Iterable[str], n: int, products: Iterable[tuple[int, int]]
+) -> list[str]:
+    """Whether it separates, and its states."""
     return [
-        *constants(True, system.names, n, system.products, system.coordinates),
-        *rhs_table(system),
-        *table("SIGNATURES", nested(group.signature for group in system.groups)),
-        *initial_table(system),
+        f"SEPARATED = {separated}",
+        *table("STATES", [quoted(name) for name in names]),
+        f"N_DIFFERENTIAL = {n}",
+        *table("PRODUCTS", nested(products)),
     ]
 
 
-def rhs_table(system: QuadraticSystem) -> list[str]:
+def _domain(coordinates: Sequence[Coordinate]) -> list[str]:
+    """The parameters, the horizon and the box."""
+    clock, *parameters = coordinates
+    return [
+        *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
+        f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
+        *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
+    ]
+
+
+def _rhs_table(system: QuadraticSystem) -> list[str]:
     """The terms of f as rows of numbers, each with what it says."""
     rows = [(term.coefficient, term.equation, term.factors, term.monomial) for term in system.rhs]
-    return described_table("TERMS", rows, [term_text(t, "{}'", system) for t in system.rhs])
+    return described_table("TERMS", rows, [_term_text(t, "{}'", system) for t in system.rhs])
 
 
-def initial_table(system: QuadraticSystem) -> list[str]:
+def _initial_table(system: QuadraticSystem) -> list[str]:
     """The terms of the initial values as rows of numbers, each with what it says."""
     rows = [(term.coefficient, term.equation, term.factors[1:]) for term in system.initial]
     left = f"{{}}({number(system.coordinates[0].lower)})"
-    return described_table("INITIAL", rows, [term_text(t, left, system) for t in system.initial])
+    return described_table("INITIAL", rows, [_term_text(t, left, system) for t in system.initial])
 
 
-def term_text(term: Term, left: str, system: QuadraticSystem) -> str:
+def _term_text(term: Term, left: str, system: QuadraticSystem) -> str:
     """One term of an equation: ``x': 1.5*x``."""
     return f"{left.format(system.names[term.equation])}: {sum_text([term], system)}"
 
 
-def kernel_functions(system: QuadraticSystem) -> list[list[str]]:
-    """What the kernels share, the kernels of every group, then the tables that list them."""
-    time_factors = [factor_text(factor.expression) for factor in system.factors[0]]
-    writers = [KernelWriter(system, group, time_factors) for group in system.groups]
-    blocks = [helpers(writers)]
-    listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}
-    for writer in writers:
-        functions = writer.functions()
-        blocks += [writer.tables(), *functions.values()]
-        for kernel, entries in listed.items():
-            entries.append(f"{kernel}_{writer.group.index}" if kernel in functions else "None")
-    listing = ["KERNELS = {"]
-    for kernel in KERNELS:
-        listing += tuple_lines(f'"{kernel}": ', listed[kernel], ",", INDENT)
-    listing.append("}")
-    paired = table("PAIRED", nested(group.paired for group in system.groups))
-    return [*blocks, [*listing, *paired]]
+# --- sections ------------------------------------------------------------------------------------
+
+
+def _lifted(
+    writer: PointwiseWriter, states: Sequence[State], meanings: Sequence[sp.Expr]
+) -> list[Block]:
+    """How many states are lifted, and what they stand for."""
+    if not meanings:
+        return []
+    n, names = len(states), [state.name for state in states[len(states) - len(meanings) :]]
+    summary = f"What the lifted states stand for at u ({n}, ...): ({len(meanings)}, ...)."
+    return [
+        [f"N_LIFTED = {len(meanings)}"],
+        writer.vector("meanings", "t, u, p", summary, meanings, names),
+    ]
+
+
+def _further_sections(
+    writer: PointwiseWriter,
+    features: SymbolicFeatures,
+    jumps: Sequence[Jump],
+    states: Sequence[State],
+    rates: Sequence[NamedExpression],
+) -> dict[str, list[Block]]:
+    """Features, jumps and gaps."""
+    resets = [
+        (f"the value of {state.name} after the jump at {number(jump.time)}", None, value)
+        for jump in jumps
+        for state, value in zip(states, jump.values, strict=True)
+    ]
+    return {
+        "Features": _features(writer, features),
+        "Jumps": [
+            _jump_tables(writer, jumps),
+            writer.jumped(jumps),
+            *_gaps(writer, "jump_gaps", gaps_in_unknowns(resets)),
+        ],
+        "Gaps": _gaps(writer, "gaps", gaps_in_unknowns(rates)),
+    }
+
+
+def _features(writer: PointwiseWriter, features: SymbolicFeatures) -> list[Block]:
+    """Cuts and surfaces, and how many there are; nothing of what the system has not."""
+    n = len(writer.states)
+    tables: list[str] = []
+    if any(cuts.points for cuts in features.cuts):
+        tables += table("CUTS", nested(tuple(sorted(cuts.points)) for cuts in features.cuts))
+    if any(cuts.periodic for cuts in features.cuts):
+        periodic = (tuple(sorted(cuts.periodic)) for cuts in features.cuts)
+        tables += table("PERIODIC_CUTS", nested(periodic))
+    if features.moving_cuts:
+        tables.append(f"N_MOVING_CUTS = {len(features.moving_cuts)}")
+    if features.parameter_surfaces:
+        tables.append(f"N_PARAMETER_SURFACES = {len(features.parameter_surfaces)}")
+    if features.state_surfaces:
+        counts = len(features.peaks), len(features.kinks), len(features.steps)
+        tables.append(f"STATE_SURFACES = {counts}  # peaks, kinks, steps")
+    moving = "Times at which functions of time and of p (d, ...) switch: ({}, ...)."
+    of_parameters = "Zero where functions of p (d, ...) switch or peak: ({}, ...)."
+    of_states = f"Zero where functions of u ({n}, ...) switch or peak: ({{}}, ...)."
+    functions = (
+        ("moving_cuts", "p", moving, features.moving_cuts),
+        ("parameter_surfaces", "p", of_parameters, features.parameter_surfaces),
+        ("state_surfaces", "t, u, p", of_states, features.state_surfaces),
+    )
+    return [
+        tables,
+        *(
+            writer.vector(name, arguments, summary.format(len(expressions)), expressions)
+            for name, arguments, summary, expressions in functions
+        ),
+    ]
+
+
+def _jump_tables(writer: PointwiseWriter, jumps: Sequence[Jump]) -> list[str]:
+    """The times with their kinds, and the kinds that are not polynomials of the unknowns."""
+    if not jumps:
+        return []
+    kinds = list(Jump.kinds(jumps))
+    rows = ((jump.time, kinds.index(jump.values)) for jump in jumps)
+    rough = (
+        index
+        for index, states_after in enumerate(kinds)
+        if not all(map(writer.is_polynomial, states_after))
+    )
+    return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
+
+
+def _gaps(writer: PointwiseWriter, name: str, gaps: Sequence[Gap]) -> list[Block]:
+    """The texts of gaps, and the function that says which ones a state lies in."""
+    texts = []
+    for gap in gaps:
+        unknowns = gap.function.atoms(AppliedUndef) | gap.region.atoms(AppliedUndef)
+        text = gap.text({u: sp.Symbol(u.func.__name__) for u in unknowns})
+        texts.append(text if gap.equation is None else f"equation {gap.equation}: {text}")
+    regions = [sp.Piecewise((1, gap.region), (0, True)) for gap in gaps]
+    summary = f"One where a piecewise function has no branch, else zero: ({len(gaps)}, ...)."
+    listed = table(name.upper(), [quoted(text) for text in texts]) if gaps else []
+    return [listed, writer.vector(name, "t, u, p", summary, regions)]

@@ -1,12 +1,10 @@
-"""Quantities of interest: SymPy expressions of a solution's unknowns as functions of arrays."""
+"""Outputs: SymPy expressions of a solution's unknowns, as functions of arrays."""
 
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -14,10 +12,7 @@ from scipy import special
 from sympy.core.function import AppliedUndef
 
 from rankone.agreement.comparison import check_outputs
-from rankone.codegen.gaps import check_gaps, gap_text
-from rankone.codegen.narrow import peaks, steps
 from rankone.codegen.printer import numpy_text
-from rankone.codegen.switching import boundaries, switches
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.admissible import closed, gaps
 from rankone.expressions.notation import plain_text
@@ -31,13 +26,20 @@ from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError, RankoneError
 from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.symbolic.cuts import cuts_of
+from rankone.symbolic.gaps import Gap, check_gaps
+from rankone.symbolic.surfaces import boundaries, peaks, steps
 
 __all__ = ["quantities_of"]
 
 _REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)
-_MOST_PERIODS = 200
-"""Most points of a periodic function."""
-_SEED = 1812
+"""What makes one number of a function of time."""
+_MAX_REPEATS = 201
+"""Cuts of one period over the horizon; a quadrature between more would take minutes."""
+_CHECK_SEED = 1812
+"""Of the derivatives and reductions at which generated outputs are checked; any will do."""
+_END_DISTANCE = 1e-12
+"""Relative to an interval: cuts closer to its ends are the ends but for rounding."""
 _KINDS = {
     maximum: Kind.MAXIMUM,
     minimum: Kind.MINIMUM,
@@ -47,89 +49,92 @@ _KINDS = {
 
 
 def quantities_of(
-    given: Any,
+    outputs: object,
     metadata: SolutionMetadata,
     horizon: tuple[float, float],
     samples: tuple[Array, Array, Array],
 ) -> Quantities:
-    """What is asked of a solution.
+    """Outputs of a solution as functions of arrays.
 
     Parameters
     ----------
-    given : mapping of str to Expr or str
+    outputs : mapping of str to Expr or str
     metadata : SolutionMetadata
         Of the solution.
     horizon : (float, float)
         Start and end of what was solved.
     samples : (m,), (d, m) and (n, m) ndarray
-        Times, parameters and the states there, at which what is generated is checked.
+        Times, parameters and the states there, at which the generated functions are checked.
 
     Raises
     ------
     OptionError
         If it is no such mapping, or an expression has something that the solution does not hold.
     """
-    if not isinstance(given, Mapping) or not given:
+    if not isinstance(outputs, Mapping) or not outputs:
         raise OptionError(
-            f"{shown(given)} is not a mapping from names to expressions",
-            term=given,
+            f"{shown(outputs)} is not a mapping from names to expressions",
+            term=outputs,
             remedy='give for example {"energy": x**2 / 2}',
         )
-    for name in given:
+    for name in outputs:
         _check_name(name, metadata)
     translator = _Translator(metadata, horizon)
-    expressions = {name: _expression(name, value, metadata) for name, value in given.items()}
-    values = [translator.translated(name, value) for name, value in expressions.items()]
-    texts = [f"{name} = {plain_text(value)}" for name, value in expressions.items()]
-    known = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
-    written = {
-        **known,
+    expressions = {name: _expression(name, term, metadata) for name, term in outputs.items()}
+    formulas = [translator.translated(name, term) for name, term in expressions.items()]
+    texts = [f"{name} = {plain_text(term)}" for name, term in expressions.items()]
+    parameters = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
+    names = {
+        **parameters,
         sp.Symbol(metadata.time): "t",
         **{symbol: f"s[{i}]" for i, symbol in enumerate(translator.sources.values())},
         **{symbol: f"r[{i}]" for i, symbol in enumerate(translator.reduced)},
     }
-    parts = [*translator.integrands, *values]
-    found = _gaps(parts, translator, metadata, horizon)
+    evaluated = [*translator.integrands, *formulas]
+    gap_regions = _gaps(evaluated, translator, metadata, horizon)
     moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
-    timeless = metadata.timeless or not any(value.free_symbols & moving for value in values)
+    timeless = metadata.timeless or not any(formula.free_symbols & moving for formula in formulas)
+    middles = _middles(evaluated, moving - {*translator.running})
     quantities = Quantities(
         names=tuple(expressions),
         texts=tuple(texts),
         timeless=timeless,
         sources=tuple(translator.sources),
-        integrands=_function("t, s, p", translator.integrands, written),
+        integrands=_function("t, s, p", translator.integrands, names),
         reductions=tuple(translator.reductions),
-        middles=_function("t, s, p", _middles(parts, moving - {*translator.running}), written),
-        ridges=_function("p", _ridges(parts, {*known}), written),
-        breaks=_breaks(parts, metadata, horizon),
-        values=_function("t, s, p, r", values, written),
-        gaps=_function("t, s, p", [sp.Piecewise((1, r), (0, True)) for _, r in found], written),
-        gap_texts=tuple(text for text, _ in found),
+        middles=_function("t, s, p", middles, names),
+        ridges=_function("p", _ridges(evaluated, {*parameters}), names),
+        breaks=_cuts(evaluated, metadata, horizon),
+        values=_function("t, s, p, r", formulas, names),
+        gaps=_function(
+            "t, s, p", [sp.Piecewise((1, region), (0, True)) for region in gap_regions], names
+        ),
+        gap_texts=tuple(gap_regions.values()),
     )
-    _check(quantities, translator, dict(zip(expressions, values, strict=True)), samples)
+    _check(quantities, translator, dict(zip(expressions, formulas, strict=True)), samples)
     return quantities
 
 
 def _check(
     quantities: Quantities,
     translator: _Translator,
-    values: Mapping[str, sp.Expr],
+    formulas: Mapping[str, sp.Expr],
     samples: tuple[Array, Array, Array],
 ) -> None:
-    """Compare the functions with what they are made of; derivatives and reductions are made up."""
+    """Compare the functions with their formulas, at random derivatives and reductions."""
     t, p, states = samples
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(_CHECK_SEED)
     length = np.ptp(t) or 1.0
 
     def sized(row: Array) -> Array:
         return np.asarray(np.abs(row).max() / length * rng.uniform(-1.0, 1.0, row.shape))
 
     rows = [states[s.row] if s.order == 0 else sized(states[s.row]) for s in quantities.sources]
-    values_of = {sp.Symbol(translator.metadata.time): t}
-    values_of |= {sp.Symbol(n): q for n, q in zip(translator.metadata.parameters, p, strict=True)}
-    values_of |= dict(zip(translator.sources.values(), rows, strict=True))
+    samples_of = {sp.Symbol(translator.metadata.time): t}
+    samples_of |= {sp.Symbol(n): q for n, q in zip(translator.metadata.parameters, p, strict=True)}
+    samples_of |= dict(zip(translator.sources.values(), rows, strict=True))
     stacked = np.asarray(rows, dtype=float).reshape(len(rows), 1, t.size)
-    made_up = [rng.uniform(0.0, 1.0, t.size) for _ in translator.reduced]
+    reduced = [rng.uniform(0.0, 1.0, t.size) for _ in translator.reduced]
 
     def at(k: int) -> tuple[Array, Array, Array]:
         return t[k : k + 1, None], stacked[:, :, k : k + 1], p[:, k : k + 1]
@@ -137,87 +142,82 @@ def _check(
     integrands = {r.text: translator.integrands[r.integrand] for r in quantities.reductions}
     with np.errstate(all="ignore"):
         if len(integrands) == len(translator.integrands):
-            check_outputs(integrands, values_of, lambda k: quantities.integrands(*at(k)))
-        values_of |= dict(zip(translator.reduced, made_up, strict=True))
+            check_outputs(integrands, samples_of, lambda k: quantities.integrands(*at(k)))
+        samples_of |= dict(zip(translator.reduced, reduced, strict=True))
         check_outputs(
-            {f"the output {quote(name)}": value for name, value in values.items()},
-            values_of,
-            lambda k: quantities.values(*at(k), [r[k : k + 1] for r in made_up]),
+            {f"the output {quote(name)}": formula for name, formula in formulas.items()},
+            samples_of,
+            lambda k: quantities.values(*at(k), [r[k : k + 1] for r in reduced]),
         )
 
 
 def _gaps(
-    parts: Sequence[sp.Expr],
+    formulas: Sequence[sp.Expr],
     translator: _Translator,
     metadata: SolutionMetadata,
     horizon: tuple[float, float],
-) -> list[tuple[str, Any]]:
-    """Where piecewise functions of the states have no branch: what to say, and the region.
+) -> dict[sp.Basic, str]:
+    """Where piecewise functions of the states have no branch: regions, and what to say of them.
 
     An OptionError if there are such gaps in time and parameters alone.
     """
-    known = (metadata.time, *metadata.parameters)
-    intervals = zip(known, (horizon, *metadata.box), strict=True)
-    coordinates = [Coordinate(name, sp.Symbol(name), *ends) for name, ends in intervals]
+    coordinates = _coordinates(metadata, horizon)
     time = sp.Symbol(metadata.time)
     names = {
         symbol: sp.Function(metadata.states[source.row])(time).diff(time, source.order)
         for source, symbol in translator.sources.items()
     }
     try:
-        check_gaps([("an output", None, part.xreplace(names)) for part in parts], coordinates)
+        check_gaps([("an output", None, term.xreplace(names)) for term in formulas], coordinates)
     except ProblemError as error:
         raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
-    return [
-        (gap_text("an output", function.xreplace(names), region.xreplace(names)), region)
-        for part in parts
-        for function, region in gaps(part)
+    return {
+        region: Gap("an output", None, function, region).text(names)
+        for formula in formulas
+        for function, region in gaps(formula)
         if region.free_symbols & set(names) and not region.free_symbols & {*translator.reduced}
-    ]
+    }
 
 
-def _middles(parts: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
+def _middles(formulas: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
     """What vanishes where functions of some symbols are narrow or steep."""
 
-    def own(expression: sp.Basic) -> set[sp.Basic]:
+    def variables(expression: sp.Basic) -> set[sp.Expr]:
         return {*(expression.free_symbols & symbols)}
 
-    found = [middle for _, middle in itertools.chain(peaks(parts, own), steps(parts, own))]
-    return [middle for middle in dict.fromkeys(found) if own(middle)]
+    narrow = itertools.chain(peaks(formulas, variables), steps(formulas, variables))
+    return [middle for middle in dict.fromkeys(m for _, m in narrow) if variables(middle)]
 
 
-def _ridges(parts: Sequence[sp.Expr], parameters: set[sp.Symbol]) -> list[sp.Expr]:
+def _ridges(formulas: Sequence[sp.Expr], parameters: set[sp.Symbol]) -> list[sp.Expr]:
     """What vanishes where functions of several parameters alone are narrow, steep or kink."""
-    found = [*_middles(parts, parameters), *(boundary for boundary, _ in boundaries(parts))]
-    several = (f for f in dict.fromkeys(found) if len(f.free_symbols) > 1)
+    surfaces = [*_middles(formulas, parameters), *(f for f, _ in boundaries(formulas))]
+    several = (f for f in dict.fromkeys(surfaces) if len(f.free_symbols) > 1)
     return [function for function in several if function.free_symbols <= parameters]
 
 
-def _breaks(
-    parts: Sequence[sp.Expr], metadata: SolutionMetadata, horizon: tuple[float, float]
+def _cuts(
+    formulas: Sequence[sp.Expr], metadata: SolutionMetadata, horizon: tuple[float, float]
 ) -> tuple[tuple[float, ...], ...]:
-    """For time and each parameter where functions of it alone are not smooth, or narrow."""
-    intervals = (horizon, *metadata.box)
-    coordinates = [
-        Coordinate(name, sp.Symbol(name), *interval)
-        for name, interval in zip((metadata.time, *metadata.parameters), intervals, strict=True)
-    ]
-    found = []
-    for (lower, upper), places in zip(intervals, switches(coordinates, parts), strict=True):
-        points = set(places.points)
-        for first, period in places.periodic:
-            count = min(math.floor((upper - first) / period), _MOST_PERIODS)
-            start = math.ceil((lower - first) / period)
-            points |= {
-                first + period * i for i in range(start, min(count, start + _MOST_PERIODS) + 1)
-            }
-        near = 1e-12 * (upper - lower)
-        found.append(tuple(sorted(x for x in points if lower + near < x < upper - near)))
-    return tuple(found)
+    """For time and each parameter the points inside at which functions of it are not smooth."""
+    inside = []
+    coordinates = _coordinates(metadata, horizon)
+    for c, cuts in zip(coordinates, cuts_of(coordinates, formulas), strict=True):
+        near = _END_DISTANCE * (c.upper - c.lower)
+        points = {*cuts.inside(c.lower, c.upper, _MAX_REPEATS)}
+        inside.append(tuple(sorted(x for x in points if c.lower + near < x < c.upper - near)))
+    return tuple(inside)
 
 
-def _check_name(name: Any, metadata: SolutionMetadata) -> None:
-    """Raise unless an output can be called so."""
+def _coordinates(metadata: SolutionMetadata, horizon: tuple[float, float]) -> list[Coordinate]:
+    """Time and the parameters of a solution."""
+    names, intervals = (metadata.time, *metadata.parameters), (horizon, *metadata.box)
+    pairs = zip(names, intervals, strict=True)
+    return [Coordinate(name, sp.Symbol(name), *interval) for name, interval in pairs]
+
+
+def _check_name(name: object, metadata: SolutionMetadata) -> None:
+    """Raise an OptionError if an output cannot have this name."""
     if not isinstance(name, str) or not name.strip():
         raise OptionError(
             f"the name of an output is {shown(name)}, not text", term=name, remedy="give it a name"
@@ -230,10 +230,10 @@ def _check_name(name: Any, metadata: SolutionMetadata) -> None:
         )
 
 
-def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
-    """An expression, or a text as one, in plain symbols."""
+def _expression(name: str, output: object, metadata: SolutionMetadata) -> sp.Expr:
+    """An output, given as expression or text, in plain symbols."""
     t = sp.Symbol(metadata.time)
-    if isinstance(value, str):
+    if isinstance(output, str):
         names = {
             metadata.time: t,
             **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
@@ -241,26 +241,26 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
             **{state: sp.Function(state)(t) for state in metadata.states},
         }
         further = {
-            **{kind.__name__: kind for kind in _KINDS},
-            **{name: _several(name) for name in ("max", "min", "Max", "Min")},
+            **{reduction.__name__: reduction for reduction in _KINDS},
+            **{name: _extreme(name) for name in ("max", "min", "Max", "Min")},
             "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
         }
         where = f"output {quote(name)}"
         try:
-            return parse_expression(value, names, where=where, further=further)
+            return parse_expression(output, names, where=where, further=further)
         except ProblemError as error:
             text = error.message
-            known = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
-            remedy = known if "declare" in (error.remedy or "declare") else error.remedy
-            raise OptionError(text, term=value, remedy=remedy) from None
+            listed = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
+            remedy = listed if "declare" in (error.remedy or "declare") else error.remedy
+            raise OptionError(text, term=output, remedy=remedy) from None
     try:
-        expression = sp.sympify(value, strict=True)
+        expression = sp.sympify(output, strict=True)
     except (sp.SympifyError, TypeError):
         expression = None
     if not isinstance(expression, sp.Expr):
         raise OptionError(
-            f"the output {quote(name)} is {shown(value)}, not an expression",
-            term=value,
+            f"the output {quote(name)} is {shown(output)}, not an expression",
+            term=output,
             remedy="give an expression of the unknowns, parameters and time, or its text",
         )
     plain = {symbol: sp.Symbol(symbol.name) for symbol in expression.atoms(sp.Symbol)}
@@ -269,8 +269,8 @@ def _expression(name: str, value: Any, metadata: SolutionMetadata) -> sp.Expr:
     )
 
 
-def _several(name: str) -> Callable[..., sp.Expr]:
-    """The largest or smallest of several; of one alone is what was meant over time."""
+def _extreme(name: str) -> Callable[..., sp.Expr]:
+    """``Max`` or ``Min`` of several arguments; of one alone, the user meant the one over time."""
 
     def function(*arguments: sp.Expr) -> sp.Expr:
         if len(arguments) == 1:
@@ -279,14 +279,14 @@ def _several(name: str) -> Callable[..., sp.Expr]:
                 term=arguments[0],
                 remedy=f"write {name.lower()}imum(...) for the one over time",
             )
-        return getattr(sp, name.title())(*arguments)
+        return {"Max": sp.Max, "Min": sp.Min}[name.title()](*arguments)
 
     return function
 
 
 @dataclass
 class _Translator:
-    """Expressions in symbols of what is needed of the solution and of reductions."""
+    """Replaces states, their derivatives and reductions by symbols, and keeps a list of each."""
 
     metadata: SolutionMetadata
     horizon: tuple[float, float]
@@ -298,89 +298,102 @@ class _Translator:
 
     def translated(self, name: str, expression: sp.Expr) -> sp.Expr:
         """An expression of sources, reductions, parameters and time."""
-        found = _outermost(expression, _REDUCTIONS)
-        if found and self.metadata.timeless:
+        reductions = _outermost(expression, _REDUCTIONS)
+        if reductions and self.metadata.timeless:
             raise OptionError(
-                f"the output {quote(name)} has {quote(found[0])}, but nothing depends on time",
+                f"the output {quote(name)} has {quote(reductions[0])}, but nothing depends on time",
                 term=expression,
                 remedy="ask the solution that depends on time",
             )
-        replaced = {part: self._reduction(name, part) for part in found}
-        return self._in_sources(name, expression.xreplace(replaced))
+        symbols = {reduction: self._reduction(name, reduction) for reduction in reductions}
+        return self._in_sources(name, expression.xreplace(symbols))
 
-    def _reduction(self, name: str, part: sp.Expr) -> sp.Dummy:
-        """The symbol of a reduction, which is added."""
+    def _reduction(self, name: str, applied: sp.Expr) -> sp.Dummy:
+        """The symbol of a reduction, which is added to the list."""
         start, end = self.horizon
-        kind, direction = _KINDS.get(part.func, Kind.INTEGRAL), 0
-        if isinstance(part, sp.Integral):
-            kind, inner, start, end = self._integral(name, part)
-        elif isinstance(part, first_crossing):
-            inner, direction = part.parts
+        kind, direction = _KINDS.get(applied.func, Kind.INTEGRAL), 0
+        if isinstance(applied, sp.Integral):
+            kind, inner, start, end = self._integral(name, applied)
+        elif isinstance(applied, first_crossing):
+            inner, direction = applied.parts
             if not direction.is_number or float(direction) not in (-1.0, 0.0, 1.0):
                 raise OptionError(
-                    f"the direction of {quote(part)} is {quote(direction)}",
-                    term=part,
+                    f"the direction of {quote(applied)} is {quote(direction)}",
+                    term=applied,
                     remedy="give 1 (upwards), -1 (downwards) or 0",
                 )
         else:
-            (inner,) = part.args
+            (inner,) = applied.args
         if inner.has(*_REDUCTIONS):
             raise OptionError(
-                f"the output {quote(name)} has {quote(part)}, one function of time inside another",
-                term=part,
+                f"the output {quote(name)} has {quote(applied)}, one function of time inside "
+                "another",
+                term=applied,
                 remedy="make the inner one an output, and go on from there",
             )
         self.integrands.append(self._in_sources(name, inner))
-        given = kind, len(self.integrands) - 1, start, end, int(direction), plain_text(part)
-        self.reductions.append(Reduction(*given))
+        self.reductions.append(
+            Reduction(
+                kind=kind,
+                integrand=len(self.integrands) - 1,
+                start=start,
+                end=end,
+                direction=int(direction),
+                text=plain_text(applied),
+            )
+        )
         symbol = sp.Dummy(f"r{len(self.reduced)}")
         self.reduced.append(symbol)
         if kind is Kind.RUNNING:
             self.running.append(symbol)
         return symbol
 
-    def _integral(self, name: str, part: sp.Integral) -> tuple[Kind, sp.Expr, float, float]:
+    def _integral(self, name: str, integral: sp.Integral) -> tuple[Kind, sp.Expr, float, float]:
         """Kind, integrand and limits of an integral."""
         start, end = self.horizon
         t = sp.Symbol(self.metadata.time)
-        (limits, *others) = part.limits
+        (limits, *further) = integral.limits
         variable, *ends = limits
-        if others:
-            raise self._wrong_integral(name, part, "it has several variables")
+        if further:
+            raise self._wrong_integral(name, integral, "it has several variables")
         if variable != t and variable.name in self.metadata.parameters:
-            raise self._wrong_integral(name, part, f"{quote(variable)} is a parameter")
-        if variable != t and t in part.function.free_symbols:
-            raise self._wrong_integral(name, part, f"it has both {quote(variable)} and {quote(t)}")
-        inner = part.function.xreplace({variable: t})
+            raise self._wrong_integral(name, integral, f"{quote(variable)} is a parameter")
+        if variable != t and t in integral.function.free_symbols:
+            raise self._wrong_integral(
+                name, integral, f"it has both {quote(variable)} and {quote(t)}"
+            )
+        inner = integral.function.xreplace({variable: t})
         if not ends and variable == t:
             return Kind.INTEGRAL, inner, start, end
         if len(ends) != 2:
-            raise self._wrong_integral(name, part, "it has no two limits")
+            raise self._wrong_integral(name, integral, "it has no two limits")
         lower, upper = ends
-        known = lower.is_extended_real and (upper.is_extended_real or upper == t)
-        if not known or not lower.is_number or not (upper.is_number or upper == t):
-            raise self._wrong_integral(name, part, "its limits are no numbers")
+        real = lower.is_extended_real and (upper.is_extended_real or upper == t)
+        if not real or not lower.is_number or not (upper.is_number or upper == t):
+            raise self._wrong_integral(name, integral, "its limits are no numbers")
         low, high = float(lower), end if upper == t else float(upper)
         if not start <= low <= high <= end:
-            raise self._wrong_integral(name, part, f"its limits are not in [{start:g}, {end:g}]")
+            raise self._wrong_integral(
+                name, integral, f"its limits are not in [{start:g}, {end:g}]"
+            )
         return Kind.RUNNING if upper == t else Kind.INTEGRAL, inner, low, high
 
-    def _wrong_integral(self, name: str, part: sp.Integral, why: str) -> OptionError:
+    def _wrong_integral(self, name: str, integral: sp.Integral, why: str) -> OptionError:
         start, t = self.horizon[0], self.metadata.time
         return OptionError(
-            f"the output {quote(name)} has {quote(part)}: {why}",
-            term=part,
+            f"the output {quote(name)} has {quote(integral)}: {why}",
+            term=integral,
             remedy=f"write Integral(x, ({t}, {start:g}, {self.horizon[1]:g})), or "
             f"Integral(x, ({t}, {start:g}, {t})) for a function of time",
         )
 
     def _in_sources(self, name: str, expression: sp.Expr) -> sp.Expr:
         """An expression with symbols for states and their derivatives."""
-        parts = _outermost(expression, (sp.Derivative, AppliedUndef))
-        plain = expression.xreplace({part: self._source(name, part) for part in parts})
-        known = {*self.sources.values(), *self.reduced}
+        states = _outermost(expression, (sp.Derivative, AppliedUndef))
+        plain = expression.xreplace({state: self._source(name, state) for state in states})
         names = self.metadata.coordinates
-        for symbol in sorted(plain.free_symbols - known, key=str):
+        translated = {*self.sources.values(), *self.reduced}
+        for symbol in sorted(plain.free_symbols - translated, key=str):
             if symbol == sp.Symbol(symbol.name) and symbol.name in names:
                 continue
             if symbol.name in self.metadata.states:
@@ -400,53 +413,52 @@ class _Translator:
             )
         return closed(plain)
 
-    def _source(self, name: str, part: sp.Expr) -> sp.Dummy:
+    def _source(self, name: str, unknown: sp.Expr) -> sp.Dummy:
         """The symbol of a state or a derivative of one."""
         try:
-            wanted = name_of(part, self.metadata.time)
+            full_name = name_of(unknown, self.metadata.time)
         except RankoneError as error:
-            raise OptionError(f"the output {quote(name)}: {error}", term=part) from None
-        orders = part.derivative_count if isinstance(part, sp.Derivative) else 0
-        state = name_of(part.expr if orders else part, self.metadata.time)
+            raise OptionError(f"the output {quote(name)}: {error}", term=unknown) from None
+        orders = unknown.derivative_count if isinstance(unknown, sp.Derivative) else 0
+        state = name_of(unknown.expr if orders else unknown, self.metadata.time)
         if orders and self.metadata.timeless:
             raise OptionError(
-                f"the output {quote(name)} has {quote(part)}, but nothing depends on time",
-                term=part,
+                f"the output {quote(name)} has {quote(unknown)}, but nothing depends on time",
+                term=unknown,
                 remedy="ask the solution that depends on time",
             )
         states = self.metadata.states
         for order in range(orders + 1):
-            held = wanted[: len(wanted) - order] if order < orders else state
+            held = full_name[: len(full_name) - order] if order < orders else state
             if held in states:
                 source = Source(states.index(held), order)
                 return self.sources.setdefault(source, sp.Dummy(f"s{len(self.sources)}"))
         raise OptionError(
-            f"the output {quote(name)} has {quote(part)}{did_you_mean(state, states)}",
-            term=part,
+            f"the output {quote(name)} has {quote(unknown)}{did_you_mean(state, states)}",
+            term=unknown,
             remedy=f"the solution holds {listing(states)}",
         )
 
 
-def _outermost(expression: sp.Expr, kinds: tuple[type, ...]) -> list[sp.Expr]:
-    """Parts of some kinds that are in no other such part, each once."""
-    found: dict[sp.Expr, None] = {}
+def _outermost(expression: sp.Expr, types: tuple[type, ...]) -> list[sp.Expr]:
+    """Subexpressions of some types that are in no other such subexpression, each once."""
+    nodes: dict[sp.Expr, None] = {}
     walk = sp.preorder_traversal(expression)
-    for part in walk:
-        if isinstance(part, kinds):
-            found.setdefault(part)
+    for node in walk:
+        if isinstance(node, types):
+            nodes.setdefault(node)
             walk.skip()
-    return list(found)
+    return list(nodes)
 
 
 def _function(
-    arguments: str, expressions: Iterable[sp.Expr], written: Mapping[sp.Symbol, str]
-) -> Callable[..., Sequence[Any]]:
+    arguments: str, expressions: Sequence[sp.Expr], names: Mapping[sp.Symbol, str]
+) -> Callable[..., Sequence[Array]]:
     """A function of arrays from expressions."""
-    listed = list(expressions)
-    texts = [numpy_text(stable(expression), dict(written)) for expression in listed]
-    called = {part.written(): type(part)._imp_ for part in known_applied(listed)}
+    texts = [numpy_text(stable(expression), dict(names)) for expression in expressions]
+    called = {node.written(): type(node)._imp_ for node in known_applied(expressions)}
     namespace = {"np": np, "special": special, **called}
-    made: Callable[..., Sequence[Any]] = eval(
+    function: Callable[..., Sequence[Array]] = eval(
         f"lambda {arguments}: [{', '.join(texts)}]", namespace
     )
-    return made
+    return function

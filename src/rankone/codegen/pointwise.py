@@ -1,204 +1,370 @@
-"""Pointwise functions: the right-hand side and its Jacobians at given states and parameters.
+"""Pointwise functions: rates, Jacobians, initial values, features, at given states and parameters.
 
-They are vectorised over points and also serve as right-hand side for an integrator, so they use
-few operations: factors and products that occur twice are computed once.
+:class:`PointwiseWriter` turns expressions, or the terms of a separated form, into a
+:class:`PointwiseFunction`: what is computed in which order, with the text of each expression. A
+:class:`Printer` knows the language: how an expression is written, and how a function is laid out.
+:class:`NumPyPrinter` writes functions that are vectorised over points; an integrator calls them
+too, so they use few operations: what occurs twice is computed once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
 
 import sympy as sp
 
-from rankone.codegen.names import Names
 from rankone.codegen.printer import common_subexpressions
-from rankone.codegen.sums import Addend, share
-from rankone.codegen.text import assignment, commented, docstring, unpacking
-from rankone.ir.forms import QuadraticSystem, Term
+from rankone.codegen.text import INDENT, Names, assignment, docstring, unpacking
+from rankone.ir.forms import Coordinate, Jump, State
 
-__all__ = ["Index", "PointwiseWriter", "mask", "shape_line"]
+__all__ = [
+    "Entry",
+    "Index",
+    "NumPyPrinter",
+    "PointwiseFunction",
+    "PointwiseWriter",
+    "Printer",
+    "Scope",
+    "Shared",
+    "Statements",
+]
 
-Index = tuple[int, ...]
+Index: TypeAlias = "tuple[int, ...]"
+"""Where an entry is in the array that a function returns: (row,) or (row, column)."""
+Shared: TypeAlias = "list[tuple[str, str]]"
+"""Names and the text of what they stand for, each using only what precedes it."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry of the value: its place, the terms of a sum as text, and what it means."""
+
+    index: Index
+    terms: Sequence[str]
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Statements:
+    """Intermediate terms, then the entries of the value that use them.
+
+    ``kind`` is the first argument for which they are executed; None if they always are.
+    """
+
+    intermediate: Shared
+    entries: Sequence[Entry]
+    kind: int | None = None
+
+
+@dataclass(frozen=True)
+class PointwiseFunction:
+    """A function of time ``t``, states ``u`` or ``x``, and parameters ``p``, in no language yet.
+
+    Attributes
+    ----------
+    name : str
+    arguments : tuple of str
+        Of ``kind``, ``t``, ``u`` or ``x``, and ``p``.
+    summary : str
+        First line of its documentation.
+    shape : tuple of int
+        Of the value at one point.
+    start : {"empty", "zeros", "states"}
+        What the entries that are not computed are.
+    parameters, states : sequence of str
+        Local names of all parameters and states; ``_`` for those that are not used.
+    statements : sequence of Statements
+    array_time : bool
+        Whether expressions need the time as an array.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    summary: str
+    shape: Index
+    start: Literal["empty", "zeros", "states"]
+    parameters: Sequence[str]
+    states: Sequence[str]
+    statements: Sequence[Statements]
+    array_time: bool = False
+
+
+class Printer(Protocol):
+    """How expressions and pointwise functions are written in one language."""
+
+    @property
+    def reserved(self) -> Sequence[str]:
+        """Names that no parameter, state or intermediate term may have."""
+
+    def expressions(
+        self,
+        expressions: Sequence[sp.Expr],
+        names: dict[sp.Symbol, str],
+        temporaries: Iterator[str],
+    ) -> tuple[Shared, list[str]]:
+        """Text of expressions of named symbols, after what they share under fresh names."""
+
+    def function(self, function: PointwiseFunction) -> list[str]:
+        """Source lines of a function."""
+
+
+class NumPyPrinter:
+    """Writes functions of arrays: t (...), u (n, ...) and p (d, ...) broadcast together."""
+
+    reserved = ("np", "special", "CubicSpline", "t", "u", "x", "p", "kind", "shape", "out")
+    _MAX_BROADCAST_ARGUMENTS = 64
+    """Arguments that ``np.broadcast`` takes."""
+
+    def expressions(
+        self,
+        expressions: Sequence[sp.Expr],
+        names: dict[sp.Symbol, str],
+        temporaries: Iterator[str],
+    ) -> tuple[Shared, list[str]]:
+        """Text of expressions of named symbols, after what they share under fresh names."""
+        return common_subexpressions(expressions, names, temporaries)
+
+    def function(self, function: PointwiseFunction) -> list[str]:
+        """Source lines of a function."""
+        states = "x" if "x" in function.arguments else "u"
+        lines = [
+            f"def {function.name}({', '.join(function.arguments)}):",
+            *docstring([function.summary]),
+            f"    shape = {self._shape(function, states)}",
+        ]
+        before = function.start == "states"  # unpacking may replace the argument
+        if before:
+            whole = f"({function.shape[0]}, *shape)"
+            lines.append(f"    out = np.array(np.broadcast_to({states}, {whole}))")
+        if function.array_time:
+            lines.append("    t = np.asarray(t, dtype=float)")
+        lines += unpacking(function.parameters, "p")
+        lines += unpacking(function.states, states)
+        allocation = f"np.{function.start}(({', '.join(map(str, function.shape))}, *shape))"
+        for block in function.statements:
+            written = self._intermediate(block)
+            if not before and not block.entries:
+                return [*lines, *written, "    # Output", f"    return {allocation}"]
+            if not before:
+                written += ["    # Output", f"    out = {allocation}"]
+            for entry in block.entries:
+                target = f"out[{', '.join(map(str, entry.index))}]"
+                written += assignment(target, entry.terms, entry.meaning)
+            if block.kind is not None:
+                written = [f"    if kind == {block.kind}:", *(INDENT + line for line in written)]
+            lines += written
+        return [*lines, "    return out"]
+
+    def _shape(self, function: PointwiseFunction, states: str) -> str:
+        """The expression for the common shape of all points."""
+        if "t" in function.arguments:
+            count = 1 + len(function.states) + len(function.parameters)
+            if count <= self._MAX_BROADCAST_ARGUMENTS:
+                return f"np.broadcast(t, *{states}, *p).shape"
+            return f"np.broadcast_shapes(np.shape(t), np.shape({states})[1:], np.shape(p)[1:])"
+        if states in function.arguments:
+            return f"np.broadcast_shapes(np.shape({states})[1:], np.shape(p)[1:])"
+        return "np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
+
+    def _intermediate(self, block: Statements) -> list[str]:
+        """The lines that compute the intermediate terms."""
+        if not block.intermediate:
+            return []
+        lines = [f"    # Intermediate terms ({len(block.intermediate)})"]
+        return lines + [
+            line for name, text in block.intermediate for line in assignment(name, [text])
+        ]
 
 
 class PointwiseWriter:
-    """Writes ``rhs``, ``jacobian``, ``with_products`` and ``quadratic_jacobian``."""
+    """Writes the pointwise functions of one system.
 
-    def __init__(self, system: QuadraticSystem) -> None:
-        self.system = system
-        self.n_differential, self.n_states = len(system.differential), len(system.states)
-        self.operations: dict[str, int] = {}
+    Expressions hold the states as ``x(t)``, time and parameters; they are written over real
+    symbols.
 
-    def functions(self) -> list[list[str]]:
-        """Source lines of the four functions."""
-        return [self.rhs(), self.jacobian(), self.with_products(), self.quadratic_jacobian()]
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        Time, then the parameters.
+    states : sequence of State
+    printer : Printer, optional
 
-    def rhs(self) -> list[str]:
-        """Source lines of ``rhs``."""
-        n = self.n_differential
-        entries: dict[Index, list[Term]] = {(c,): [] for c in range(n)}
-        for term in self.system.rhs:
-            entries[(term.equation,)].append(term)
-        return [
-            "def rhs(t, u, p):",
-            *docstring([f"Right-hand side f(t, u, p) at u ({n}, ...): shape ({n}, ...)."]),
-            *self.body("rhs", "u", n, f"np.empty(({n}, *shape))", entries),
-        ]
-
-    def jacobian(self) -> list[str]:
-        """Source lines of ``jacobian``."""
-        n, entries = self.n_differential, derivatives(self.system.rhs)
-        return [
-            "def jacobian(t, u, p):",
-            *docstring([f"Jacobian df/du at u ({n}, ...): shape ({n}, {n}, ...)."]),
-            *self.body("jacobian", "u", n, f"np.zeros(({n}, {n}, *shape))", entries),
-        ]
-
-    def with_products(self) -> list[str]:
-        """Source lines of ``with_products``."""
-        n, total = self.n_differential, self.n_states
-        lines = ["def with_products(u):"]
-        if not self.system.products:
-            lines += docstring([f"All states, ({n}, ...): there are no products to append."])
-            return [*lines, "    return np.array(u, dtype=float)"]
-        lines += [
-            *docstring([f"Append the products: ({n}, ...) to ({total}, ...)."]),
-            "    u = np.asarray(u, dtype=float)",
-            f"    x = np.empty(({total}, *u.shape[1:]))",
-            f"    x[:{n}] = u",
-        ]
-        pairs = zip(self.system.products, self.system.definitions, strict=True)
-        for k, ((a, b), meaning) in enumerate(pairs, start=n):
-            lines.append(commented(f"    x[{k}] = x[{a}] * x[{b}]", meaning))
-        return [*lines, "    return x"]
-
-    def quadratic_jacobian(self) -> list[str]:
-        """Source lines of ``quadratic_jacobian``; without products it is ``jacobian``."""
-        if not self.system.products:
-            return ["quadratic_jacobian = jacobian"]
-        n, entries = self.n_states, derivatives(self.system.terms)
-        summary = f"Jacobian of the quadratic system at x ({n}, ...): shape ({n}, {n}, ...)."
-        return [
-            "def quadratic_jacobian(t, x, p):",
-            *docstring([summary]),
-            *self.body("quadratic_jacobian", "x", n, f"np.zeros(({n}, {n}, *shape))", entries),
-        ]
-
-    def body(
-        self,
-        function: str,
-        states: str,
-        n_states: int,
-        allocation: str,
-        entries: dict[Index, list[Term]],
-    ) -> list[str]:
-        """Statements that compute the entries of an array, from the arguments to the return."""
-        names = Names(["np", "special", "t", "u", "x", "shape", "out"])
-        coordinates = self.system.coordinates
-        parameter_names = [names(coordinate.name) for coordinate in coordinates[1:]]
-        names.taken -= {"u", "x"}  # states are unpacked last and may replace the argument
-        state_locals = [names(name) for name in self.system.names[:n_states]]
-
-        terms = [term for found in entries.values() for term in found]
-        used_factors = sorted({(j, i) for term in terms for j, i in enumerate(term.factors) if i})
-        used_states = {state for term in terms for state in term.monomial}
-        used_parameters = {j for j, _ in used_factors}
-        spelled = ["t", *parameter_names]
-        factor_lines, factor_names, count = self.factor_lines(used_factors, spelled, names)
-
-        symbols = [*factor_names, *state_locals]
-        position = {key: k for k, key in enumerate(used_factors)}
-        sums = [
-            [product(term, position, len(factor_names)) for term in found]
-            for found in entries.values()
-        ]
-        written = share(sums, symbols, names.numbered("c"))
-        self.operations[function] = written.operations + count
-
-        lines = [shape_line(states, n_states, len(parameter_names))]
-        parameters = mask(parameter_names, (j - 1 for j in used_parameters))
-        lines += unpacking(parameters, "p")
-        lines += unpacking(mask(state_locals, used_states), states)
-        n_intermediate = len(factor_lines) + len(written.intermediate)
-        if n_intermediate:
-            lines.append(f"    # Intermediate terms ({n_intermediate})")
-            for name, text in (*factor_lines, *written.intermediate):
-                lines += assignment(name, [text])
-        if not entries:
-            return [*lines, "    # Output", f"    return {allocation}"]
-        lines += ["    # Output", f"    out = {allocation}"]
-        for index, sum_terms in zip(entries, written.sums, strict=True):
-            target = f"out[{', '.join(map(str, index))}]"
-            lines += assignment(target, sum_terms or ["0.0"], self.meaning(index))
-        return [*lines, "    return out"]
-
-    def meaning(self, index: Index) -> str:
-        """What an entry of the output is: ``x'``, or ``d(x')/dy`` for one of a Jacobian."""
-        row, *column = index
-        rate = self.system.rates[row]
-        if not column:
-            return rate
-        return f"d({rate})/d{self.system.names[column[0]]}"
-
-    def factor_lines(
-        self, used: Sequence[tuple[int, int]], spelled: Sequence[str], names: Names
-    ) -> tuple[list[tuple[str, str]], list[str], int]:
-        """Statements for the factors used, the name of each factor, and operations."""
-        lines: list[tuple[str, str]] = []
-        factor_names: list[str] = []
-        count = 0
-        for j, coordinate in enumerate(self.system.coordinates):
-            rows = [i for dimension, i in used if dimension == j]
-            expressions = [self.system.factors[j][i].expression for i in rows]
-            written = {coordinate.symbol: spelled[j]}
-            shared, texts = common_subexpressions(
-                expressions, written, names.numbered(f"{spelled[j]}_c")
-            )
-            lines += shared
-            for i, expression, text in zip(rows, expressions, texts, strict=True):
-                name = text
-                if not text.isidentifier():
-                    name = names(f"{coordinate.name}_{i}")
-                    lines.append((name, text))
-                factor_names.append(name)
-                count += int(sp.count_ops(expression))
-        return lines, factor_names, count
-
-
-def product(term: Term, position: dict[tuple[int, int], int], n_factors: int) -> Addend:
-    """A term as a product of the symbols of a pointwise function: factors, then states."""
-    factors = (position[j, i] for j, i in enumerate(term.factors) if i)
-    return term.coefficient, (*factors, *(n_factors + state for state in term.monomial))
-
-
-def derivatives(terms: Iterable[Term]) -> dict[Index, list[Term]]:
-    """Terms of the Jacobian's nonzero entries, by (row, column) in ascending order."""
-    entries: dict[Index, dict[tuple[tuple[int, ...], tuple[int, ...]], Fraction | float]] = {}
-    for term in terms:
-        for position, state in enumerate(term.monomial):
-            rest = (*term.monomial[:position], *term.monomial[position + 1 :])
-            entry = entries.setdefault((term.equation, state), {})
-            key = (term.factors, rest)
-            entry[key] = entry.get(key, Fraction(0)) + term.coefficient
-    return {
-        index: [Term(index[0], value, factors, rest) for (factors, rest), value in entry.items()]
-        for index, entry in sorted(entries.items())
-    }
-
-
-def shape_line(states: str, n_states: int, n_parameters: int) -> str:
-    """The statement for the common shape of all points (np.broadcast takes 64 arguments)."""
-    if 1 + n_states + n_parameters <= 64:
-        return f"    shape = np.broadcast(t, *{states}, *p).shape"
-    return f"    shape = np.broadcast_shapes(np.shape(t), np.shape({states})[1:], np.shape(p)[1:])"
-
-
-def mask(names: Sequence[str], used: Iterable[int]) -> list[str]:
-    """The names with ``_`` for those not used.
-
-    >>> mask(["a", "b"], [1])
-    ['_', 'b']
+    Attributes
+    ----------
+    operations : dict of str to int
+        For each function written so far the number of its operations.
+    printed : list of Expr
+        The expressions written so far.
     """
-    keep = set(used)
-    return [name if k in keep else "_" for k, name in enumerate(names)]
+
+    def __init__(
+        self,
+        coordinates: Sequence[Coordinate],
+        states: Sequence[State],
+        printer: Printer | None = None,
+    ) -> None:
+        clock, *parameters = coordinates
+        self.printer: Printer = printer or NumPyPrinter()
+        self.operations: dict[str, int] = {}
+        self.printed: list[sp.Expr] = []
+        self.time = sp.Symbol(clock.name, real=True)
+        self.parameters = [sp.Symbol(c.name, real=True) for c in parameters]
+        self.states = [sp.Symbol(state.name, real=True) for state in states]
+        self._real: dict[sp.Expr, sp.Symbol] = {
+            sp.Function(state.name)(clock.symbol): symbol
+            for state, symbol in zip(states, self.states, strict=True)
+        }
+        symbols = (self.time, *self.parameters)
+        self._real |= {c.symbol: symbol for c, symbol in zip(coordinates, symbols, strict=True)}
+
+    def knows(self, function: sp.Expr) -> bool:
+        """Whether an applied function is a state."""
+        return function in self._real
+
+    def state_name(self, row: int) -> str:
+        """The name of a state."""
+        return str(self.states[row].name)
+
+    def is_polynomial(self, expression: sp.Expr) -> bool:
+        """Whether an expression is a polynomial of the states."""
+        real = self.real(expression)
+        unknowns = [symbol for symbol in self.states if symbol in real.free_symbols]
+        return not unknowns or bool(real.is_polynomial(*unknowns))
+
+    def real(self, expression: sp.Expr) -> sp.Expr:
+        """An expression over real symbols."""
+        return expression.xreplace(self._real)
+
+    def vector(
+        self,
+        name: str,
+        arguments: str,
+        summary: str,
+        expressions: Sequence[sp.Expr],
+        meanings: Sequence[str] = (),
+    ) -> list[str]:
+        """Source lines of a function with expressions as its entries; none without expressions."""
+        if not expressions:
+            return []
+        entries: dict[Index, sp.Expr] = {(i,): e for i, e in enumerate(expressions)}
+        shape = (len(expressions),)
+        return self.array(
+            name, arguments, summary, shape, entries, lambda i: meanings[i] if meanings else ""
+        )
+
+    def array(
+        self,
+        name: str,
+        arguments: str,
+        summary: str,
+        shape: Index,
+        entries: Mapping[Index, sp.Expr],
+        meaning: Callable[..., str],
+        start: Literal["empty", "zeros"] = "empty",
+    ) -> list[str]:
+        """Source lines of a function with expressions as some entries of its value."""
+        scope = self._scope()
+        statements = self._statements(name, scope, entries, meaning)
+        return self.written(scope, name, arguments, summary, shape, start, [statements])
+
+    def jumped(self, jumps: Sequence[Jump]) -> list[str]:
+        """Source lines of ``jumped``: for each kind of jump the states that it changes."""
+        if not jumps:
+            return []
+        n, scope, statements = len(self.states), self._scope(), []
+        for kind, states_after in enumerate(Jump.kinds(jumps)):
+            pairs = enumerate(zip(self.states, map(self.real, states_after), strict=True))
+            entries: dict[Index, sp.Expr] = {(i,): after for i, (u, after) in pairs if after != u}
+            statements.append(
+                self._statements(
+                    "jumped", scope, entries, lambda i: f"{self.state_name(i)} after it", kind
+                )
+            )
+        summary = f"States right after a jump from u ({n}, ...) before, at p (d, ...): ({n}, ...)."
+        return self.written(scope, "jumped", "kind, u, p", summary, (n,), "states", statements)
+
+    def _scope(self) -> Scope:
+        """Fresh names for a function."""
+        names = [s.name for s in self.parameters], [s.name for s in self.states]
+        return Scope(self.printer, *names)
+
+    def _statements(
+        self,
+        name: str,
+        scope: Scope,
+        entries: Mapping[Index, sp.Expr],
+        meaning: Callable[..., str],
+        kind: int | None = None,
+    ) -> Statements:
+        """The statements that compute entries from expressions."""
+        expressions = [self.real(expression) for expression in entries.values()]
+        self.printed += expressions
+        symbols = set().union(*(e.free_symbols for e in expressions)) if expressions else set()
+        scope.used_parameters |= {j for j, p in enumerate(self.parameters) if p in symbols}
+        scope.used_states |= {i for i, u in enumerate(self.states) if u in symbols}
+        scope.uses_time |= self.time in symbols
+        names = {self.time: "t"}
+        names |= dict(zip(self.parameters, scope.parameters, strict=True))
+        names |= dict(zip(self.states, scope.states, strict=True))
+        shared, texts = self.printer.expressions(expressions, names, scope.fresh.numbered("c"))
+        count = sum(map(_operations, (*(text for _, text in shared), *texts)))
+        self.operations[name] = self.operations.get(name, 0) + count
+        pairs = zip(entries, texts, strict=True)
+        return Statements(
+            shared, [Entry(i, [_as_float(text)], meaning(*i)) for i, text in pairs], kind
+        )
+
+    def written(
+        self,
+        scope: Scope,
+        name: str,
+        arguments: str,
+        summary: str,
+        shape: Index,
+        start: Literal["empty", "zeros", "states"],
+        statements: Sequence[Statements],
+    ) -> list[str]:
+        """Source lines of a function whose statements are made."""
+        listed = tuple(arguments.split(", "))
+        return self.printer.function(
+            PointwiseFunction(
+                name,
+                listed,
+                summary,
+                shape,
+                start,
+                _masked(scope.parameters, scope.used_parameters),
+                _masked(scope.states, scope.used_states),
+                statements,
+                scope.uses_time and "t" in listed,
+            )
+        )
+
+
+class Scope:
+    """The names inside one function, and which of its arguments it uses."""
+
+    def __init__(self, printer: Printer, parameters: Sequence[str], states: Sequence[str]) -> None:
+        self.fresh = Names(printer.reserved)
+        self.parameters = [self.fresh(name) for name in parameters]
+        self.fresh.taken -= {"u", "x"}  # states are unpacked last and may replace the argument
+        self.states = [self.fresh(name) for name in states]
+        self.used_parameters: set[int] = set()
+        self.used_states: set[int] = set()
+        self.uses_time = False
+
+
+def _masked(names: Sequence[str], used: set[int]) -> list[str]:
+    """The names with ``_`` for those not used."""
+    return [name if k in used else "_" for k, name in enumerate(names)]
+
+
+def _operations(text: str) -> int:
+    """How many operations a line of source has, roughly: its operators and calls."""
+    return sum(text.count(f" {sign} ") for sign in "+-*/") + text.count("(") + text.count("**")
+
+
+def _as_float(text: str) -> str:
+    return f"{text}.0" if text.removeprefix("-").isdigit() else text

@@ -1,31 +1,94 @@
-"""Sums of products: shared factors computed once, common factors taken out of sums.
+"""Sums of products with few operations: shared pairs computed once, common factors taken out.
 
-Works on symbols numbered by the caller, who says how each is written. The result is text ready
-for :func:`rankone.codegen.text.assignment` and a count of its operations.
+Symbols are numbered by the caller, who says how each is written. The sums become text for
+:func:`rankone.codegen.text.assignment`, with a count of its operations.
 """
 
 from __future__ import annotations
 
+import heapq
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from rankone.codegen.pairs import extract_pairs
 from rankone.codegen.text import literal
 
-__all__ = ["Addend", "SharedSums", "share"]
+__all__ = ["Addend", "Pair", "SharedSums", "extract_pairs", "share"]
 
 Addend = tuple[Fraction | float, tuple[int, ...]]
 """A coefficient and the symbols multiplied."""
 
 _FRACTION = re.compile(r"^\d+ / \d+")
-"""A number that is only one when it stands first or in parentheses."""
+"""A quotient that is a number only where it stands first or in parentheses."""
+_MAX_TERM_WIDTH = 80
+"""Characters of a factored term that is still easy to read."""
 
 
-_LONGEST = 80
-"""Characters of a factored term."""
+Symbols = tuple[int, ...]
+"""A product of numbered symbols, repeated for powers."""
+Pair = tuple[int, int]
+"""Two symbols that are multiplied."""
+
+
+def extract_pairs(
+    monomials: Sequence[Symbols], n_symbols: int, *, degree: int, repeats: int = 1
+) -> tuple[list[Pair], list[Symbols]]:
+    """Replace pairs of symbols by new symbols, the most frequent pair first.
+
+    Monomials are symbols, repeated for powers; those of ``degree`` or less are left alone, and so
+    are pairs that occur less often than ``repeats``. The new symbol of pair k is ``n_symbols + k``.
+
+    Returns
+    -------
+    pairs : list of (int, int)
+        The symbols multiplied, possibly earlier pairs; equally frequent pairs in ascending order.
+    monomials : list of tuple of int
+        The rewritten monomials, each ascending.
+    """
+    bags = [Counter(monomial) for monomial in monomials]
+    where: defaultdict[Pair, dict[int, int]] = defaultdict(dict)  # pair -> {monomial: how often}
+
+    def record(i: int, symbols: Sequence[int]) -> None:
+        """Update the occurrences in monomial i of all pairs that contain one of the symbols."""
+        bag = bags[i]
+        active = bag.total() > degree
+        for a in symbols:
+            for b in bag:
+                pair = (min(a, b), max(a, b))
+                often = (bag[a] // 2 if a == b else min(bag[a], bag[b])) if active else 0
+                if often:
+                    where[pair][i] = often
+                else:
+                    where[pair].pop(i, None)
+
+    for i, bag in enumerate(bags):
+        record(i, tuple(bag))
+    queue = [(-sum(counts.values()), pair) for pair, counts in where.items()]
+    heapq.heapify(queue)
+    pairs: list[Pair] = []
+    while queue:
+        often, pair = heapq.heappop(queue)
+        counts = where[pair]
+        if (now := sum(counts.values())) != -often:  # counts only ever fall: requeue and go on
+            heapq.heappush(queue, (-now, pair))
+            continue
+        if now < repeats or now == 0:
+            break
+        symbol_of_pair = n_symbols + len(pairs)
+        pairs.append(pair)
+        partners: set[Pair] = set()
+        for i, times in sorted(counts.items()):
+            bags[i].subtract({pair[0]: times})
+            bags[i].subtract({pair[1]: times})
+            bags[i][symbol_of_pair] = times
+            record(i, tuple(bags[i]))
+            bags[i] = +bags[i]
+            partners.update((symbol, symbol_of_pair) for symbol in bags[i])
+        for partner in sorted(partners):
+            heapq.heappush(queue, (-sum(where[partner].values()), partner))
+    return pairs, [tuple(sorted(bag.elements())) for bag in bags]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +135,7 @@ def share(
     for terms in sums:
         shared = [(coefficient, next(remaining)) for coefficient, _ in terms]
         chunks, count = _factored(shared, names)
-        if any(len(chunk) > _LONGEST for chunk in chunks):
+        if any(len(chunk) > _MAX_TERM_WIDTH for chunk in chunks):
             chunks, count = _plain(shared, names)
         written.append(tuple(chunks))
         operations += count
@@ -83,33 +146,33 @@ def _factored(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str],
     """Terms of a sum with its most frequent symbol taken out, again and again, and operations."""
     chunks: list[str] = []
     count = 0
-    rest = list(terms)
-    while rest:
-        often = Counter(symbol for _, symbols in rest for symbol in set(symbols))
+    remaining = list(terms)
+    while remaining:
+        often = Counter(symbol for _, symbols in remaining for symbol in set(symbols))
         common = min(often, key=lambda symbol: (-often[symbol], symbol), default=None)
         if common is None or often[common] < 2:
-            more, operations = _plain(rest, names)
-            rest = []
+            added, operations = _plain(remaining, names)
+            remaining = []
         else:
-            inside = [(c, symbols) for c, symbols in rest if common in symbols]
-            rest = [(c, symbols) for c, symbols in rest if common not in symbols]
-            first, operations = _taken_out(common, inside, names)
-            more = [first]
+            inside = [(c, symbols) for c, symbols in remaining if common in symbols]
+            remaining = [(c, symbols) for c, symbols in remaining if common not in symbols]
+            product, operations = _product_of(common, inside, names)
+            added = [product]
         if chunks:
-            more[0] = f"- {more[0][1:]}" if more[0][0] == "-" else f"+ {more[0]}"
+            added[0] = f"- {added[0][1:]}" if added[0][0] == "-" else f"+ {added[0]}"
         count += operations + bool(chunks)
-        chunks += more
+        chunks += added
     return chunks, count
 
 
-def _taken_out(common: int, terms: Sequence[Addend], names: Sequence[str]) -> tuple[str, int]:
-    """A symbol times the sum of what it stands beside in some terms, and operations."""
-    others: list[Addend] = []
+def _product_of(common: int, terms: Sequence[Addend], names: Sequence[str]) -> tuple[str, int]:
+    """A symbol times the sum of its cofactors in some terms, and operations."""
+    cofactors: list[Addend] = []
     for coefficient, symbols in terms:
-        rest = list(symbols)
-        rest.remove(common)
-        others.append((coefficient, tuple(rest)))
-    inside, count = _factored(others, names)
+        cofactor = list(symbols)
+        cofactor.remove(common)
+        cofactors.append((coefficient, tuple(cofactor)))
+    inside, count = _factored(cofactors, names)
     if len(inside) > 1:
         return f"{names[common]} * ({' '.join(inside)})", count + 1
     # a product again: k * (x * (a + b)) needs no outer parentheses
@@ -123,8 +186,8 @@ def _plain(terms: Sequence[Addend], names: Sequence[str]) -> tuple[list[str], in
     chunks: list[str] = []
     operations = max(len(terms) - 1, 0)
     positive = next((i for i, term in enumerate(terms) if term[0] > 0), 0)  # y - x, not -x + y
-    rest = [*terms[:positive], *terms[positive + 1 :]]
-    for coefficient, symbols in [*terms[positive : positive + 1], *rest]:
+    ordered = [*terms[positive : positive + 1], *terms[:positive], *terms[positive + 1 :]]
+    for coefficient, symbols in ordered:
         size = abs(coefficient)
         factors = [names[symbol] for symbol in symbols]
         if size != 1.0 or not factors:

@@ -1,10 +1,14 @@
-"""Layout of generated Python text: statements and tables as ``ruff format`` would write them."""
+"""Layout of generated Python text, as ``ruff format`` would write it, and its identifiers."""
 
 from __future__ import annotations
 
+import itertools
 import json
+import keyword
+import re
 import textwrap
-from collections.abc import Iterable, Sequence
+import unicodedata
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import TypeAlias
 
@@ -13,11 +17,13 @@ from rankone.support.wording import number
 __all__ = [
     "INDENT",
     "WIDTH",
+    "Names",
     "Nested",
     "assignment",
     "commented",
     "described_table",
     "docstring",
+    "is_identifier",
     "literal",
     "nested",
     "one_line",
@@ -30,26 +36,28 @@ __all__ = [
 ]
 
 WIDTH = 100
-_TOGETHER = 400
-"""Terms of a sum in one statement at most: Python compiles long sums by recursion."""
+"""Characters of a line."""
 INDENT = "    "
+"""One level of indentation."""
+_MAX_TERMS = 400
+"""Terms of a sum in one statement: Python compiles longer sums by deep recursion."""
 
 Nested: TypeAlias = "str | Sequence[Nested]"
 """A text, or a tuple of them."""
 
 
-def literal(value: object) -> str:
+def literal(constant: object) -> str:
     """A number, or a tuple of them, as ``ruff format`` writes it; fractions stay exact.
 
     >>> literal((1e200, 0.5)), literal(Fraction(3, 2)), literal(Fraction(1, 3))
     ('(1e200, 0.5)', '1.5', '1 / 3')
     """
-    if isinstance(value, Fraction):
-        text = number(value)
-        return text.replace("/", " / ") if "/" in text else literal(float(value))
-    if isinstance(value, tuple):
-        return f"({', '.join(map(literal, value))}{',' * (len(value) == 1)})"
-    return quoted(value) if isinstance(value, str) else repr(value).replace("e+", "e")
+    if isinstance(constant, Fraction):
+        text = number(constant)
+        return text.replace("/", " / ") if "/" in text else literal(float(constant))
+    if isinstance(constant, tuple):
+        return f"({', '.join(map(literal, constant))}{',' * (len(constant) == 1)})"
+    return quoted(constant) if isinstance(constant, str) else repr(constant).replace("e+", "e")
 
 
 def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str]:
@@ -58,9 +66,9 @@ def assignment(target: str, terms: Sequence[str], meaning: str = "") -> list[str
     >>> assignment("y", ["a * b", "- c"], "x'")
     ["    y = a * b - c  # x'"]
     """
-    lines = statement(f"{target} =", terms[:_TOGETHER])
-    for k in range(_TOGETHER, len(terms), _TOGETHER):
-        lines += statement(f"{target} =", [target, *terms[k : k + _TOGETHER]])
+    lines = statement(f"{target} =", terms[:_MAX_TERMS])
+    for k in range(_MAX_TERMS, len(terms), _MAX_TERMS):
+        lines += statement(f"{target} =", [target, *terms[k : k + _MAX_TERMS]])
     return [commented(lines[0], meaning)] if meaning and len(lines) == 1 else lines
 
 
@@ -124,7 +132,7 @@ def tuple_lines(start: str, item: Nested, end: str, indent: str) -> list[str]:
     line = f"{indent}{start}{_one_line(item)}{end}"
     if len(line) <= WIDTH or isinstance(item, str):
         return [line]
-    inner = [row for part in item for row in tuple_lines("", part, ",", indent + INDENT)]
+    inner = [line for element in item for line in tuple_lines("", element, ",", indent + INDENT)]
     return [f"{indent}{start}(", *inner, f"{indent}){end}"]
 
 
@@ -132,8 +140,8 @@ def _one_line(item: Nested) -> str:
     """A text as it is, or a tuple in one line."""
     if isinstance(item, str):
         return item
-    parts = [_one_line(part) for part in item]
-    return f"({parts[0]},)" if len(parts) == 1 else f"({', '.join(parts)})"
+    texts = [_one_line(element) for element in item]
+    return f"({texts[0]},)" if len(texts) == 1 else f"({', '.join(texts)})"
 
 
 def docstring(lines: Sequence[str], indent: str = INDENT) -> list[str]:
@@ -174,7 +182,49 @@ def quoted(text: str) -> str:
 
 
 def _escaped(letter: str) -> str:
-    """A character of a string literal; one that cannot be printed by its number."""
-    number = ord(letter)
-    escape = f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
+    """A character of a string literal; one that cannot be printed by its code point."""
+    code = ord(letter)
+    escape = f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
     return letter if letter.isprintable() else escape
+
+
+class Names:
+    r"""Hands out distinct identifiers, as close to the names asked for as possible.
+
+    Parameters
+    ----------
+    reserved : iterable of str
+        Identifiers that are never handed out, besides Python's keywords.
+
+    Examples
+    --------
+    >>> names = Names(reserved=["np"])
+    >>> [names(name) for name in ["x_{0}", "\\alpha", "k'", "lambda", "x_0", "2a", "np"]]
+    ['x_0', 'alpha', 'k_prime', 'lambda_', 'x_0_', '_2a', 'np_']
+    """
+
+    def __init__(self, reserved: Iterable[str] = ()) -> None:
+        ambiguous = ["l", "O", "I"]  # linters object
+        self.taken = {*reserved, *ambiguous, *keyword.kwlist, *keyword.softkwlist}
+
+    def __call__(self, name: str) -> str:
+        """A new identifier that resembles ``name``."""
+        text = unicodedata.normalize("NFKC", name).replace("'", "_prime")
+        text = "".join(letter if f"_{letter}".isidentifier() else " " for letter in text)
+        text = re.sub(r"_* +_*", "_", text).strip("_") or "symbol"
+        if not text.isidentifier():
+            text = f"_{text}"
+        while text in self.taken:
+            text += "_"
+        self.taken.add(text)
+        return text
+
+    def numbered(self, prefix: str) -> Iterator[str]:
+        """New identifiers ``prefix0``, ``prefix1``, …"""
+        return (self(name) for k in itertools.count() if (name := f"{prefix}{k}") not in self.taken)
+
+
+def is_identifier(name: str) -> bool:
+    """Whether Python reads the name as it stands."""
+    normal = unicodedata.normalize("NFKC", name) == name
+    return normal and name.isidentifier() and not keyword.iskeyword(name)

@@ -10,8 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from rankone.codegen.names import Names, is_identifier
-from rankone.codegen.text import WIDTH, docstring, nested, paragraph, quoted, table
+from rankone.codegen.text import (
+    WIDTH,
+    Names,
+    docstring,
+    is_identifier,
+    nested,
+    paragraph,
+    quoted,
+    table,
+)
 from rankone.discretization.coordinates import round_off
 from rankone.export.bundler import banner, source_text
 from rankone.export.packing import PackedCore, PackedModel

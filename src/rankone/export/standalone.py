@@ -12,8 +12,15 @@ import dataclasses
 import textwrap
 from typing import Any
 
-from rankone.codegen.names import is_identifier
-from rankone.codegen.text import INDENT, WIDTH, docstring, literal, quoted, tuple_lines
+from rankone.codegen.text import (
+    INDENT,
+    WIDTH,
+    docstring,
+    is_identifier,
+    literal,
+    quoted,
+    tuple_lines,
+)
 from rankone.export.bundler import banner, bundle, bundled_name
 from rankone.export.templates import TERMS
 from rankone.ir.metadata import SolutionMetadata

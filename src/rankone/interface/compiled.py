@@ -35,15 +35,13 @@ from threadpoolctl import ThreadpoolController
 
 from rankone.agreement.problems import DisagreementError, check_problem
 from rankone.codegen import (
+    ModuleSpecification,
     equation_texts,
     general_equation_texts,
     general_source,
     generate_source,
-    switching_term,
+    quadratic_system,
 )
-from rankone.codegen.gaps import check_gaps
-from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.module import ModuleSpecification
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution
@@ -81,6 +79,8 @@ from rankone.symbolic import (
     separate,
     weak_form,
 )
+from rankone.symbolic.features import switching_term
+from rankone.symbolic.gaps import check_gaps
 
 __all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
 

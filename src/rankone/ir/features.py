@@ -15,7 +15,7 @@ import numpy as np
 
 from rankone.support.arrays import Array
 
-__all__ = ["Features", "Gaps", "OfParameters", "OfStates", "VectorLike"]
+__all__ = ["GAP_REMEDY", "Features", "Gaps", "OfParameters", "OfStates", "VectorLike"]
 
 VectorLike: TypeAlias = "Array | Sequence[float] | Sequence[Array]"
 """States (n, ...) or parameters (d, ...): an array, or a sequence of its rows."""
@@ -23,6 +23,10 @@ OfParameters: TypeAlias = Callable[[VectorLike], Array]
 """A function of p (d, ...)."""
 OfStates: TypeAlias = "Callable[[float | Array, VectorLike, VectorLike], Array]"
 """A function of t, u (n, ...) and p (d, ...)."""
+
+
+GAP_REMEDY = "add a branch (value, True) for everything else, or let its conditions cover this too"
+"""What to do about a gap, wherever it shows."""
 
 
 def no_rows(*_: float | VectorLike) -> Array:

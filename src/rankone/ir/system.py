@@ -39,7 +39,15 @@ from typing import NotRequired, Protocol, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
 
-from rankone.ir.features import Features, Gaps, OfParameters, OfStates, VectorLike, no_rows
+from rankone.ir.features import (
+    GAP_REMEDY,
+    Features,
+    Gaps,
+    OfParameters,
+    OfStates,
+    VectorLike,
+    no_rows,
+)
 from rankone.ir.jumps import Jumped, Jumps, unchanged
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
@@ -307,7 +315,6 @@ def system_of(names: GeneratedNames, specification: ModuleSpecification | None =
 
 _GAP_DISTANCES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
 """Relative changes of states and time over which a gap ahead of a trajectory is looked for."""
-_GAP_REMEDY = "add a branch (value, True) for everything else, or let its conditions cover this too"
 
 
 def refuse_gap(system: System, time: float, state: Array, point: Array) -> None:
@@ -335,4 +342,4 @@ def _gap_error(system: System, text: str, time: float, state: Array, point: Arra
     names = *system.states[: system.n_differential], *system.parameters
     pairs = zip(names, (*state, *point), strict=True)
     place = ", ".join(f"{name} = {coordinate:.6g}" for name, coordinate in pairs)
-    return ProblemError(f"{text}: entered at t = {time:.6g}, where {place}", remedy=_GAP_REMEDY)
+    return ProblemError(f"{text}: entered at t = {time:.6g}, where {place}", remedy=GAP_REMEDY)

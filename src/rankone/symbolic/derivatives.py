@@ -1,7 +1,7 @@
-"""Derivatives of expressions in real symbols, as numbers need them.
+"""Derivatives of expressions in real symbols, as a Jacobian needs them.
 
-Jumps have the derivative zero, and kinks that of one side: what SymPy would give as a Dirac
-delta, or leave as it stands, is never meant in a Jacobian.
+The derivative of a jump is zero, and that at a kink is one-sided: a Jacobian never means the Dirac
+deltas and unevaluated derivatives that SymPy gives.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ _LEFT_OVER = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
 
 
 def slope(expression: sp.Expr, variable: sp.Expr) -> sp.Expr:
-    """The derivative of an expression of real quantities; NaN if not known, or where it jumps.
+    """The derivative of an expression of real quantities; NaN if unknown, or if it may jump.
 
-    SymPy takes symbols for complex numbers, unless they say that they are real, and does not come
-    to an end with the absolute value of a remainder.
+    Real dummies stand for all symbols: with complex ones SymPy never finishes the absolute value of
+    a remainder.
     """
     if expression.has(*_JUMPING):
         return sp.nan
     quantities = sorted({*expression.atoms(AppliedUndef), variable}, key=sp.default_sort_key)
-    functions = {u: sp.Dummy(real=True) for u in quantities}
-    plain = expression.xreplace(functions)
-    symbols = sorted(plain.free_symbols - {*functions.values()}, key=sp.default_sort_key)
-    real = functions | {symbol: sp.Dummy(real=True) for symbol in symbols}
+    dummies = {u: sp.Dummy(real=True) for u in quantities}
+    plain = expression.xreplace(dummies)
+    symbols = sorted(plain.free_symbols - {*dummies.values()}, key=sp.default_sort_key)
+    real = dummies | {symbol: sp.Dummy(real=True) for symbol in symbols}
     try:
         derivative = Differentiator(real[variable])(expression.xreplace(real))
     except ProblemError:
@@ -50,7 +50,7 @@ class Differentiator:
 
     def __init__(self, symbol: sp.Symbol) -> None:
         self.symbol = symbol
-        self._known: dict[sp.Expr, sp.Expr] = {symbol: sp.S.One}
+        self._derivatives: dict[sp.Expr, sp.Expr] = {symbol: sp.S.One}
 
     def __call__(self, expression: sp.Expr) -> sp.Expr:
         """The derivative.
@@ -62,10 +62,10 @@ class Differentiator:
         """
         if self.symbol not in expression.free_symbols:
             return sp.S.Zero
-        if expression not in self._known:
+        if expression not in self._derivatives:
             check_time()
-            self._known[expression] = self._derived(expression)
-        return self._known[expression]
+            self._derivatives[expression] = self._derived(expression)
+        return self._derivatives[expression]
 
     def _derived(self, expression: sp.Expr) -> sp.Expr:
         args = expression.args
@@ -82,7 +82,7 @@ class Differentiator:
         if expression.is_Pow:
             return self._power(expression.base, expression.exp, expression)
         if isinstance(expression, sp.Piecewise):
-            return sp.Piecewise(*((self(value), condition) for value, condition in args))
+            return sp.Piecewise(*((self(branch), condition) for branch, condition in args))
         if isinstance(expression, sp.Max | sp.Min):
             return self._extreme(expression)
         if isinstance(expression, _STEPS):
@@ -104,11 +104,11 @@ class Differentiator:
         return slope
 
     def _extreme(self, expression: sp.Expr) -> sp.Expr:
-        """The derivative of whichever argument it is."""
-        first, *others = sorted(expression.args, key=sp.default_sort_key)
-        rest = expression.func(*others)
-        chosen = first >= rest if isinstance(expression, sp.Max) else first <= rest
-        return sp.Piecewise((self(first), chosen), (self(rest), True))
+        """The derivative of the argument that is the largest or smallest."""
+        first, *further = sorted(expression.args, key=sp.default_sort_key)
+        second = expression.func(*further)
+        is_first = first >= second if isinstance(expression, sp.Max) else first <= second
+        return sp.Piecewise((self(first), is_first), (self(second), True))
 
     def _function(self, expression: sp.Expr) -> sp.Expr:
         """The chain rule."""
