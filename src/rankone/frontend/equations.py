@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from typing import Any
+from typing import Any, NamedTuple
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -14,6 +14,7 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
 
 __all__ = [
+    "Symbols",
     "as_expression",
     "check_equations",
     "check_initial",
@@ -57,7 +58,7 @@ def check_equations(
         raise ProblemError(
             "the list of equations is empty", remedy="give one equation for each unknown"
         )
-    check_lengths((each for each in written if isinstance(each, sp.Basic)), len(written))
+    check_lengths((e for e in written if isinstance(e, sp.Basic)), len(written))
     return written, [_residual(equation, i, time) for i, equation in enumerate(written, 1)]
 
 
@@ -134,29 +135,21 @@ def _carry_out_derivatives(
 
 
 def _wrong_argument(applied: sp.Expr, time: sp.Symbol) -> tuple[str, sp.Expr, str]:
-    """Say what is wrong with x(s), x(t - 1), x(0) or x(t, k)."""
+    """Say what is wrong with x(s), x(t - 1), x(0) or x(t, k): (message, term, remedy)."""
     proper = f"{applied.func.__name__}({time})"
+    fault = f"is not a function of the time {quote(time)} alone"
+    remedy = f"write {proper}; parameters are symbols of their own"
     if len(applied.args) == 1:
         argument = applied.args[0]
         if isinstance(argument, sp.Symbol) and argument.name == time.name:
-            return (
-                f"{quote(applied)} uses another symbol {quote(argument)} than the time, "
-                "with different assumptions",
-                applied,
-                "use one symbol for the time everywhere",
+            remedy = "use one symbol for the time everywhere"
+            fault = f"uses another symbol {quote(argument)} than the time, with other assumptions"
+        elif time in argument.free_symbols:
+            remedy = f"write {proper}"
+            fault = (
+                f"takes the unknown at another time than {quote(time)}; delays are not supported"
             )
-        if time in argument.free_symbols:
-            return (
-                f"{quote(applied)} takes the unknown at another time than {quote(time)}; "
-                "delays are not supported",
-                applied,
-                f"write {proper}",
-            )
-    return (
-        f"{quote(applied)} is not a function of the time {quote(time)} alone",
-        applied,
-        f"write {proper}; parameters are symbols of their own",
-    )
+    return f"{quote(applied)} {fault}", applied, remedy
 
 
 def _in_order(expressions: Iterable[sp.Expr]) -> list[sp.Expr]:
@@ -227,9 +220,7 @@ def check_unknowns(
             remedy="give one equation for each unknown",
         )
     place = {key: i for i, key in enumerate(initial)}
-    return tuple(
-        sorted(first, key=lambda unknown: (first[unknown], place.get(unknown, len(place))))
-    )
+    return tuple(sorted(first, key=lambda u: (first[u], place.get(u, len(place)))))
 
 
 def state_expressions(
@@ -258,17 +249,58 @@ def check_names(
         raise ProblemError(message, term=name, remedy="rename it")
 
 
-def check_symbols(
-    residuals: Iterable[sp.Expr],
-    unknowns: Iterable[sp.Expr],
-    parameters: Iterable[sp.Symbol],
-    time: sp.Symbol,
-) -> None:
+class Symbols(NamedTuple):
+    """What the expressions of a problem may name.
+
+    Attributes
+    ----------
+    time : (Symbol, float, float)
+        The symbol of time, the start and the end.
+    parameters : tuple of Symbol
+    unknowns : tuple of Expr
+    states : list of Expr
+        The unknowns and their lower derivatives.
+    """
+
+    time: Time
+    parameters: tuple[sp.Symbol, ...]
+    unknowns: tuple[sp.Expr, ...]
+    states: list[sp.Expr]
+
+    def explained(self, symbol: sp.Symbol, declared: Iterable[sp.Symbol]) -> tuple[str, str]:
+        """Guess what an undeclared symbol was meant for: (message, remedy)."""
+        by_name = {coordinate.name: coordinate for coordinate in declared}
+        applied = {unknown.func.__name__: unknown for unknown in self.unknowns}
+        if symbol.name in by_name:
+            return (
+                f"symbol {quote(symbol)} has other assumptions than the {quote(symbol)} declared "
+                f"({_assumptions(symbol)} here, {_assumptions(by_name[symbol.name])} there)",
+                "create the symbol once and use it everywhere",
+            )
+        if symbol.name in applied:
+            return (
+                f"symbol {quote(symbol)} is not the unknown {quote(applied[symbol.name])}",
+                f"write {applied[symbol.name]}",
+            )
+        hint = did_you_mean(symbol.name, [*by_name, *applied])
+        return (
+            f"unknown symbol {quote(symbol)}{hint}",
+            f"declare it in `parameters`, for example {{{symbol}: (0.5, 1.5)}}, or put a number in",
+        )
+
+
+def _assumptions(symbol: sp.Symbol) -> str:
+    """The assumptions of a symbol, as they are written."""
+    assumptions = sorted(dict(symbol._assumptions_orig).items())
+    return ", ".join(f"{k}={v}" for k, v in assumptions) or "none"
+
+
+def check_symbols(residuals: Iterable[sp.Expr], symbols: Symbols) -> None:
     """Raise if an equation has a symbol that is neither the time nor a parameter."""
-    parameters, unknowns = list(parameters), list(unknowns)
+    declared = [symbols.time[0], *symbols.parameters]
     for i, residual in enumerate(residuals, 1):
-        for symbol in _in_order(residual.free_symbols - {time, *parameters}):
-            message, remedy = _explain_symbol(symbol, unknowns, [time, *parameters])
+        for symbol in _in_order(residual.free_symbols - set(declared)):
+            message, remedy = symbols.explained(symbol, declared)
             raise ProblemError(message, equation=i, term=symbol, remedy=remedy)
 
 
@@ -283,47 +315,13 @@ def as_expression(value: object, subject: str, remedy: str) -> sp.Expr:
     return expression
 
 
-def _explain_symbol(
-    symbol: sp.Symbol, unknowns: Iterable[sp.Expr], declared: Iterable[sp.Symbol]
-) -> tuple[str, str]:
-    """Guess what an undeclared symbol was meant for: (message, remedy)."""
-    by_name = {coordinate.name: coordinate for coordinate in declared}
-    applied = {unknown.func.__name__: unknown for unknown in unknowns}
-    if symbol.name in by_name:
-        return (
-            f"symbol {quote(symbol)} has other assumptions than the {quote(symbol)} declared "
-            f"({_assumptions(symbol)} here, {_assumptions(by_name[symbol.name])} there)",
-            "create the symbol once and use it everywhere",
-        )
-    if symbol.name in applied:
-        return (
-            f"symbol {quote(symbol)} is not the unknown {quote(applied[symbol.name])}",
-            f"write {applied[symbol.name]}",
-        )
-    hint = did_you_mean(symbol.name, [*by_name, *applied])
-    return (
-        f"unknown symbol {quote(symbol)}{hint}",
-        f"declare it in `parameters`, for example {{{symbol}: (0.5, 1.5)}}, or put a number in",
-    )
-
-
-def _assumptions(symbol: sp.Symbol) -> str:
-    """Return the assumptions stated for a symbol, as they are written."""
-    assumptions = sorted(dict(symbol._assumptions_orig).items())
-    return ", ".join(f"{k}={v}" for k, v in assumptions) or "none"
-
-
 def check_value(
-    expression: sp.Expr,
-    subject: str,
-    unknowns: Iterable[sp.Expr],
-    declared: Iterable[sp.Symbol],
-    remedy: str,
+    expression: sp.Expr, subject: str, symbols: Symbols, declared: Iterable[sp.Symbol], remedy: str
 ) -> None:
     """Raise if an initial value, or a value after a jump, has another symbol or is not finite."""
     declared = list(declared)
     for symbol in _in_order(expression.free_symbols - set(declared)):
-        message, declare = _explain_symbol(symbol, unknowns, declared)
+        message, declare = symbols.explained(symbol, declared)
         message = f"{subject} has a problem: {message}"
         raise ProblemError(message, term=expression, remedy=declare)
     if expression.has(sp.I, sp.DiracDelta, *_NOT_FINITE):
@@ -331,13 +329,7 @@ def check_value(
         raise ProblemError(message, term=expression, remedy=remedy)
 
 
-def check_initial(
-    initial: Mapping[Any, object],
-    states: Iterable[sp.Expr],
-    unknowns: Iterable[sp.Expr],
-    parameters: Iterable[sp.Symbol],
-    time: Time,
-) -> dict[sp.Expr, sp.Expr]:
+def check_initial(initial: Mapping[Any, object], symbols: Symbols) -> dict[sp.Expr, sp.Expr]:
     """Return the initial value of every state, in the order of the states.
 
     Keys of ``initial`` are unknowns ``x(t)`` and, for higher order, their derivatives
@@ -349,81 +341,66 @@ def check_initial(
     ProblemError
         If a value is missing, belongs to no state or is not an expression of the parameters.
     """
-    states, unknowns, parameters = list(states), list(unknowns), list(parameters)
     start: dict[sp.Expr, sp.Expr] = {}
-    expected = set(states)
+    states = set(symbols.states)
     for key, written in initial.items():
-        state = _state(key, unknowns, time)
-        if state not in expected:
-            message, remedy = _superfluous(key, state, states)
-            raise ProblemError(message, term=key, remedy=remedy)
+        state = _state(key, symbols)
+        if state not in states:
+            applied = state.expr if isinstance(state, sp.Derivative) else state
+            if applied in states:
+                raise ProblemError(
+                    f"the initial value of {quote(key)} is not needed: the equations determine "
+                    "this derivative",
+                    term=key,
+                    remedy="remove it",
+                )
+            raise ProblemError(
+                f"`initial` has a value for {quote(key)}, which no equation determines"
+                f"{did_you_mean(str(applied), map(str, symbols.states))}",
+                term=key,
+                remedy="remove it, or add its equation",
+            )
         if state in start:
             raise ProblemError(f"{quote(state)} has two initial values", term=key)
-        start[state] = exact(_initial_value(state, written, unknowns, parameters, time[0]))
-    missing = [state for state in states if state not in start]
+        start[state] = exact(_initial_value(state, written, symbols))
+    missing = [state for state in symbols.states if state not in start]
     if missing:
         raise ProblemError(
             f"no initial value for {listing(missing)}",
             term=missing[0],
             remedy=f"add it to `initial`, for example {{{missing[0]}: 0}}",
         )
-    return {state: start[state] for state in states}
+    return {state: start[state] for state in symbols.states}
 
 
-def _state(key: Any, unknowns: list[sp.Expr], time: Time) -> sp.Expr:
+def _state(key: Any, symbols: Symbols) -> sp.Expr:
     """Translate a key of ``initial`` into the unknown or derivative it stands for."""
-    symbol, t0, _ = time
-    named = {unknown.func.__name__: unknown for unknown in unknowns}
+    time, t0, _ = symbols.time
+    instant, state = None, key
     if isinstance(key, sp.Subs) and len(key.variables) == 1:
-        _check_instant(key, key.point[0], t0)
-        return key.expr.xreplace({key.variables[0]: symbol})
-    if isinstance(key, AppliedUndef) and len(key.args) == 1 and key.args[0].is_number:
-        _check_instant(key, key.args[0], t0)
-        return key.func(symbol)
-    if isinstance(key, AppliedUndef | sp.Derivative):
-        return key
+        instant, state = key.point[0], key.expr.xreplace({key.variables[0]: time})
+    elif isinstance(key, AppliedUndef) and len(key.args) == 1 and key.args[0].is_number:
+        instant, state = key.args[0], key.func(time)
+    if instant is not None and (not instant.is_number or float(instant) != t0):
+        raise ProblemError(
+            f"the key {quote(key)} of `initial` is not at the initial time {t0:g}",
+            term=key,
+            remedy="give the values at the start of time",
+        )
+    if instant is not None or isinstance(key, AppliedUndef | sp.Derivative):
+        return state
+    named = {unknown.func.__name__: unknown for unknown in symbols.unknowns}
     name = key if isinstance(key, str) else getattr(key, "name", getattr(key, "__name__", str(key)))
     hint = f" (did you mean {quote(named[name])}?)" if name in named else did_you_mean(name, named)
     fault = "text" if isinstance(key, str) else "not an unknown"
     raise ProblemError(
         f"the key {key!r} of `initial` is {fault}{hint}",
         term=key,
-        remedy=f"use the unknowns themselves as keys: {listing(unknowns)}",
+        remedy=f"use the unknowns themselves as keys: {listing(symbols.unknowns)}",
     )
 
 
-def _check_instant(key: sp.Expr, instant: sp.Expr, t0: float) -> None:
-    if not instant.is_number or float(instant) != t0:
-        raise ProblemError(
-            f"the key {quote(key)} of `initial` is not at the initial time {t0:g}",
-            term=key,
-            remedy="give the values at the start of time",
-        )
-
-
-def _superfluous(key: object, state: sp.Expr, states: list[sp.Expr]) -> tuple[str, str]:
-    """Message and remedy for an initial value that belongs to no state."""
-    applied = state.expr if isinstance(state, sp.Derivative) else state
-    if applied in states:
-        return (
-            f"the initial value of {quote(key)} is not needed: "
-            "the equations determine this derivative",
-            "remove it",
-        )
-    return (
-        f"`initial` has a value for {quote(key)}, which no equation determines"
-        f"{did_you_mean(str(applied), map(str, states))}",
-        "remove it, or add its equation",
-    )
-
-
-def _initial_value(
-    state: sp.Expr,
-    written: object,
-    unknowns: list[sp.Expr],
-    parameters: list[sp.Symbol],
-    time: sp.Symbol,
-) -> sp.Expr:
+def _initial_value(state: sp.Expr, written: object, symbols: Symbols) -> sp.Expr:
     """The initial value of a state as an expression of the parameters alone."""
     subject = f"the initial value of {quote(state)}"
     remedy = "give a number or an expression of the parameters"
@@ -432,8 +409,8 @@ def _initial_value(
     for applied in _in_order(expression.atoms(AppliedUndef)):
         message = f"{subject} names the unknown {quote(applied)}"
         raise ProblemError(message, term=written, remedy=remedy)
-    if time in expression.free_symbols:
-        message = f"{subject} names the time {quote(time)}"
+    if symbols.time[0] in expression.free_symbols:
+        message = f"{subject} names the time {quote(symbols.time[0])}"
         raise ProblemError(message, term=written, remedy=remedy)
-    check_value(expression, subject, unknowns, parameters, remedy)
+    check_value(expression, subject, symbols, symbols.parameters, remedy)
     return expression

@@ -14,7 +14,7 @@ from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import latex_of, text_of
 from rankone.expressions.numbers import exact
 from rankone.frontend.box import Time, real_number
-from rankone.frontend.equations import as_expression, check_value
+from rankone.frontend.equations import Symbols, as_expression, check_value
 from rankone.ir.forms import Jump
 from rankone.ir.functions import Table
 from rankone.support.errors import ProblemError, warn
@@ -49,13 +49,7 @@ _BESIDE = 1e-9
 """Relative distance to either side of an impulse at which its factor is compared."""
 
 
-def check_jumps(
-    jumps: object,
-    states: Iterable[sp.Expr],
-    unknowns: Iterable[sp.Expr],
-    parameters: Iterable[sp.Symbol],
-    time: Time,
-) -> Resets:
+def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     """Return the jumps by time; a time may be a number or a tuple of numbers.
 
     Raises
@@ -73,7 +67,7 @@ def check_jumps(
         return {}
     if not isinstance(jumps, Mapping):
         raise ProblemError(f"jumps are {shown(jumps)}, not a mapping", term=jumps, remedy=_REMEDY)
-    states, unknowns, parameters = list(states), list(unknowns), list(parameters)
+    time = symbols.time
     resets: Resets = {}
     for key, reset in jumps.items():
         instants = tuple(key) if isinstance(key, _SEVERAL) else (key,)
@@ -87,7 +81,7 @@ def check_jumps(
                     term=key,
                     remedy="give all that is reset at a time in one mapping",
                 )
-            resets[at] = _reset(reset, at, states, unknowns, parameters, time[0])
+            resets[at] = _reset(reset, at, symbols)
     _check_apart(resets, time)
     late = [at for at in sorted(resets) if at >= time[2] - _LEAST_GAP * (time[2] - time[1])]
     if late:
@@ -128,15 +122,9 @@ def _check_apart(times: Iterable[float], time: Time) -> None:
             )
 
 
-def _reset(
-    reset: object,
-    at: float,
-    states: list[sp.Expr],
-    unknowns: list[sp.Expr],
-    parameters: list[sp.Symbol],
-    time: sp.Symbol,
-) -> dict[sp.Expr, sp.Expr]:
+def _reset(reset: object, at: float, symbols: Symbols) -> dict[sp.Expr, sp.Expr]:
     """The states that one jump resets, and their values after it."""
+    time, states = symbols.time[0], symbols.states
     if not isinstance(reset, Mapping) or not reset:
         raise ProblemError(
             f"the jump at {time} = {at:g} is {shown(reset)}, not a mapping from unknowns",
@@ -167,7 +155,7 @@ def _reset(
             hint = did_you_mean(str(stranger), map(str, states))
             message = f"{subject} names {quote(stranger)}, which is no state{hint}"
             raise ProblemError(message, term=written, remedy=remedy)
-        check_value(expression, subject, unknowns, [*parameters, time], remedy)
+        check_value(expression, subject, symbols, [*symbols.parameters, time], remedy)
         after[state] = _value_at(exact(expression), time, at)
     return after
 

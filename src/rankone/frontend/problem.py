@@ -17,6 +17,7 @@ from rankone.expressions.notation import initial_latex, initial_texts, latex_of,
 from rankone.expressions.parsing import parse_expression
 from rankone.frontend.box import check_correlation, check_parameters, check_time, check_units
 from rankone.frontend.equations import (
+    Symbols,
     check_equations,
     check_initial,
     check_lengths,
@@ -150,12 +151,13 @@ class Problem:
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
         check_names([(name_of(state), state) for state in states], box, time[0])
-        check_symbols(residuals, unknowns, box, time[0])
-        initial = check_initial(self.initial, states, unknowns, box, time)
+        symbols = Symbols(time, tuple(box), unknowns, states)
+        check_symbols(residuals, symbols)
+        initial = check_initial(self.initial, symbols)
         initial = {state: closed(start) for state, start in initial.items()}
         jumps = {
             at: {state: closed(after) for state, after in reset.items()}
-            for at, reset in check_jumps(self.jumps, states, unknowns, box, time).items()
+            for at, reset in check_jumps(self.jumps, symbols).items()
         }
         after_jumps = [after for reset in jumps.values() for after in reset.values()]
         check_lengths([*initial.values(), *after_jumps], 0)
