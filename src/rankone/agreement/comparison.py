@@ -174,7 +174,7 @@ def check_outputs(
     values: Mapping[sp.Expr, Array],
     function: Callable[[int], Sequence[Array]],
 ) -> None:
-    """Compare computed quantities of interest with their expressions, at points.
+    """Raise an OptionError unless quantities of interest are computed as their expressions say.
 
     Parameters
     ----------
@@ -184,11 +184,6 @@ def check_outputs(
         The values of the symbols at the points.
     function : callable
         From the index of a point to the computed value of each quantity.
-
-    Raises
-    ------
-    OptionError
-        If one of them is off by more than rounding.
     """
     computed = sp.Dummy()
     leaves = [*values, computed]

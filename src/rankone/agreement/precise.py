@@ -71,11 +71,6 @@ class Program:
         noise : Generator, optional
             Every intermediate result is off by a random part of up to ``size``, which shows what
             rounding does to the final ones (Parker, Monte Carlo arithmetic, UCLA 1997).
-
-        Raises
-        ------
-        NoValueError
-            If there is no real value, or none that can be computed.
         """
         registers: list[Number | bool] = list(leaves)
         if noise is not None:
@@ -243,10 +238,6 @@ def _of_user(expression: sp.Basic) -> Operation:
     return call
 
 
-def _heaviside(x: mpmath.mpf, middle: mpmath.mpf) -> mpmath.mpf:
-    return middle if x == 0 else _CONTEXT.mpf(1 if x > 0 else 0)
-
-
 def _piecewise(*branches: Number | bool) -> Number:
     for expression, condition in zip(branches[::2], branches[1::2], strict=True):
         if condition:
@@ -279,7 +270,7 @@ _FUNCTIONS: dict[str, Operation] = {
     "Mod": _called(lambda a, b: a - b * _CONTEXT.floor(a / b)),
     "frac": _called(lambda a: a - _CONTEXT.floor(a)),
     "atan2": _called(_CONTEXT.atan2),
-    "Heaviside": _called(_heaviside),
+    "Heaviside": _called(lambda x, middle: middle if x == 0 else _CONTEXT.mpf(int(x > 0))),
     "DiracDelta": lambda *_: fzero,  # impulses are jumps
     "Piecewise": _piecewise,
     "And": lambda *truths: all(truths),

@@ -118,15 +118,8 @@ def check_problem(
 ) -> None:
     """Compare rates, Jacobian, initial values and jumps with the problem as it was written.
 
-    Parameters
-    ----------
-    lost : float
-        Share of the largest value of each that rounding may spoil.
-
-    Raises
-    ------
-    DisagreementError
-        If one of them is off by more than rounding; the message names the equation.
+    A DisagreementError names the first equation that is off by more than rounding, which may spoil
+    the share ``lost`` of the largest value of each.
     """
     _ProblemCheck(problem, first_order, system, lost).run()
 

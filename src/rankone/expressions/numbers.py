@@ -37,12 +37,8 @@ def exact(expression: sp.Expr) -> sp.Expr:
     That is the shortest decimal that rounds to the number, or one of 15 digits that the number
     misses by no more than rounding: 0.6 - 0.9 is -0.3, not -0.30000000000000004. Numbers that SymPy
     took out of exponentials go back in first: ``exp(1000.0*a - 1000.0)`` becomes
-    ``5.07e-435*exp(1000.0*a)`` when it is written.
-
-    Raises
-    ------
-    ProblemError
-        If a number, or a function of numbers, is out of the range of floating-point numbers.
+    ``5.07e-435*exp(1000.0*a)`` when it is written. A number out of the range of floating-point
+    numbers is a ProblemError.
     """
     if expression.is_Rational or expression.is_Symbol:
         return expression
@@ -99,10 +95,7 @@ def _out_of_range(number: sp.Expr) -> ProblemError:
 def check_size(expression: sp.Basic) -> mpmath.mpf | None:
     """The value of an expression without symbols; None if it has some.
 
-    Raises
-    ------
-    ProblemError
-        If a number is so large that SymPy would never finish, such as ``exp(exp(exp(100)))``.
+    A number so large that SymPy would never finish, ``exp(exp(exp(100)))``, is a ProblemError.
     """
     if expression.is_Rational:
         return mpmath.mpf(int(expression.p)) / int(expression.q)

@@ -15,6 +15,7 @@ import keyword
 import re
 import tokenize
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import sympy as sp
@@ -99,14 +100,9 @@ def parse_expression(
     :data:`FUNCTIONS`. The user's ``names`` come before :data:`CONSTANTS`; a name that stands for
     an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say ``where`` the
     formula is, ``"right-hand side of `x`"``, and the number of the equation. ``further``
-    functions take any number of arguments.
-
-    Raises
-    ------
-    ProblemError
-        If the text is not such a formula; the message quotes it.
+    functions take any number of arguments. Anything else is a ProblemError that quotes the text.
     """
-    translator = _Translator(text, names, where, equation, further)
+    translator = _Translator(text, names, where, equation, further or {})
     try:
         pieces = _pieces(_protect_keywords(" ".join(text.split())))
         terms = [translator.translated(piece) for piece in pieces]
@@ -150,35 +146,24 @@ def _depth(expression: sp.Basic) -> int:
 
 def _protect_keywords(text: str) -> str:
     """Turn ``lambda`` and other keywords into ordinary names."""
-
-    def protect(match: re.Match[str]) -> str:
-        word = match.group()
-        return word + _KEYWORD_SUFFIX if keyword.iskeyword(word) else word
-
-    return _WORD.sub(protect, text)
+    return _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), text)
 
 
+@dataclass
 class _Translator(ast.NodeVisitor):
     """Translate the few kinds of nodes a formula consists of; refuse all others."""
+
+    text: str
+    names: Mapping[str, sp.Expr]
+    where: str
+    equation: int | None
+    further: Mapping[str, Callable[..., sp.Expr]]
+    source: str = ""
+    """The piece that is translated."""
 
     def visit(self, node: ast.AST) -> Any:
         check_time()
         return super().visit(node)
-
-    def __init__(
-        self,
-        text: str,
-        names: Mapping[str, sp.Expr],
-        where: str,
-        equation: int | None,
-        further: Mapping[str, Callable[..., sp.Expr]] | None,
-    ) -> None:
-        self.text = text
-        self.source = ""
-        self.names = names
-        self.where = where
-        self.equation = equation
-        self.further = further or {}
 
     def translated(self, source: str) -> sp.Expr:
         """A piece of the formula as an expression."""

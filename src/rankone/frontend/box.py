@@ -46,12 +46,10 @@ def check_time(time: object) -> Time:
     t0 = real_number(start, "the start of time", remedy)
     t1 = real_number(end, "the end of time", remedy)
     horizon = f"the time horizon from {t0:g} to {t1:g}"
-    if t1 == t0:
+    if t1 <= t0:
+        fault = "zero" if t1 == t0 else "negative"
         remedy = "let time end after it starts"
-        raise ProblemError(f"{horizon} is zero", term=time, remedy=remedy)
-    if t1 < t0:
-        remedy = "let time end after it starts"
-        raise ProblemError(f"{horizon} is negative", term=time, remedy=remedy)
+        raise ProblemError(f"{horizon} is {fault}", term=time, remedy=remedy)
     if t1 - t0 < LEAST_WIDTH:
         raise ProblemError(f"{horizon} is too short", term=time, remedy=_OTHER_UNITS)
     return symbol, t0, t1
@@ -189,11 +187,6 @@ def check_units(
 
     A derivative that is a state and has no unit gets the unit of its unknown over that of time, if
     both have one.
-
-    Raises
-    ------
-    ProblemError
-        If units are no mapping, one is no text, or nothing has that name.
     """
     if not isinstance(units, Mapping | None):
         raise ProblemError(

@@ -27,7 +27,6 @@ __all__ = [
     "state_expressions",
 ]
 
-
 _MOST_TERMS = 5000
 """Terms of the longest sum: each takes some milliseconds to compile."""
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
@@ -41,9 +40,8 @@ def check_equations(
     In the residuals every derivative is one of an unknown: ``Derivative(x**2, t)`` is carried out.
     """
     if isinstance(equations, sp.Basic) and not isinstance(equations, sp.Tuple | sp.MatrixBase):
-        raise ProblemError(
-            f"equations are {quote(equations)}, not a list", term=equations, remedy="write [...]"
-        )
+        message = f"equations are {quote(equations)}, not a list"
+        raise ProblemError(message, term=equations, remedy="write [...]")
     try:
         if isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
             raise TypeError
@@ -55,9 +53,8 @@ def check_equations(
             remedy="give a list of sympy.Eq; Problem.from_strings takes text",
         ) from None
     if not written:
-        raise ProblemError(
-            "the list of equations is empty", remedy="give one equation for each unknown"
-        )
+        remedy = "give one equation for each unknown"
+        raise ProblemError("the list of equations is empty", remedy=remedy)
     check_lengths((e for e in written if isinstance(e, sp.Basic)), len(written))
     return written, [_residual(equation, i, time) for i, equation in enumerate(written, 1)]
 
@@ -117,10 +114,7 @@ def _carry_out_derivatives(
     for _ in range(2):
         carried_out = {}
         for derivative in _in_order(residual.atoms(sp.Derivative)):
-            if any(
-                variable != time or not count.is_Integer
-                for variable, count in derivative.variable_count
-            ):
+            if any(t != time or not n.is_Integer for t, n in derivative.variable_count):
                 raise error(
                     f"{quote(derivative)} is not a derivative in the time {quote(time)}",
                     derivative,
@@ -335,11 +329,6 @@ def check_initial(initial: Mapping[Any, object], symbols: Symbols) -> dict[sp.Ex
     Keys of ``initial`` are unknowns ``x(t)`` and, for higher order, their derivatives
     ``x(t).diff(t)``; also understood are both at the initial time: ``x(0)``,
     ``x(t).diff(t).subs(t, 0)``.
-
-    Raises
-    ------
-    ProblemError
-        If a value is missing, belongs to no state or is not an expression of the parameters.
     """
     start: dict[sp.Expr, sp.Expr] = {}
     states = set(symbols.states)

@@ -52,16 +52,7 @@ _BESIDE = 1e-9
 def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     """Return the jumps by time; a time may be a number or a tuple of numbers.
 
-    Raises
-    ------
-    ProblemError
-        If a time is no number or before the horizon, two are the same, or a value is no
-        expression of unknowns and parameters.
-
-    Warns
-    -----
-    RankoneWarning
-        If a jump is not before the end of the horizon.
+    A jump before the horizon is an error; one at its end or later is a warning.
     """
     if jumps is None:
         return {}
@@ -177,12 +168,7 @@ def system_jumps(
 ) -> tuple[Jump, ...]:
     """All jumps by time, in the states of the first-order system.
 
-    Parameters
-    ----------
-    resets, impulses
-        The jumps that were given, and those of ``DiracDelta``.
-    functions : mapping
-        The states as the user writes them, and as functions of time.
+    ``functions`` maps the states as the user writes them to functions of time.
     """
     for at in sorted(set(resets) & set(impulses)):
         raise ProblemError(
@@ -234,11 +220,8 @@ def without_impulses(
 ) -> tuple[tuple[sp.Expr, ...], Impulses]:
     """The rates without their ``DiracDelta`` of time, and what those add to the states.
 
-    Raises
-    ------
-    ProblemError
-        If an impulse is at no known time, is not added to a rate, or is multiplied by what jumps
-        at the same time.
+    An impulse has to be at a known time and to be added to a rate, and nothing that it is
+    multiplied by may jump at the same time.
     """
     added: Impulses = {}
     smooth_rates: list[sp.Expr] = []

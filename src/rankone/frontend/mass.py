@@ -64,11 +64,8 @@ def check_mass(
 ) -> MassForm:
     """Split the residuals, one for each unknown, into mass matrix and remainder.
 
-    Raises
-    ------
-    ProblemError
-        If an equation is not linear in the highest derivatives, their matrix is singular, or a
-        mass vanishes on the interval of its coordinate.
+    Equations have to be linear in the highest derivatives with a regular matrix; a single mass must
+    not vanish on the interval of its coordinate.
     """
     highest = highest_orders(residuals)
     time = coordinates[0].symbol

@@ -48,7 +48,6 @@ __all__ = [
     "Term",
 ]
 
-
 _Table = tuple[str, list[str], list[list[str]]]
 """Summary, header and rows."""
 

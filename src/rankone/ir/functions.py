@@ -38,7 +38,6 @@ __all__ = [
     "table",
 ]
 
-
 _KINDS = ("linear", "cubic", "previous")
 _PREFIX = "f_"
 """First letters of a function's name in generated source, so that no local name hides it."""

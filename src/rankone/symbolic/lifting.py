@@ -81,10 +81,8 @@ class Lifting:
 def lift(system: FirstOrderSystem) -> Lifting:
     """Lift all functions of a system that are not polynomial in its states or couple coordinates.
 
-    Raises
-    ------
-    NotLiftable
-        If a function has no lifted form: an absolute value, a table, a function of the user.
+    NotLiftable names a function that has no lifted form: an absolute value, a table, a function of
+    the user.
     """
     return _Lifter(system).lift()
 
@@ -205,7 +203,8 @@ class _Lifter:
 
         The leading monomial of r*base is replaced: x/(c + x) = 1 - c*r.
         """
-        gens = [state for state in self._ordered() if state in rate.free_symbols]
+        states = [*self.original, *self.lifted.values()]
+        gens = [state for state in states if state in rate.free_symbols]
         if not self.reciprocals or not gens:
             return rate
         terms = _terms(rate, gens)
@@ -231,9 +230,6 @@ class _Lifter:
                 for monomial, c in sorted(done.items())
             )
         )
-
-    def _ordered(self) -> list[sp.Symbol]:
-        return [*self.original, *self.lifted.values()]
 
     def _varies(self, expression: sp.Expr) -> bool:
         """Whether there are states in an expression."""

@@ -19,14 +19,7 @@ from rankone.expressions.numbers import exact
 from rankone.ir.forms import Coordinate
 from rankone.support.budget import check_time
 
-__all__ = [
-    "Indivisible",
-    "Monomial",
-    "MonomialSum",
-    "Powers",
-    "Splitter",
-]
-
+__all__ = ["Indivisible", "Monomial", "MonomialSum", "Powers", "Splitter"]
 
 Powers = tuple[tuple[int, int], ...]
 """(state, exponent), ascending; negative exponents may occur on the way."""
@@ -154,13 +147,7 @@ class Splitter:
         self._times: dict[tuple[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]] = {}
 
     def split(self, expression: sp.Expr) -> MonomialSum:
-        """Return an expression as a sum of separated products.
-
-        Raises
-        ------
-        Indivisible
-            If it is not one.
-        """
+        """Return an expression as a sum of separated products, or raise Indivisible."""
         try:
             return self._split(expression)
         except _TooManyTerms:

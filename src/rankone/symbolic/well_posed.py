@@ -154,11 +154,8 @@ def check_moved(
     """Raise unless the problem is well posed on a domain and its separated form holds there.
 
     The form was made for the box of the problem: the signs under its roots are those of that box.
-
-    Raises
-    ------
-    OptionError
-        As a new problem on that domain would, or if a factor is not finite and real on it.
+    An OptionError says what a ProblemError would say of a new problem, or which factor is not
+    finite and real.
     """
     t, *_ = problem.time
     box = dict(zip(problem.parameters, domain.box, strict=True))
