@@ -13,7 +13,8 @@ import hashlib
 import keyword
 import unicodedata
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from functools import cache
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import sympy as sp
@@ -53,6 +54,7 @@ class _DataFunctionClass(FunctionClass):  # type: ignore[misc]
     """The class of function classes made from data: they are pickled by their data."""
 
     reconstruction: tuple[Callable[..., type], tuple[object, ...]]
+    _imp_: Callable[..., Array]
 
 
 def _reduced(function_class: type) -> object:
@@ -61,6 +63,9 @@ def _reduced(function_class: type) -> object:
 
 
 copyreg.pickle(_DataFunctionClass, _reduced)  # type: ignore[arg-type]
+
+
+F = TypeVar("F", bound="DataFunction")
 
 
 class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[misc]
@@ -81,6 +86,18 @@ class DataFunction(sp.Function, metaclass=_DataFunctionClass):  # type: ignore[m
 
     def _numpy_text(self, printer: Any) -> str:
         return f"{self.written()}({', '.join(str(printer._print(a)) for a in self.args)})"
+
+
+def _new_class(
+    base: type[F],
+    data: Mapping[str, object],
+    constructor: Callable[..., type[F]],
+    arguments: tuple[Any, ...],
+) -> type[F]:
+    """A class of functions with its data; ``constructor(*arguments)`` makes it again."""
+    members = {**data, "reconstruction": (constructor, arguments), "__module__": __name__}
+    function_class: type[F] = _DataFunctionClass(arguments[0], (base,), members)
+    return function_class
 
 
 class Table(DataFunction):
@@ -199,33 +216,17 @@ def table(
     return _table_class(name, points, heights, kind, 0)
 
 
-_TABLES: dict[tuple[object, ...], type[Table]] = {}
-
-
+@cache
 def _table_class(
     name: str, points: tuple[float, ...], values: tuple[float, ...], kind: str, order: int
 ) -> type[Table]:
     """The class of a table; the same data give the same class."""
-    key = name, points, values, kind, order
-    if key not in _TABLES:
-        table_class: Any = _DataFunctionClass(
-            name,
-            (Table,),
-            {
-                "nargs": 1,
-                "points": points,
-                "values": values,
-                "kind": kind,
-                "order": order,
-                "reconstruction": (_table_class, key),
-                "__module__": __name__,
-            },
-        )
-        namespace: dict[str, Any] = {"np": np, "CubicSpline": CubicSpline}
-        exec("\n".join(table_class.definition()), namespace)
-        table_class._imp_ = staticmethod(namespace[table_class.written()])
-        _TABLES[key] = table_class
-    return _TABLES[key]
+    data = {"nargs": 1, "points": points, "values": values, "kind": kind, "order": order}
+    table_class = _new_class(Table, data, _table_class, (name, points, values, kind, order))
+    namespace: dict[str, Any] = {"np": np, "CubicSpline": CubicSpline}
+    exec("\n".join(table_class.definition()), namespace)
+    table_class._imp_ = staticmethod(namespace[table_class.written()])
+    return table_class
 
 
 class UserFunction(DataFunction):
@@ -287,6 +288,7 @@ def function(
     return _user_class(name, value, derivatives, len(derivatives))
 
 
+@cache
 def _user_class(
     name: str,
     value: Callable[..., object],
@@ -294,24 +296,11 @@ def _user_class(
     arguments: int,
 ) -> type[UserFunction]:
     """The class of a function of the user; the same callables give the same class."""
+    data = {"nargs": arguments, "derivatives": derivatives}
     key = name, value, derivatives, arguments
-    if key not in _USERS:
-        user_class: Any = _DataFunctionClass(
-            name,
-            (UserFunction,),
-            {
-                "nargs": arguments,
-                "derivatives": derivatives,
-                "reconstruction": (_user_class, key),
-                "__module__": __name__,
-            },
-        )
-        user_class._imp_ = staticmethod(_Guarded(name, value))
-        _USERS[key] = user_class
-    return _USERS[key]
-
-
-_USERS: dict[tuple[object, ...], type[UserFunction]] = {}
+    user_class = _new_class(UserFunction, data, _user_class, key)
+    user_class._imp_ = staticmethod(_Guarded(name, value))
+    return user_class
 
 
 class _Guarded:
