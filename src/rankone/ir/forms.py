@@ -341,6 +341,11 @@ class Group:
         return {"constant": self.constant, "linear": self.linear, "quadratic": self.quadratic}
 
     @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of all degrees."""
+        return (*self.constant, *self.linear, *self.quadratic)
+
+    @property
     def monomials(self) -> tuple[tuple[int, int], ...]:
         """Quadratic monomials (a, b), b paired, in the order they are evaluated."""
         return tuple(
@@ -396,9 +401,7 @@ class QuadraticSystem:
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """All terms of the groups."""
-        return tuple(
-            term for group in self.groups for terms in group.by_degree.values() for term in terms
-        )
+        return tuple(term for group in self.groups for term in group.terms)
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
@@ -443,8 +446,7 @@ class QuadraticSystem:
                 factor_texts(self.factors, term.factors)[0],
             ]
             for group in self.groups
-            for terms_of_degree in group.by_degree.values()
-            for term in terms_of_degree
+            for term in group.terms
         ]
         return summary, header, rows
 

@@ -102,8 +102,7 @@ class _Separation:
             try:
                 split = self.splitter.split(term)
                 for monomial, coefficient in split.items():
-                    self._check_powers(monomial)
-                    self._check_range(term, monomial, coefficient)
+                    self._check(term, monomial, coefficient)
             except Indivisible as reason:
                 signed = term if initial else -term  # the sign it has in f
                 self.general.append(self._explained(reason, signed, state, initial=initial))
@@ -111,13 +110,11 @@ class _Separation:
             sums.append(split)
         return MonomialSum.total(sums)
 
-    def _check_powers(self, monomial: Monomial) -> None:
+    def _check(self, term: sp.Expr, monomial: Monomial, coefficient: sp.Expr) -> None:
+        """Refuse negative powers, and (x/1e6)**60: no floating-point number is 1e-360."""
         for state, power in monomial.powers:
             if power < 0:
                 raise Indivisible(list(self.written)[state] ** power, "not polynomial")
-
-    def _check_range(self, term: sp.Expr, monomial: Monomial, coefficient: sp.Expr) -> None:
-        """Leave (x/1e6)**60 as it is: floating point does not hold the number of 1e-360*x**60."""
         largest = _LARGEST_COEFFICIENT
         if not coefficient.is_comparable or 1 / largest < abs(coefficient) < largest:
             return
@@ -168,15 +165,12 @@ class _Separation:
         remedy = f"{_AS_IT_IS} {way_out}"
         return GeneralTerm(state, written, initial, message, remedy, equation)
 
-    # -- factors ----------------------------------------------------------------------------
+    # -- factors and terms ------------------------------------------------------------------
 
     def _factors(self, sums: Sequence[MonomialSum]) -> list[list[sp.Expr]]:
         """For each dimension its distinct factors: one, then the others in SymPy's order."""
-        distinct: list[dict[sp.Expr, None]] = [{} for _ in self.coordinates]
-        for terms in sums:
-            for product in terms:
-                for factors, factor in zip(distinct, product.factors, strict=True):
-                    factors[factor] = None
+        products = [monomial.factors for terms in sums for monomial in terms]
+        distinct = [dict.fromkeys(p[j] for p in products) for j in range(len(self.coordinates))]
         return [
             [sp.S.One, *sorted((f for f in factors if f is not sp.S.One), key=sp.default_sort_key)]
             for factors in distinct
@@ -190,12 +184,13 @@ class _Separation:
                 defect = located_defect(factor, coordinate, j)
                 if defect is None:
                     continue
-                users = [
+                users = (
                     i for i, r in enumerate(residuals) if any(m.factors[j] == factor for m in r)
-                ]
-                origin = self.weak.origins[users[0]] if users else None
-                where = "" if users else "in an initial value, "
-                if users and origin is None:
+                )
+                user = next(users, None)
+                origin = None if user is None else self.weak.origins[user]
+                where = "in an initial value, " if user is None else ""
+                if user is not None and origin is None:
                     where = "after solving for the derivatives, "
                 raise ProblemError(
                     where + defect,
@@ -204,41 +199,29 @@ class _Separation:
                     remedy="change the interval so that the factor is finite and real on it",
                 )
 
-    # -- terms ------------------------------------------------------------------------------
-
     def _terms(
         self, sums: Sequence[MonomialSum], index: Sequence[Mapping[sp.Expr, int]]
     ) -> tuple[Term, ...]:
-        """Return the terms of all equations, in order."""
-        return tuple(
-            term
-            for equation, terms in enumerate(sums)
-            for term in sorted(
-                (self._term(equation, *term, index) for term in terms.items()),
-                key=lambda t: (-t.derivative, len(t.monomial), t.monomial, t.factors),
+        """The terms of all equations, in order."""
+        n = len(self.weak.states)  # the states after the last are the rates
+        terms = [
+            Term(
+                equation=equation,
+                coefficient=self._number(coefficient, equation),
+                factors=tuple(i[f] for i, f in zip(index, monomial.factors, strict=True)),
+                monomial=tuple(s % n for s, power in monomial.powers for _ in range(power)),
+                derivative=sum(power for s, power in monomial.powers if s >= n),
             )
+            for equation, monomials in enumerate(sums)
+            for monomial, coefficient in monomials.items()
+        ]
+        terms.sort(
+            key=lambda t: (t.equation, -t.derivative, len(t.monomial), t.monomial, t.factors)
         )
-
-    def _term(
-        self,
-        equation: int,
-        monomial: Monomial,
-        coefficient: sp.Expr,
-        index: Sequence[Mapping[sp.Expr, int]],
-    ) -> Term:
-        """One term; the states after the last are the rates."""
-        n = len(self.weak.states)
-        pairs = zip(index, monomial.factors, strict=True)
-        return Term(
-            equation=equation,
-            coefficient=self._number(coefficient, equation),
-            factors=tuple(place[factor] for place, factor in pairs),
-            monomial=tuple(s % n for s, power in monomial.powers for _ in range(power)),
-            derivative=sum(power for s, power in monomial.powers if s >= n),
-        )
+        return tuple(terms)
 
     def _number(self, number: sp.Expr, state: int) -> Fraction | float:
-        """A coefficient: exact if it is rational."""
+        """A coefficient; exact if it is rational."""
         try:
             nearest = float(number)
         except (TypeError, OverflowError):
