@@ -139,11 +139,8 @@ class Problem:
     def _check(self) -> None:
         """Validate what was given, and set what follows from it."""
         if self.name is not None and not is_line(self.name):
-            raise ProblemError(
-                f"the name is {shown(self.name)}, not text in one line",
-                term=self.name,
-                remedy="give a title",
-            )
+            message = f"the name is {shown(self.name)}, not text in one line"
+            raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
         equations, residuals = check_equations(self.equations, time[0])

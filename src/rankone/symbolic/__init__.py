@@ -8,8 +8,8 @@
 :mod:`~.well_posed`   is everything finite on a domain, also on one that a problem is moved to?
 ====================  ============================================================================
 
-Each pass takes frozen data and returns frozen data; those of :mod:`rankone.ir.forms` are what code
-generation reads.
+Each pass takes frozen data and returns frozen data. Code generation reads the last,
+:mod:`rankone.ir.forms`.
 """
 
 from rankone.symbolic.first_order import FirstOrderSystem, WeakForm, first_order, weak_form

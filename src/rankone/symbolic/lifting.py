@@ -95,6 +95,7 @@ class _Lifter:
         self.time = system.coordinates[0].symbol
         self.names = {s.name for s in system.states} | {c.name for c in system.coordinates}
         self.original = [sp.Symbol(state.name, real=True) for state in system.states]
+        self.plain = dict(zip(system.functions, self.original, strict=True))
         self.states = set(self.original)  # lifted ones, too
         self.splitter = Splitter(system.coordinates, self.original)
         self.lifted: dict[sp.Expr, sp.Symbol] = {}  # meanings and the states that stand for them
@@ -106,10 +107,9 @@ class _Lifter:
     def lift(self) -> Lifting:
         """Lift until every rate is polynomial."""
         system = self.system
-        plain = dict(zip(system.functions, self.original, strict=True))
-        functions = {symbol: u for u, symbol in plain.items()}
+        functions = {symbol: u for u, symbol in self.plain.items()}
         try:
-            rates = [f.xreplace(plain) for f in system.rhs]
+            rates = [f.xreplace(self.plain) for f in system.rhs]
             self._check(rates)
             polynomials = [self.polynomial(rate) for rate in rates]
             self.rates = [self.reduced(rate) for rate in polynomials]
@@ -122,7 +122,6 @@ class _Lifter:
         start[self.time] = exact(sp.Float(system.coordinates[0].lower))
         lifted = [functions[symbol] for symbol in self.lifted.values()]
         states = [State(u.func.__name__, u, Role.LIFTED) for u in lifted]
-        jumps = tuple(self._jumped(jump, plain, functions) for jump in system.jumps)
         return Lifting(
             replace(
                 system,
@@ -131,21 +130,16 @@ class _Lifter:
                 rhs=tuple(rate.xreplace(functions) for rate in self.rates),
                 initial=(*system.initial, *(m.subs(start, simultaneous=True) for m in self.lifted)),
                 origins=(*system.origins, *(None for _ in lifted)),
-                jumps=jumps,
+                jumps=tuple(self._jumped(jump, functions) for jump in system.jumps),
             ),
             tuple(meaning.xreplace(functions) for meaning in self.lifted),
             tuple(invariant.xreplace(functions) for invariant in self.invariants),
         )
 
-    def _jumped(
-        self,
-        jump: Jump,
-        plain: Mapping[sp.Expr, sp.Symbol],
-        functions: Mapping[sp.Symbol, sp.Expr],
-    ) -> Jump:
-        """The same jump, after which lifted states are again what they stand for."""
-        after = {s: v.xreplace(plain) for s, v in zip(self.original, jump.values, strict=True)}
-        after = {s: v for s, v in after.items() if s != v}
+    def _jumped(self, jump: Jump, functions: Mapping[sp.Symbol, sp.Expr]) -> Jump:
+        """The same jump; after it lifted states are again what they stand for."""
+        values_after = (v.xreplace(self.plain) for v in jump.values)
+        after = {s: v for s, v in zip(self.original, values_after, strict=True) if s != v}
         at: dict[sp.Symbol, sp.Expr] = {**after, self.time: exact(sp.Float(jump.time))}
         lifted = [
             meaning.subs(at, simultaneous=True) if meaning.free_symbols & set(after) else state

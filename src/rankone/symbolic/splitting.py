@@ -87,8 +87,6 @@ _ADDITION = {
     sp.cosh: ((sp.cosh, sp.cosh, 1), (sp.sinh, sp.sinh, 1)),
 }
 """Addition theorems f(a + b) = sum of sign g(a) h(b), as (g, h, sign)."""
-
-
 _LARGE_EXPONENT = 30
 """Exponents above this are counted from their largest value, so that no factor overflows."""
 _MOST_FACTORED_POWER = 20
@@ -100,7 +98,6 @@ _MOST_TERMS = 1500
 _MOST_MULTIPLIED_POWER = 64
 """Highest power of a mixed expression that is multiplied out."""
 
-
 Reason = Literal["couples", "not polynomial", "not real", "out of range", "too many terms"]
 
 
@@ -111,9 +108,8 @@ class Indivisible(Exception):
     ----------
     expression : Expr
         The smallest expression that cannot be split.
-    reason : str
-        It couples coordinates, is not polynomial in the states, a root or logarithm leaves the
-        real numbers, or it has too many terms when it is multiplied out.
+    reason : Reason
+        Why: it couples coordinates, for example, or a root leaves the real numbers.
     """
 
     def __init__(self, expression: sp.Expr, reason: Reason) -> None:
