@@ -13,8 +13,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote
 
-__all__ = ["LOST_SHARE", "Comparison", "check_outputs", "sides"]
-
 _STEP = number(1e-35)
 """Step of difference quotients: half of the hundred digits remain in the difference."""
 _TOLERANCE = 1e-13

@@ -15,8 +15,6 @@ import sympy as sp
 from mpmath.libmp import fone, from_float, fzero, mpf_add, mpf_div, mpf_mul, mpf_pow_int
 from sympy.core.relational import Relational
 
-__all__ = ["PRECISION", "NoValueError", "Number", "Program", "number", "product", "total"]
-
 _DIGITS = 100
 PRECISION = 336
 """Bits of the numbers: a hundred decimal digits."""

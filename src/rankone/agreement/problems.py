@@ -20,8 +20,6 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 
-__all__ = ["DisagreementError", "check_problem", "disagreeing_rate"]
-
 _POINTS = 20
 """Points at which a problem is compared: over the horizon, the box and plausible states."""
 _FEWEST_POINTS = 3

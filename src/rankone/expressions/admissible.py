@@ -28,18 +28,6 @@ from rankone.ir.forms import Coordinate
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
 
-__all__ = [
-    "closed",
-    "defect",
-    "gaps",
-    "known_functions",
-    "largest",
-    "located_defect",
-    "numeric",
-    "sign",
-    "zero",
-]
-
 _SAMPLES = 501
 """Points of an interval, evenly spaced and at Chebyshev points: enough to bracket sign changes."""
 _ZOOMS = 6

@@ -16,8 +16,6 @@ from sympy.printing.str import StrPrinter
 
 from rankone.support.wording import clip, written
 
-__all__ = ["initial_latex", "initial_texts", "latex_of", "latex_text", "plain_text", "text_of"]
-
 _DIGITS = 17
 """Decimal digits that tell all floating-point numbers apart."""
 _LARGEST_DENOMINATOR = 10**6

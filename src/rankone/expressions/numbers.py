@@ -15,8 +15,6 @@ import sympy as sp
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
-__all__ = ["check_size", "exact"]
-
 _DIGITS = 15
 """Significant decimal digits that every floating-point number holds."""
 _EXTREME_RATIO = 1e30

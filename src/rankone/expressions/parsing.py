@@ -25,8 +25,6 @@ from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import clip, did_you_mean, quote
 
-__all__ = ["CONSTANTS", "FUNCTIONS", "parse_expression"]
-
 _AS_IN_SYMPY = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh"),
     *("atanh", "exp", "log", "ln", "sqrt", "erf", "erfc", "gamma", "floor", "Abs", "sign"),

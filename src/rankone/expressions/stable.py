@@ -17,8 +17,6 @@ import numpy as np
 import sympy as sp
 from scipy import special
 
-__all__ = ["NUMPY", "fraction", "scaled_power", "stable"]
-
 _ORDINARY_RATIO = sp.Integer(10) ** 30
 """Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied."""
 _HIGH_POWER = 8

@@ -19,16 +19,6 @@ from rankone.statistics.joint_distribution import copula_of
 from rankone.support.errors import EvaluationError, OptionError, ProblemError
 from rankone.support.wording import did_you_mean, is_line, listing, quote, shown
 
-__all__ = [
-    "Box",
-    "Time",
-    "check_correlation",
-    "check_parameters",
-    "check_time",
-    "check_units",
-    "real_number",
-]
-
 Time = tuple[sp.Symbol, float, float]
 """The symbol of time, the start and the end."""
 Box = dict[sp.Symbol, tuple[float, float]]

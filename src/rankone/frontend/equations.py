@@ -13,20 +13,6 @@ from rankone.frontend.box import Time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
 
-__all__ = [
-    "Symbols",
-    "as_expression",
-    "check_equations",
-    "check_initial",
-    "check_lengths",
-    "check_names",
-    "check_symbols",
-    "check_unknowns",
-    "check_value",
-    "highest_orders",
-    "state_expressions",
-]
-
 _MOST_TERMS = 5000
 """Terms of the longest sum: each takes some milliseconds to compile."""
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)

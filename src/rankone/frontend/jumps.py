@@ -20,17 +20,6 @@ from rankone.ir.functions import Table
 from rankone.support.errors import ProblemError, warn
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
-__all__ = [
-    "Impulses",
-    "Resets",
-    "at_start",
-    "check_jumps",
-    "jump_latex",
-    "jump_texts",
-    "system_jumps",
-    "without_impulses",
-]
-
 Resets = dict[float, dict[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""
 Impulses = dict[float, dict[int, sp.Expr]]

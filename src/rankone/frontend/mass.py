@@ -20,8 +20,6 @@ from rankone.ir.forms import Coordinate
 from rankone.support.errors import ProblemError
 from rankone.support.wording import listing, quote
 
-__all__ = ["MassForm", "Row", "check_mass"]
-
 Row = dict[int, sp.Expr]
 """The entries of a row of the mass matrix that are not zero, by column."""
 

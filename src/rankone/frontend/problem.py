@@ -42,8 +42,6 @@ from rankone.support.wording import (
     shown,
 )
 
-__all__ = ["Problem"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:

@@ -24,8 +24,6 @@ from rankone.support.wording import did_you_mean, listing, shown
 if TYPE_CHECKING:
     from rankone.frontend.problem import Problem
 
-__all__ = ["TOML_LAYOUT", "load_problem"]
-
 TOML_LAYOUT = """\
 time = [0, 6]
 

@@ -26,19 +26,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
 
-__all__ = [
-    "DataFunction",
-    "Table",
-    "UserFunction",
-    "duration",
-    "first_crossing",
-    "function",
-    "known_applied",
-    "maximum",
-    "minimum",
-    "table",
-]
-
 _KINDS = ("linear", "cubic", "previous")
 _PREFIX = "f_"
 """First letters of a function's name in generated source, so that no local name hides it."""

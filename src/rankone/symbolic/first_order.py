@@ -23,8 +23,6 @@ from rankone.ir.forms import Coordinate, Jump, Role, State
 from rankone.support.errors import check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
 
-__all__ = ["FirstOrderSystem", "Stage", "WeakForm", "first_order", "weak_form"]
-
 
 @dataclass(frozen=True, repr=False)
 class Stage:

@@ -23,8 +23,6 @@ from rankone.support.wording import count
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.splitting import Indivisible, Splitter
 
-__all__ = ["Lifting", "NotLiftable", "lift"]
-
 _MOST_UNKNOWNS = 60
 """Unknowns that may be added; a right-hand side that needs more gains nothing from lifting."""
 _MOST_ROOT = 3

@@ -22,8 +22,6 @@ from rankone.support.wording import listing, quote
 from rankone.symbolic.first_order import WeakForm, weak_form
 from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
 
-__all__ = ["separate"]
-
 _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
 """Largest coefficient of a separated term, and with its reciprocal the smallest: the product of
 two is still a floating-point number."""

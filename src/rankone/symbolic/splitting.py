@@ -19,8 +19,6 @@ from rankone.expressions.numbers import exact
 from rankone.ir.forms import Coordinate
 from rankone.support.budget import check_time
 
-__all__ = ["Indivisible", "Monomial", "MonomialSum", "Powers", "Splitter"]
-
 Powers = tuple[tuple[int, int], ...]
 """(state, exponent), ascending; negative exponents may occur on the way."""
 

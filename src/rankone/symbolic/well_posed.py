@@ -25,8 +25,6 @@ from rankone.support.errors import OptionError, ProblemError, RankoneWarning
 from rankone.support.wording import number, quote
 from rankone.symbolic.first_order import FirstOrderSystem
 
-__all__ = ["check_known", "check_moved", "check_start", "check_tables"]
-
 _TABLE_SAMPLES = 257
 """Points of an interval at which the argument of a table is compared with the table's ends."""
 _MOST_CORNERS = 64
