@@ -71,10 +71,9 @@ def add_command(
 
 
 def add_solve_rtol(parser: argparse.ArgumentParser) -> None:
-    """Add the tolerance at which a command solves a problem file first."""
-    parser.add_argument(
-        "--rtol", type=float, help="relative tolerance for a problem file (default: 1e-6)"
-    )
+    """Add the tolerance at which a problem file is solved first."""
+    help_text = "relative tolerance for a problem file (default: 1e-6)"
+    parser.add_argument("--rtol", type=float, help=help_text)
 
 
 def add_states(parser: argparse.ArgumentParser) -> None:
@@ -121,15 +120,7 @@ def is_saved(path: Path) -> bool:
 def solution_of(
     path: Path, rtol: float | None, method: str | None = None, effort: str | float = "normal"
 ) -> Solution:
-    """Load a saved solution, or solve a problem file.
-
-    Raises
-    ------
-    OptionError
-        If a tolerance or a method is given for a saved solution.
-    StorageError, ProblemError
-        If there is no such file, or it holds something else.
-    """
+    """Load a saved solution, which takes no tolerance and no method, or solve a problem file."""
     import rankone
     from rankone.frontend.problem_files import load_problem
     from rankone.support.budget import preparing

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
+_AT_HELP = "a value of time, parameters"
+_GRID_HELP = "several: LOWER:UPPER:COUNT evenly, or VALUE,VALUE,..."
 _AXIS_FORM = "NAME=LOWER:UPPER:COUNT or NAME=VALUE,VALUE"
 _LARGEST_GRID = 20_000_000
 """Most numbers on a grid: 160 megabytes, and far more as a table."""
@@ -46,23 +48,14 @@ def register(commands: Commands) -> None:
         help="evaluate a saved solution, or a problem that is solved first",
         description="Print the unknowns at a point, or on a grid as a table in CSV.",
     )
-    parser.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
-    parser.add_argument(
-        "--at", metavar="NAME=VALUE", nargs="+", action="extend", help="a value of time, parameters"
-    )
-    parser.add_argument(
-        "--grid",
-        metavar="NAME=VALUES",
-        nargs="+",
-        action="extend",
-        help="several: LOWER:UPPER:COUNT evenly, or VALUE,VALUE,...",
-    )
+    add = parser.add_argument
+    add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    add("--at", metavar="NAME=VALUE", nargs="+", action="extend", help=_AT_HELP)
+    add("--grid", metavar="NAME=VALUES", nargs="+", action="extend", help=_GRID_HELP)
     add_states(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument(
-        "--csv", metavar="PATH", nargs="?", const="-", help="a table, printed or written to PATH"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="let --csv replace a file")
+    add("--json", action="store_true", help="print JSON")
+    add("--csv", metavar="PATH", nargs="?", const="-", help="a table, printed or written to PATH")
+    add("--overwrite", action="store_true", help="let --csv replace a file")
     add_solve_rtol(parser)
 
 

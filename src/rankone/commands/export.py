@@ -21,6 +21,8 @@ from rankone.commands.common import (
 
 __all__ = ["register"]
 
+_OUTPUT_HELP = "a .py file; for models the suffix says what is written"
+_PAGE_HELP = "the page (default: the name of FILE with .html, in the present directory)"
 _FOR_MODELS = ("rtol", "allow_failed", "model_rtol", "states", "fmi")
 """Arguments that a standalone solver does not take."""
 
@@ -37,21 +39,13 @@ def register(commands: Commands) -> None:
         "another suffix than .py, write a solved model, for evaluation only.",
         epilog=toml_help(),
     )
-    export.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
-    export.add_argument(
-        "-o",
-        "--output",
-        metavar="PATH",
-        type=Path,
-        required=True,
-        help="a .py file; for models the suffix says what is written",
-    )
-    export.add_argument(
-        "--model", action="store_true", help="solve and write a model, also with the suffix .py"
-    )
+    add = export.add_argument
+    add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    add("-o", "--output", metavar="PATH", type=Path, required=True, help=_OUTPUT_HELP)
+    add("--model", action="store_true", help="solve and write a model, also with the suffix .py")
     add_model_arguments(export)
     add_states(export)
-    export.add_argument("--fmi", choices=("2.0", "3.0"), help="version of an FMU (default: 2.0)")
+    add("--fmi", choices=("2.0", "3.0"), help="version of an FMU (default: 2.0)")
 
     explore = add_command(
         commands,
@@ -62,17 +56,10 @@ def register(commands: Commands) -> None:
         "that follow at once, bands over the box, a phase plot, Sobol indices over time.",
         epilog=toml_help(),
     )
-    explore.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
-    explore.add_argument(
-        "-o",
-        "--output",
-        metavar="PATH",
-        type=Path,
-        help="the page (default: the name of FILE with .html, in the present directory)",
-    )
-    explore.add_argument(
-        "--title", help="title of the page (default: the name of the problem, or that of the page)"
-    )
+    add = explore.add_argument
+    add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    add("-o", "--output", metavar="PATH", type=Path, help=_PAGE_HELP)
+    add("--title", help="title of the page (default: the name of the problem, or of the page)")
     add_model_arguments(explore)
 
 

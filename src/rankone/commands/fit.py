@@ -29,9 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
-_EFFORT_HELP = (
-    "low, normal (default), high or a factor: on the budget of the solve, and on the starts"
-)
+_SIGMA_HELP = "standard deviation of the noise, one or by unknown; by default it is estimated"
+_EFFORT_HELP = "low, normal (default), high or a factor on the budget of the solve and the starts"
 _EXIT_HELP = """\
 data: a table with commas; the first line names the columns: time (by the name it has in the
 problem) and the unknowns that were measured. Empty cells are missing values.
@@ -54,29 +53,17 @@ def register(commands: Commands) -> None:
         description="Fit parameters of a solution, or of a problem that is solved first, to data.",
         epilog=_EXIT_HELP,
     )
-    parser.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
-    parser.add_argument("data", metavar="DATA", type=Path, help="a .csv file (see below)")
-    parser.add_argument(
-        "--observe", metavar="NAME", nargs="+", help="columns to use; by default all unknowns"
-    )
-    parser.add_argument(
-        "--sigma",
-        metavar="S|NAME=S",
-        nargs="+",
-        help="standard deviation of the noise, one or by unknown; estimated if it is not given",
-    )
+    add = parser.add_argument
+    add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    add("data", metavar="DATA", type=Path, help="a .csv file (see below)")
+    add("--observe", metavar="NAME", nargs="+", help="columns to use; by default all unknowns")
+    add("--sigma", metavar="S|NAME=S", nargs="+", help=_SIGMA_HELP)
     for option, meaning in (("fixed", "parameters that are known"), ("start", "where to start")):
-        parser.add_argument(
-            f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", help=meaning
-        )
-    parser.add_argument(
-        "--level", type=float, default=0.95, help="level of intervals (default: %(default)g)"
-    )
+        add(f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", help=meaning)
+    add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")
     add_solve_rtol(parser)
-    parser.add_argument(
-        "--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP)
+    add("--json", action="store_true", help="print the result as JSON")
 
 
 def _fit(arguments: argparse.Namespace) -> int:

@@ -31,6 +31,12 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
+_FOLDER_HELP = (
+    "the directory of report.txt, report.json and the plots (default: NAME_report for NAME.nc, in "
+    "the working directory)"
+)
+_NO_PLOTS_HELP = "no plots, and no files unless -o is given"
+_TEXTS = ("report.txt", "report.json")
 _BAND_PROBABILITIES = (0.025, 0.975)
 """Probabilities between which the band lies: 95 %."""
 _PLOT_SIZE = (5.6, 3.5)
@@ -50,23 +56,12 @@ def register(commands: Commands) -> None:
         "indices of its unknowns at the end of the horizon, for parameters spread over the box; "
         "write the same and plots (with matplotlib) into a directory.",
     )
-    parser.add_argument("file", metavar="FILE", type=Path, help=SOLVED_HELP)
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        type=Path,
-        help="the directory of report.txt, report.json and the plots (default: NAME_report for "
-        "NAME.nc, in the working directory)",
-    )
-    parser.add_argument(
-        "--no-plots",
-        dest="plots",
-        action="store_false",
-        help="no plots, and no files unless -o is given",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
+    add = parser.add_argument
+    add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
+    add("-o", "--output", metavar="DIR", type=Path, help=_FOLDER_HELP)
+    add("--no-plots", dest="plots", action="store_false", help=_NO_PLOTS_HELP)
+    add("--json", action="store_true", help="print JSON")
+    add("--overwrite", action="store_true", help="replace existing files")
     add_solve_rtol(parser)
 
 
@@ -85,26 +80,27 @@ def _report(arguments: argparse.Namespace) -> int:
     statistics = _statistics(solution)
     answer: dict[str, object] = {"file": str(arguments.file), **summary(solution)}
     answer |= {"ranks": [list(ranks) for ranks in solution.ranks], "bytes": solution.nbytes}
-    answer |= {"statistics": statistics.plain()} if statistics else {}
+    if statistics:
+        sobol = {f"sobol_{order}": shares for order, shares in statistics.indices.items()}
+        answer["statistics"] = {"time": statistics.time, **statistics.moments, **sobol}
     text, as_json = _text(solution, statistics), json.dumps(answer, indent=2, allow_nan=False)
     if folder is not None:
-        files: dict[Path, Content] = dict(
-            zip(_texts(folder), (text + "\n", as_json + "\n"), strict=True)
-        )
+        files: dict[Path, Content] = {
+            folder / name: content + "\n"
+            for name, content in zip(_TEXTS, (text, as_json), strict=True)
+        }
         if plots:
             files |= {folder / name: content for name, content in _plots(solution)}
-        _make(folder)
+        try:
+            folder.mkdir(exist_ok=True)
+        except (OSError, ValueError) as error:
+            raise StorageError(f"the directory `{folder}` cannot be made: {error}") from error
         write_files(files, arguments.overwrite, StorageError)
     print(as_json if arguments.json else text)
     if folder is not None and arguments.output is None:
         complain(f"written to the directory `{folder}`")
     sys.stdout.flush()
     return status_of(solution)
-
-
-def _texts(folder: Path) -> tuple[Path, Path]:
-    """Where the texts go."""
-    return folder / "report.txt", folder / "report.json"
 
 
 def _check_place(folder: Path, overwrite: bool) -> None:
@@ -117,7 +113,7 @@ def _check_place(folder: Path, overwrite: bool) -> None:
     except (OSError, ValueError) as error:  # too long, no permission, a null character
         raise StorageError(f"`{folder}` cannot be made: {error}", term=folder) from None
     if is_folder:
-        for path in _texts(folder):
+        for path in (folder / name for name in _TEXTS):
             free_target(path, overwrite, StorageError)
     elif exists:
         raise StorageError(
@@ -127,33 +123,16 @@ def _check_place(folder: Path, overwrite: bool) -> None:
         free_target(folder, overwrite, StorageError)
 
 
-def _make(folder: Path) -> None:
-    from rankone.support.errors import StorageError
-
-    try:
-        folder.mkdir(exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise StorageError(f"the directory `{folder}` cannot be made: {error}") from error
-
-
 # --- numbers -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Statistics:
-    """Moments by column and unknown, Sobol indices by order, unknown and parameter; None is none.
-
-    ``time`` is the end of what was solved, at which they are taken.
-    """
+    """Moments by column and unknown, Sobol indices by order, unknown and parameter, at a time."""
 
     time: float | None
     moments: dict[str, dict[str, float | None]]
     indices: dict[str, dict[str, dict[str, float | None]]]
-
-    def plain(self) -> dict[str, object]:
-        """The same as JSON has it."""
-        indices = {f"sobol_{order}": shares for order, shares in self.indices.items()}
-        return {"time": self.time, **self.moments, **indices}
 
 
 def _statistics(solution: Solution) -> _Statistics | None:

@@ -35,6 +35,12 @@ _STAGES = {
     "source": ("generated module", "source"),
 }
 """What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
+_CHECK_HELP = "number of check points in the interior; 0 leaves the error unknown (status 1)"
+_BOX_HELP = "other ranges of parameters, for this solve"
+_OPTIONS_HELP = "options of the engine, such as max_rank=300"
+_COVER_HELP = "whether success covers the corners of the box; by default up to three parameters"
+_SECONDS_HELP = "time limit on the clock; the best so far is kept"
+_UNKNOWNS_HELP = "the unknowns whose error has to be within the tolerance; by default all"
 _EXIT_HELP = """\
 exit status:
   0  the measured error is within the tolerance
@@ -54,65 +60,28 @@ def register(commands: Commands) -> None:
         description="Solve a problem for every parameter value of its box and measure the error.",
         epilog=f"{toml_help()}\n{_EXIT_HELP}",
     )
-    solve.add_argument("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
-    solve.add_argument(
-        "--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)"
-    )
-    solve.add_argument(
-        "--save",
-        metavar="PATH",
-        type=Path,
-        help="write the solution to PATH (.npz, or .nc for netCDF)",
-    )
-    solve.add_argument("--overwrite", action="store_true", help="let --save replace a file")
-    solve.add_argument(
-        "--check",
-        metavar="N",
-        type=_count,
-        help="number of check points in the interior; 0 leaves the error unknown (status 1)",
-    )
-    solve.add_argument(
-        "--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)"
-    )
-    solve.add_argument(
-        "--box",
-        metavar="NAME=LOWER:UPPER",
-        nargs="+",
-        action="extend",
-        help="other ranges of parameters, for this solve",
-    )
-    solve.add_argument(
-        "--t-final", metavar="T", type=float, help="another end of the horizon, for this solve"
-    )
-    solve.add_argument(
-        "--options",
-        metavar="NAME=VALUE",
-        nargs="+",
-        action="extend",
-        help="options of the engine, such as max_rank=300",
-    )
-    solve.add_argument(
-        "--cover",
-        choices=("interior", "box"),
-        help="whether success covers the corners of the box; by default up to three parameters",
-    )
-    solve.add_argument("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
-    solve.add_argument(
+    add = solve.add_argument
+    add("file", metavar="FILE", type=Path, help=PROBLEM_HELP)
+    add("--rtol", type=float, default=1e-6, help="relative tolerance (default: %(default)g)")
+    add("--save", metavar="PATH", type=Path, help="write the solution (.npz, or .nc for netCDF)")
+    add("--overwrite", action="store_true", help="let --save replace a file")
+    add("--check", metavar="N", type=_count, help=_CHECK_HELP)
+    add("--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)")
+    add("--box", metavar="NAME=LOWER:UPPER", nargs="+", action="extend", help=_BOX_HELP)
+    add("--t-final", metavar="T", type=float, help="another end of the horizon, for this solve")
+    add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
+    add("--cover", choices=("interior", "box"), help=_COVER_HELP)
+    add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
+    add(
         "--max-seconds",
         metavar="S",
         type=float,
         help="time limit on the clock; the best so far is kept",
     )
-    solve.add_argument(
-        "--unknowns",
-        metavar="NAME",
-        nargs="+",
-        help="the unknowns whose error has to be within the tolerance; by default all",
-    )
-    solve.add_argument("--json", action="store_true", help="print the summary as JSON")
-    solve.add_argument(
-        "--quiet", action="store_true", help="no summary (except --json) and no progress bar"
-    )
+    add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
+    add("--json", action="store_true", help="print the summary as JSON")
+    add("--quiet", action="store_true", help="no summary (except --json) and no progress bar")
+
     show = add_command(
         commands,
         "show",
