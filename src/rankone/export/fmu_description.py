@@ -22,7 +22,7 @@ _CATEGORIES = {
     "logStatusDiscard": "Values and steps beyond what was solved",
     "logStatusError": "Calls that are refused, and why",
 }
-_ABLE: dict[FMI, tuple[str, ...]] = {
+_CAPABILITIES: dict[FMI, tuple[str, ...]] = {
     "2.0": (
         "canHandleVariableCommunicationStepSize",
         "canNotUseMemoryManagementFunctions",
@@ -44,18 +44,8 @@ _ABLE: dict[FMI, tuple[str, ...]] = {
 class Description:
     """A model as the two files describe it.
 
-    Attributes
-    ----------
-    model : PackedModel
-    fmi : {"2.0", "3.0"}
-    name : str
-        For readers.
-    identifier : str
-        Name of the binary and prefix of the functions.
-    sources : tuple of str
-        Names of the files that are compiled.
-    timeless : bool
-        Whether the outputs are the same at all times.
+    ``identifier`` names the binary and begins the names of functions, ``sources`` are the files
+    that are compiled, and the outputs of a ``timeless`` model are the same at all times.
     """
 
     model: PackedModel
@@ -84,10 +74,7 @@ def start_values(model: PackedModel) -> list[float]:
 def model_description(about: Description, token: str) -> bytes:
     """``modelDescription.xml``: value reference 0 is time, then parameters, then outputs.
 
-    Parameters
-    ----------
-    token : str
-        The ``guid`` (FMI 2.0) or ``instantiationToken`` (FMI 3.0).
+    ``token`` is the ``guid`` of FMI 2.0 and the ``instantiationToken`` of FMI 3.0.
     """
     root = Element(
         "fmiModelDescription",
@@ -100,8 +87,16 @@ def model_description(about: Description, token: str) -> bytes:
             "variableNamingConvention": "flat",
         },
     )
-    _add_interface(root, about)
-    _add_units(root, about)
+    flags = dict.fromkeys(_CAPABILITIES[about.fmi], "true")
+    interface = SubElement(root, "CoSimulation", {"modelIdentifier": about.identifier, **flags})
+    if about.fmi == "2.0":
+        files = SubElement(interface, "SourceFiles")
+        for name in about.sources:
+            SubElement(files, "File", name=name)
+    names = dict.fromkeys(filter(None, map(about.unit, range(len(about.names)))))
+    units = SubElement(root, "UnitDefinitions") if names else root
+    for unit in names:
+        SubElement(units, "Unit", name=unit)
     categories = SubElement(root, "LogCategories")
     for name, description in _CATEGORIES.items():
         SubElement(categories, "Category", name=name, description=description)
@@ -123,25 +118,6 @@ def build_description(about: Description) -> bytes:
     for name in about.sources:
         SubElement(files, "SourceFile", name=name)
     return _xml(root)
-
-
-def _add_interface(root: Element, about: Description) -> None:
-    """The kind of simulation and what it is capable of."""
-    flags = dict.fromkeys(_ABLE[about.fmi], "true")
-    interface = SubElement(root, "CoSimulation", {"modelIdentifier": about.identifier, **flags})
-    if about.fmi == "2.0":
-        files = SubElement(interface, "SourceFiles")
-        for name in about.sources:
-            SubElement(files, "File", name=name)
-
-
-def _add_units(root: Element, about: Description) -> None:
-    used = dict.fromkeys(about.unit(reference) for reference in range(len(about.names)))
-    used.pop("", None)
-    if used:
-        units = SubElement(root, "UnitDefinitions")
-        for unit in used:
-            SubElement(units, "Unit", name=unit)
 
 
 def _add_variable(parent: Element, about: Description, reference: int) -> None:

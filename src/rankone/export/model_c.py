@@ -34,18 +34,7 @@ _PAIR = 2
 
 
 def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
-    """Source and header of a model; the names start with the stem of the path.
-
-    Parameters
-    ----------
-    path : Path
-        Where the source will be.
-
-    Raises
-    ------
-    ExportError
-        If the source cannot include a header of this name.
-    """
+    """Source and header of a model; the names start with the stem of the path of the source."""
     stem = path.stem
     if not stem.isprintable() or {*stem} & {*'"\\'} or "??" in stem:
         raise ExportError(

@@ -67,13 +67,7 @@ _COMPILER_SECONDS = 600
 
 
 def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
-    """The version of FMI, 2.0 unless it is given; 2 and 3 count as 2.0 and 3.0.
-
-    Raises
-    ------
-    OptionError
-        If there is no such version, or the target is no FMU.
-    """
+    """The version of FMI, 2.0 by default, or an OptionError; 2 and 3 count as 2.0 and 3.0."""
     if fmi is None:
         return "2.0"
     if suffix != ".fmu":
@@ -90,32 +84,16 @@ def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:
 def fmu_model(
     model: PackedModel, path: Path, *, fmi: FMI = "2.0", timeless: bool = False
 ) -> dict[Path, Content]:
-    """The archive of a model, by the path of the file.
+    """The archive of a model, by the path of the file; its stem names the model.
 
-    Parameters
-    ----------
-    path : Path
-        Where the archive will be; its stem names the model.
-    fmi : {"2.0", "3.0"}
-    timeless : bool
-        Whether the outputs are the same at all times.
-
-    Warns
-    -----
-    RankoneWarning
-        If nothing can be compiled: the FMU then has the sources alone.
+    ``timeless`` says that the outputs are the same at all times. Without a compiler the FMU has the
+    sources alone, with a RankoneWarning.
     """
     identifier = c_identifier(path.stem)[:_LONGEST_IDENTIFIER]
-    evaluation = _evaluation(model, f"{identifier}_model")
-    wrapper = f"fmi{fmi[0]}.c"
-    about = Description(
-        model=model,
-        fmi=fmi,
-        name=path.stem,
-        identifier=identifier,
-        sources=(wrapper, f"{identifier}_model.c"),
-        timeless=timeless,
-    )
+    files_in_c = c_model(model, Path(f"{identifier}_model.c"))
+    evaluation = {file.name: text for file, text in files_in_c.items() if isinstance(text, str)}
+    names = f"fmi{fmi[0]}.c", f"{identifier}_model.c"
+    about = Description(model, fmi, path.stem, identifier, names, timeless)
     token = _fingerprint(model_description(about, ""), _wrapper(about, ""), evaluation)
     sources = _wrapper(about, token) | evaluation
     files = {"modelDescription.xml": model_description(about, token)}
@@ -123,12 +101,6 @@ def fmu_model(
     if fmi == "3.0":
         files["sources/buildDescription.xml"] = build_description(about)
     return {path: _archive(files | _binary(about, sources))}
-
-
-def _evaluation(model: PackedModel, prefix: str) -> dict[str, str]:
-    """The model in C99, its text by the names of the files."""
-    written = c_model(model, Path(f"{prefix}.c"))
-    return {path.name: text for path, text in written.items() if isinstance(text, str)}
 
 
 def _wrapper(about: Description, token: str) -> dict[str, str]:
@@ -237,7 +209,9 @@ def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str
         command.append("-fPIC")
     try:
         with TemporaryDirectory() as folder:
-            return _compiled(command, files, sources, Path(folder) / name)
+            for file, text in files.items():
+                (Path(folder) / file).write_text(text, encoding="utf-8")
+            return _run_compiler([*command, *sources, "-o", name], Path(folder) / name)
     except OSError as error:  # such as a full disk
         where = error.filename or gettempdir()
         raise ExportError(
@@ -247,17 +221,12 @@ def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str
         ) from error
 
 
-def _compiled(
-    command: Sequence[str], files: Mapping[str, str], sources: Sequence[str], library: Path
-) -> bytes:
-    """The library, compiled in its folder."""
-    folder = library.parent
-    for file, text in files.items():
-        (folder / file).write_text(text, encoding="utf-8")
+def _run_compiler(command: Sequence[str], library: Path) -> bytes:
+    """The library that a command makes in its folder, or CannotCompile."""
     try:
         run = subprocess.run(
-            [*command, *sources, "-o", library.name],
-            cwd=folder,
+            command,
+            cwd=library.parent,
             capture_output=True,
             text=True,
             errors="replace",

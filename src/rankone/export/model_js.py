@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization.coordinates import round_off
-from rankone.export.packing import PackedCore, PackedModel
+from rankone.export.packing import PackedModel
 from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string
 from rankone.support import __version__
 from rankone.support.arrays import Array
@@ -31,22 +31,13 @@ _BLOCK = 8
 
 
 def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
-    """Module and declarations of a model.
-
-    Parameters
-    ----------
-    path : Path
-        Where the module will be, with the suffix ``.js`` or ``.mjs``; the declarations are beside
-        it, in ``.d.ts`` or ``.d.mts``.
-
-    Raises
-    ------
-    ExportError
-        If the module cannot be imported by this name.
-    """
+    """Module (``.js`` or ``.mjs``) and declarations (``.d.ts`` or ``.d.mts``) of a model."""
     if not path.stem.isprintable():
         raise ExportError(f"`{path}` cannot be imported: its name has unprintable characters")
     time, *parameters = model.coordinates
+    moment, *middles = (f"{0.5 * (lower + upper):g}" for lower, upper in model.intervals)
+    point = ", ".join(f"{_key(p)}: {x}" for p, x in zip(parameters, middles, strict=True))
+    start, end = model.intervals[0]
     names = {*model.coordinates, *model.unknowns}
     units = [(name, js_string(unit)) for name, unit in model.units if name in names]
     fields = {
@@ -66,25 +57,14 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "parameter_type": " | ".join(map(js_string, parameters)) or "never",
         "optional": "" if parameters else "?",
         "absent": "" if parameters else " | undefined",
-        **_examples(model),
+        "time_example": moment,
+        "example": js_comment(f"{{ {point} }}" if point else "{}"),
+        "times_example": f"{start:g}, {moment}, {end:g}",
         **_tables(model),
     }
     module = filled("model.js.in", fields) + filled("model_train.js.in", fields)
     declarations = path.with_suffix(path.suffix.replace(".", ".d.").replace("js", "ts"))
     return {path: module, declarations: filled("model.d.ts.in", fields)}
-
-
-def _examples(model: PackedModel) -> dict[str, str]:
-    """How to call it: values in the middle of the ranges."""
-    time, *middles = (f"{0.5 * (lower + upper):g}" for lower, upper in model.intervals)
-    keys = map(_key, model.coordinates[1:])
-    point = ", ".join(f"{key}: {middle}" for key, middle in zip(keys, middles, strict=True))
-    start, end = model.intervals[0]
-    return {
-        "time_example": time,
-        "example": js_comment(f"{{ {point} }}" if point else "{}"),
-        "times_example": f"{start:g}, {time}, {end:g}",
-    }
 
 
 def _key(name: str) -> str:
@@ -121,7 +101,10 @@ def _tables(model: PackedModel) -> dict[str, str]:
         sparse = any((run < core.tensor.shape[2]).any() for run, _ in elements)
         runs += [run for run, _ in elements] if sparse else []
         coefficients += [packed for _, packed in elements]
-        rows.append(_row(core, sparse))
+        place = [_number(core.lower), _number(core.scale)]
+        if core.edges:
+            place = [_list(core.lowers), _list(core.scales)]
+        rows.append(f"  [{', '.join([*place, *map(str, core.tensor.shape), str(int(sparse))])}],")
     slabs = [
         f"  [{', '.join([_number(start), *map(str, places)])}],"
         for start, places in zip(model.starts, positions, strict=True)
@@ -132,14 +115,6 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "runs": _base64(runs, "<u2"),
         "data": _base64(coefficients, "<f8"),
     }
-
-
-def _row(core: PackedCore, sparse: bool) -> str:
-    """The layout of one core."""
-    place = [_number(core.lower), _number(core.scale)]
-    if core.edges:
-        place = [_list(core.lowers), _list(core.scales)]
-    return f"  [{', '.join([*place, *map(str, core.tensor.shape), str(int(sparse))])}],"
 
 
 def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:

@@ -6,7 +6,6 @@ import base64
 import textwrap
 from inspect import getsource
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from rankone.codegen.text import (
 )
 from rankone.discretization.coordinates import round_off
 from rankone.export.bundler import banner, source_text
-from rankone.export.packing import PackedCore, PackedModel
+from rankone.export.packing import PackedModel
 from rankone.export.templates import TERMS
 from rankone.support import __version__
 from rankone.support.files import Content, npz
@@ -34,13 +33,7 @@ _LONGEST_DATA = 200_000
 
 
 def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
-    """The files of a model: the module and, when there are many coefficients, an .npz beside it.
-
-    Parameters
-    ----------
-    path : Path
-        Where the module will be.
-    """
+    """The files of a model: the module and, when there are many coefficients, an .npz beside it."""
     coefficients = np.concatenate([core.tensor.ravel() for core in model.distinct[0]])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
@@ -122,7 +115,12 @@ def _head(model: PackedModel, path: Path) -> list[str]:
 def _tables(model: PackedModel) -> list[str]:
     """Names, intervals and the layout of the coefficients."""
     cores, slabs = model.distinct
-    layout = tuple((*_places(core), core.tensor.shape) for core in cores)
+    layout = tuple(
+        (core.lowers, core.scales, core.tensor.shape)
+        if core.edges
+        else (core.lower, core.scale, core.tensor.shape)
+        for core in cores
+    )
     unequal = any(core.edges for core in cores)
     unequal_note = ["# (where elements are unequal, both are given for each of them)"]
     return [
@@ -141,8 +139,3 @@ def _tables(model: PackedModel) -> list[str]:
         "# for each slab which cores it has, for time and for each parameter",
         *table("SLABS", nested(slabs)),
     ]
-
-
-def _places(core: PackedCore) -> tuple[Any, Any]:
-    """Where the elements begin and elements per unit: for each element where they are unequal."""
-    return (core.lowers, core.scales) if core.edges else (core.lower, core.scale)

@@ -57,18 +57,10 @@ _DIFFERENCE_CLIMB = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, see
 
 @dataclass(frozen=True)
 class PackedCore:
-    """One core of one slab.
+    """One core of one slab: Chebyshev coefficients (elements, left rank, degree, right rank).
 
-    Attributes
-    ----------
-    lower : float
-        Where the first element begins.
-    scale : float
-        Elements per unit of the coordinate, if they are equal.
-    tensor : ndarray (elements, left rank, degree, right rank)
-        Chebyshev coefficients on every element.
-    edges : tuple of float
-        Ends of all elements if they are unequal, else empty.
+    The first element begins at ``lower``. ``scale`` is the number of elements per unit of the
+    coordinate; where elements are unequal, ``edges`` are the ends of all of them, else empty.
     """
 
     lower: float
@@ -151,14 +143,7 @@ def pack(
     """Turn a solution into plain tables.
 
     With ``rtol`` the model may differ from the solution by so much, relative to the size of each
-    state that is evaluated.
-
-    Raises
-    ------
-    OptionError
-        If there is no such choice of states, or ``rtol`` is out of its range.
-    ExportError
-        If nothing was solved, or the solution is not a success and ``allow_failed`` is False.
+    state that is evaluated. A solution that is no success is an ExportError unless it is allowed.
     """
     check_states(states)
     rtol = checked_rtol(rtol)
@@ -180,7 +165,11 @@ def pack(
         rounding = rounded_slabs(slabs, intervals, rtol)
         slabs = list(rounding.slabs)
         errors = [a + b for a, b in zip(errors, rounding.differences, strict=True)]
-        summary = (*summary, _difference_line(rounding, rtol))
+        summary += (
+            f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
+            f"measured {max(rounding.differences):.1e} at {rounding.points} random points and by "
+            "climbing from the worst of them.",
+        )
     return PackedModel(
         unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
@@ -215,16 +204,6 @@ def checked_rtol(rtol: float | None) -> float | None:
 def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:
     """A slab of some of the states."""
     return slab.with_first(slab.cores[0][rows])
-
-
-def _difference_line(rounding: Rounding, rtol: float) -> str:
-    """How far a model may be from the solution, as a line of the summary."""
-    largest = max(rounding.differences)
-    return (
-        f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
-        f"measured {largest:.1e} at {rounding.points} random points and by climbing from the worst "
-        "of them."
-    )
 
 
 def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ...]:

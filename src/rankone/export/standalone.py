@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import dataclasses
 import textwrap
-from typing import Any
 
 from rankone.codegen.text import (
     INDENT,
@@ -35,13 +34,6 @@ def standalone_source(title: str | None, source: str, metadata: SolutionMetadata
     """Text of the standalone solver of a problem: the same text, byte for byte, each time.
 
     ``source`` is the text of the generated module, and the metadata name the engine.
-
-    Raises
-    ------
-    OptionError
-        If there is no such engine.
-    ExportError
-        If the source of a module of the library is not at hand.
     """
     engine, *_ = engines_for(metadata.method)
     home = f"rankone.solvers.{engine.name}"
@@ -99,7 +91,6 @@ import importlib.util
 import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 """
 
 
@@ -201,11 +192,12 @@ _RUNTIME = f"""
 
 def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
     """The objects that the front uses, and the classes that its users do."""
-    names = (f.name for f in dataclasses.fields(metadata) if _is_said(metadata, f))
+    written = dataclasses.replace(metadata, source=None)
     entries = [
         line
-        for name in names
-        for line in tuple_lines(f"{name}=", _text(getattr(metadata, name)), ",", INDENT)
+        for f in dataclasses.fields(written)
+        if (entry := getattr(written, f.name)) or entry != f.default
+        for line in tuple_lines(f"{f.name}=", _text(entry), ",", INDENT)
     ]
     raised = (name for name in errors.__all__ if name.endswith("Error"))
     return "\n".join(
@@ -228,17 +220,13 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
     )
 
 
-def _is_said(metadata: SolutionMetadata, field: dataclasses.Field[Any]) -> bool:
-    """Whether a field is written: the source is not, nor is what is empty by default."""
-    entry = getattr(metadata, field.name)
-    return field.name != "source" and (bool(entry) or entry != field.default)
-
-
-def _text(value: object) -> str | list[str]:
-    """A value as Python text; a tuple item by item."""
-    if isinstance(value, tuple):
-        return [_wrapped(item) if isinstance(item, str) else literal(item) for item in value]
-    return quoted(value) if isinstance(value, str) else literal(value)
+def _text(entry: object) -> str | list[str]:
+    """An entry of the metadata as Python text; a tuple member by member."""
+    if isinstance(entry, tuple):
+        return [
+            _wrapped(member) if isinstance(member, str) else literal(member) for member in entry
+        ]
+    return literal(entry)
 
 
 def _wrapped(text: str) -> str:

@@ -102,16 +102,11 @@ def export_page(
         )
     full = with_derivatives(solution)
     model = pack(full, rtol=rtol, allow_failed=allow_failed)
-    title = (title or "").strip() or solution.metadata.name or _title(target)
+    words = target.stem.replace("_", " ").replace("-", " ").strip() or "Explorer"
+    title = (title or "").strip() or solution.metadata.name or words[:1].upper() + words[1:]
     text = _page(full, solution, model, title, rtol)
     write_files({target: text}, overwrite, ExportError)
     return target
-
-
-def _title(path: Path) -> str:
-    """The name of a file as a title."""
-    words = path.stem.replace("_", " ").replace("-", " ").strip() or "Explorer"
-    return words[:1].upper() + words[1:]
 
 
 def _page(
@@ -137,7 +132,10 @@ def _page(
         "message": html.escape(sentences[0]),
         "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in sentences),
         "errors": "\n".join(map(_error_row, data["unknowns"])),
-        "equations": "\n".join(map(_list, notation.equations())),
+        "equations": "\n".join(
+            "\n".join(["<ul>", *(f"<li>{line}</li>" for line in group), "</ul>"])
+            for group in notation.equations()
+        ),
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
         "phase": "yes" if len(data["unknowns"]) > 1 else "",
@@ -179,10 +177,6 @@ def _error_row(unknown: Mapping[str, Any]) -> str:
     error = unknown["error"]
     shown = "not measured" if error is None else _scientific(error)
     return f"<tr><th scope='row'>{unknown['symbol']}</th><td>{shown}</td></tr>"
-
-
-def _list(items: list[str]) -> str:
-    return "<ul>\n" + "\n".join(f"<li>{item}</li>" for item in items) + "\n</ul>"
 
 
 def _scientific(error: float) -> str:

@@ -84,12 +84,12 @@ def content(
     probabilities = (0.0, *_BAND_PROBABILITIES, 1.0)
     lowest, low, high, highest = solution.quantile(probabilities, times, count=_BOX_POINTS)
     distributions = dict(metadata.distributions)
-    derivatives = notation.derivatives
+    independent = len(metadata.parameters) > 1 and not metadata.correlations
     return {
         "unknowns": [
             {
                 **named(name),
-                "derivative": name in derivatives,
+                "derivative": name in notation.derivatives,
                 "error": None if np.isnan(model.errors[i]) else model.errors[i],
                 "extent": [float(lowest[i].min()), float(highest[i].max())],
                 "low": _rounded(low[i]) if metadata.parameters else None,
@@ -108,7 +108,7 @@ def content(
         ],
         "time": {**named(metadata.time), "range": list(model.intervals[0])},
         "times": times.tolist(),
-        "sobol": _sensitivities(solution) if _has_sensitivities(solution) else None,
+        "sobol": _sensitivities(solution) if independent else None,
     }
 
 
@@ -145,23 +145,23 @@ def _with_both_sides(solution: DistributionOverBox, times: Array) -> Array:
     return merged[(merged >= start) & (merged <= end)]
 
 
-def _has_sensitivities(solution: DistributionOverBox) -> bool:
-    """Whether there are several parameters, which are independent."""
-    return len(solution.metadata.parameters) > 1 and not solution.metadata.correlations
-
-
 def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
     """Sobol indices over time: (unknowns, parameters, times) each; null where not defined.
 
     The page interpolates: intervals between times are halved until that is accurate in their
     middles, or there are too many times.
     """
+
+    def shares_at(times: Array) -> Array:
+        indices, _ = solution._indices(times, solution._statistics())
+        return np.stack([indices.first, indices.total])
+
     times = _with_both_sides(solution, np.linspace(*solution.time, _SENSITIVITY_TIMES))
-    shares = _shares(solution, times)
+    shares = shares_at(times)
     for _ in range(_MAX_HALVINGS):
         middles = 0.5 * (times[1:] + times[:-1])
         wide = np.diff(times) > _NARROWEST_INTERVAL * (times[-1] - times[0])
-        exact, between = _shares(solution, middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
+        exact, between = shares_at(middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
         close = (np.abs(exact - between) <= _SHARE_TOLERANCE) | (
             np.isnan(exact) & np.isnan(between)
         )
@@ -177,12 +177,6 @@ def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
             for order, share in zip(("first", "total"), shares.tolist(), strict=True)
         },
     }
-
-
-def _shares(solution: DistributionOverBox, times: Array) -> Array:
-    """Sobol indices, first and total: (2, unknowns, parameters, times)."""
-    indices, _ = solution._indices(times, solution._statistics())
-    return np.stack([indices.first, indices.total])
 
 
 def _rounded(curve: Iterable[float], digits: int = _CURVE_DIGITS) -> list[float | None]:
