@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 import rankone as ro
 from rankone.ir.domain import Domain
 from rankone.ir.request import Check, SolveRequest
-from rankone.verification.measure import ReferenceSet, measure
+from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference
 from tests.problems import REFERENCE
@@ -82,15 +82,13 @@ def test_initial_values_are_expressions_of_the_parameters():
 def test_the_error_measure_sees_an_error_put_in_by_hand():
     solution = ro.solve(REFERENCE["decay"](), rtol=1e-8)
     system = module("decay")
-    points = check_points(np.array(system.box), 5)
-    reference = integrate_reference(system, points, 0.0, 2.0, 1e-12)
+    reference_set = ReferenceSet.of(system, SolveRequest(3e-10, Domain.of(system), Check(5)))
     slabs = list(solution.outcome.slabs)
-    good = measure(slabs, reference, np.ones(1), 2, True)
-    assert max(good.interior) < 1e-7
+    assert reference_set.measured(slabs).error < 1e-7
     core = slabs[-1].cores[0].copy()
     core[0, 0] *= 1.0 + 1e-3
     spoiled = slabs[-1].with_first(core)
-    assert max(measure([*slabs[:-1], spoiled], reference, np.ones(1), 2, True).interior) > 1e-5
+    assert reference_set.measured([*slabs[:-1], spoiled]).error > 1e-5
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(1.0, np.exp(2.0)), (-1.0, 1.0)])

@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -66,6 +66,8 @@ _READ_COST = Cost(60e3, 12.0)
 
 _Method: TypeAlias = Callable[[Rates, float, Array, float], Stepper]
 """Starts an integration with rates, from a time and state to an end."""
+_Record: TypeAlias = "_DenseRecord | _SampleRecord"
+"""Keeps something of each step of an integration."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +79,11 @@ class StackedIntegrator:
     stiff : bool
         Whether to begin with Radau; otherwise it takes over where DOP853 meets stiffness.
     bearable_steps : int
-        So many steps of DOP853 are made although stability limits them. They are cheaper than
-        those of Radau, but less accurate in between.
+        Steps of DOP853 that are cheaper than those of Radau although stability limits them. They
+        are less accurate in between.
     looks_anywhere : bool
-        Whether steps are also checked at random places for what is narrow over the states, and
-        not only where that is known. Systems that separate are polynomials in their states, and
-        have nothing narrow over them.
+        Whether to check steps at random places too, and not only at state surfaces. Systems that
+        separate are never checked: polynomials in the states are not narrow over them.
     """
 
     stiff: bool = False
@@ -124,16 +125,6 @@ def has_smooth_rates(system: System, start: float) -> bool:
     if not system.separated or len(system.time_factors(np.array([start]))) > 1:
         return False
     return max((len(states) for *_, states in system.terms), default=0) <= _SMOOTH_DEGREE
-
-
-class _Record(Protocol):
-    """Keeps something of each step of an integration."""
-
-    def begin(self, start: float) -> None:
-        """An integration begins, perhaps anew with another method."""
-
-    def add(self, solver: Stepper) -> None:
-        """A step was made."""
 
 
 class _DenseRecord:
@@ -236,7 +227,10 @@ class _Stack:
         return state, avoided
 
     def _steps(
-        self, method: _Method, record: _Record, steps_left: Callable[[Stepper, int], float]
+        self,
+        method: _Method,
+        record: _Record,
+        steps_left: Callable[[Stepper, int], float],
     ) -> tuple[Array, float]:
         """Step over all segments: the last state, and the steps left if the method is given up."""
         state = self.system.initial(self.parameters)
@@ -295,11 +289,11 @@ class _Stack:
         return rates
 
     def _explicit_steps_left(self, solver: Stepper, count: int) -> float:
-        """The steps left, if they are more than bearable and stability limits them; or 0.
+        """The explicit steps left, if stability limits them and they are not bearable; else 0.
 
-        It does by the fastest rate of decay at the present state. The estimate of the error lets
-        unstable steps pass while what they amplify is small; defect control refuses them, and a
-        fifth of their length is stable. So the length that was refused counts.
+        Stability limits a step by the fastest rate of decay at the present state. The error
+        estimate lets unstable steps pass while what they amplify is small; defect control refuses
+        them, and a fifth of their length is stable. So the length that was refused counts.
         """
         probes = count in _FIRST_PROBES or count % _PROBE_INTERVAL == 0
         if not probes and solver.refusals < _PROBE_REFUSALS:

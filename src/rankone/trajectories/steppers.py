@@ -28,21 +28,10 @@ from rankone.trajectories.integrator import Tolerances
 
 __all__ = ["DefectControl", "Rates", "StackedDOP853", "StackedRadau", "Stepper"]
 
-_STEP_STATE = (
-    "t",
-    "t_old",
-    "y",
-    "f",
-    "h_abs",
-    "h_abs_old",
-    "error_norm_old",
-    "sol",
-    "Z",
-    "J",
-    "current_jac",
-    "status",
-)
-"""What a step changes, of both methods, beside the factorisations of Radau."""
+_RADAU_STATE = ("h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
+"""What a step of Radau changes, but for its factorisations."""
+_STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
+"""What a step of any method changes, as far as it has it."""
 _BETWEEN_NODES = (0.4, 0.85)
 """Shares of a step, between the nodes of Radau, at which its interpolant is looked at."""
 _MOST_INTERPOLATION_ERROR = 10.0
@@ -129,7 +118,8 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
     def step(self) -> str | None:
         """A step as SciPy's, made again and shorter while something in it was overlooked."""
-        before = {name: self.__dict__[name] for name in _STEP_STATE if name in self.__dict__}
+        members = self.__dict__
+        before = {name: members[name] for name in _STEP_STATE if name in members}
         while True:
             message: str | None = super().step()
             if self.status == "failed":
@@ -174,12 +164,13 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
         """The trajectories of some columns within the last step: a nested polynomial."""
         n, dense = self.trajectory_states, self.dense_output()
-        coefficients = dense.F.reshape(len(dense.F), n, -1)[::-1, :, columns]
+        coefficients = dense.F.reshape(len(dense.F), n, -1)[:, :, columns]
         start = dense.y_old.reshape(n, -1)[:, columns]
 
         def evaluate(shares: Array, slopes: bool) -> tuple[Array, Array]:
-            y, slope, left = np.zeros_like(start), np.zeros_like(start), 1.0 - shares
-            for i, coefficient in enumerate(coefficients):
+            y, left = np.zeros_like(start), 1.0 - shares
+            slope = np.zeros_like(start) if slopes else y
+            for i, coefficient in enumerate(coefficients[::-1]):
                 y += coefficient
                 if slopes:
                     slope *= left if i % 2 else shares

@@ -8,9 +8,10 @@ large in proportion to the error at other points as where the error is known.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from rankone.verification.points import (
 from rankone.verification.reference import Reference, integrate_reference
 from rankone.verification.search import Climb, climbed
 
-__all__ = ["ReferenceSet", "drift", "measure", "times_within", "worst_points"]
+__all__ = ["ReferenceSet", "drift", "times_within", "worst_points"]
 
 _REFERENCE_ACCURACY = 3e-3
 """Tolerance of the reference over that of the solve, for the worst of its trajectories."""
@@ -71,28 +72,31 @@ _DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])
 """Times at which they are, in slab lengths."""
 
 _CANDIDATES = 512
-"""Points at which residuals are looked at."""
+"""Points at which residuals are looked at, with up to three parameters."""
+_MOST_CANDIDATES = 2560
+"""The same with more parameters, as far as the work goes."""
+_WORK = 3e7
+"""Multiplications that residuals and jumps may take: about a tenth of a second."""
 _MOST_SLABS = 4
-"""Slabs on which they are, and jumps of a kind."""
+"""Slabs on which residuals are looked at, and jumps of a kind."""
 _CHOSEN = 8
 """Worst points that are taken."""
-_CORNER_SHARE = 5
-"""Of so many candidates one is near a corner, and so many times more are affordable at most."""
+_CORNER_INTERVAL = 5
+"""With more than three parameters every fifth candidate is near a corner."""
 _CORNER_POWER = 1.0 / 3.0
 """Power of the distance from the centre that draws points towards the corners."""
 _CORNER_ERROR = 5.0
-"""Expected error over the tolerance from which such points count: they are rare."""
-_WORK = 3e7
-"""Multiplications that the residuals of more than three parameters may take."""
+"""Factor on the error that is tolerated there, unless corners count: they are rare."""
 _RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])
 """Times of residuals, in slab lengths."""
 _NEGLIGIBLE = 1e-3
-"""Part of the tolerance as which smaller errors and residuals count."""
+"""Part of the tolerance below which errors and residuals count as this part of it."""
 _DOUBTFUL_ERROR = 1.5
-"""Expected error over the tolerance from which a point is doubtful: on smooth problems expected
-errors reach 1.4 and are overestimates, where something was missed 3 and more."""
-_MOST_KNOWN = 64
-"""Trajectories of the reference whose residuals tell what a residual amounts to."""
+"""Expected error over the tolerance from which a point is doubtful.
+
+On smooth problems expected errors are too large and reach 1.4; where something was missed, 3."""
+_MOST_COMPARED = 64
+"""Reference trajectories whose residuals tell what a residual amounts to."""
 _JUMP_CANDIDATES = 16_384
 """Points at which a jump is looked at that is no polynomial of the states."""
 _JUMP_ERROR = 3.0
@@ -146,7 +150,8 @@ class ReferenceSet:
         whole_box = few if check.cover is None else check.cover == "box"
         in_time, *parameter_cuts = system_cuts(system, domain)
         cuts = _with_jumps(in_time.points, system, domain)
-        beside = [_few(each.points) for each in parameter_cuts] if check.points else ()
+        all_cuts = [each.points for each in parameter_cuts] if check.points else ()
+        beside = [each[:: max(1, -(-len(each) // _MOST_CHECKED_CUTS))] for each in all_cuts]
         every_corner = whole_box or few
         points = check_points(domain.bounds, check.points, cuts=beside, every_corner=every_corner)
         points = inside_jumps(points, system, domain)
@@ -154,7 +159,7 @@ class ReferenceSet:
         corners = len(points) - interior if check.points and domain.box else 0
         if check.points:
             active, surfaces = active_points(system, domain), surface_points(system, domain)
-            cells = cell_points(domain, [each.points for each in parameter_cuts])
+            cells = cell_points(domain, all_cuts)
             points = np.concatenate([points, active, surfaces, cells])
         accuracy = max(_REFERENCE_ACCURACY * request.rtol, _LEAST_ACCURACY)
         reference_set = cls(
@@ -209,12 +214,42 @@ class ReferenceSet:
         return self.sizes[: self.system.n_differential]
 
     def measured(self, slabs: Sequence[SlabTrain]) -> Measured | None:
-        """Errors of the slabs in units of the sizes; None without check or slabs."""
+        """Errors of the slabs over their whole time span; None without check or slabs.
+
+        They are in units of the sizes; at corners, of the largest size there if that is larger.
+        """
         if not slabs or not self.checked:
             return None
-        counts = self.corners, self.whole_box, len(self.system.unknowns), self.counted
+        reference, m = self.reference, len(self.reference.points)
+        corners, unknowns = slice(1, 1 + self.corners), len(self.system.unknowns)
+        all_times = [times_within(slab.start, slab.end, _CHECK_SHARES) for slab in slabs]
         with unlimited():
-            return measure(slabs, self.reference, self.states, *counts)
+            errors, largest = np.zeros((self.states.size, m)), self.states
+            all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
+            carried = _with_carries(slabs, reference.points)
+            for (slab, carry), times, exact in zip(carried, all_times, all_exact, strict=True):
+                defects = np.abs(slab.on_grid(times, carry) - exact)
+                errors = np.maximum(errors, defects.max(axis=2))
+                at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
+                largest = np.maximum(largest, at_corners)
+        units = np.repeat(self.states[:, None], m, axis=1)
+        units[:, corners] = largest[:, None]
+        errors = (np.where(np.isfinite(errors), errors, np.inf) / units)[:unknowns]
+        counts = np.ones(m, dtype=bool)
+        counts[corners] = self.whole_box
+        of_states = errors if self.counted is None else errors[list(self.counted)]
+        of_points = of_states[:, counts].max(axis=0)
+        corner_errors = errors[:, corners].max(axis=1, initial=0.0)
+        return Measured(
+            interior=tuple(errors[:, counts].max(axis=1).tolist()),
+            corners=tuple(corner_errors.tolist()) if self.corners else (),
+            points=m,
+            method="Radau" if reference.stiff else "DOP853",
+            cover="box" if self.whole_box else "interior",
+            quantile=float(np.quantile(of_points, _SAFE_QUANTILE, method="higher")),
+            worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
+            counted=self.counted,
+        )
 
     def amplification(self) -> Callable[[float], float]:
         """Largest later growth of an error made at time t, along a few trajectories.
@@ -298,73 +333,18 @@ def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[
     return tuple(sorted([*apart, *jumps]))
 
 
-def _few(cuts: Sequence[float]) -> Sequence[float]:
-    """At most so many of the cuts as are checked."""
-    return cuts[:: max(1, -(-len(cuts) // _MOST_CHECKED_CUTS))]
-
-
 def times_within(start: float, end: float, shares: Array) -> Array:
     """Times at shares of a slab; at its end, where states may jump, the last number before it."""
     return np.asarray(np.minimum(start + (end - start) * shares, np.nextafter(end, start)))
 
 
-def measure(
-    slabs: Sequence[SlabTrain],
-    reference: Reference,
-    scale: Array,
-    corners: int,
-    whole_box: bool,
-    unknowns: int | None = None,
-    counted: tuple[int, ...] | None = None,
-) -> Measured:
-    """Errors of the slabs against the reference over their whole time span.
-
-    Parameters
-    ----------
-    scale : ndarray (n,)
-        Size of each state over the interior points. Errors at corners are relative to the largest
-        value over the corners, where that is larger.
-    corners : int
-        Number of check points, after the centre, that are corners of the box.
-    whole_box : bool
-        Whether they count like the others.
-    unknowns : int, optional
-        So many states, the first, are measured: those after them are lifted and serve the others.
-    counted : tuple of int, optional
-        Those of them whose error counts.
-    """
-    m = len(reference.points)
-    errors = np.zeros((scale.size, m))
-    largest = scale.copy()
-    at_corners, not_corners = slice(1, 1 + corners), np.r_[0, 1 + corners : m]
-    all_times = [times_within(slab.start, slab.end, _CHECK_SHARES) for slab in slabs]
-    all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
-    carry, last = np.zeros((0, m)), None
-    for slab, times, exact in zip(slabs, all_times, all_exact, strict=True):
+def _with_carries(slabs: Sequence[SlabTrain], points: Array) -> Iterator[tuple[SlabTrain, Array]]:
+    """Each slab with its trains over the parameters at points (m, d), made once if shared."""
+    last, carry = None, points
+    for slab in slabs:
         if last is None or not slab.shares_parameters(last):
-            carry, last = slab.over_parameters(reference.points.T), slab
-        states = slab.on_grid(times, carry)
-        errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
-        corner_sizes = np.abs(exact[:, at_corners]).max(axis=(1, 2), initial=0.0)
-        largest = np.maximum(largest, corner_sizes)
-    errors = np.where(np.isfinite(errors), errors, np.inf)[:unknowns]
-    errors[:, at_corners] /= largest[:unknowns, None]
-    errors[:, not_corners] /= scale[:unknowns, None]
-    counts = np.ones(m, dtype=bool)
-    counts[at_corners] = whole_box
-    of_states = errors if counted is None else errors[list(counted)]
-    of_points = of_states[:, counts].max(axis=0)
-    corner_errors = errors[:, at_corners].max(axis=1, initial=0.0)
-    return Measured(
-        interior=tuple(errors[:, counts].max(axis=1).tolist()),
-        corners=tuple(corner_errors.tolist()) if corners else (),
-        points=m,
-        method="Radau" if reference.stiff else "DOP853",
-        cover="box" if whole_box else "interior",
-        quantile=float(np.quantile(of_points, _SAFE_QUANTILE, method="higher")),
-        worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
-        counted=counted,
-    )
+            last, carry = slab, slab.over_parameters(points.T)
+        yield slab, carry
 
 
 def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
@@ -373,24 +353,20 @@ def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
     ``s`` for ``sin(x)`` and ``c`` for ``cos(x)`` are on the circle as long as both stay sine and
     cosine of the ``x`` that is solved for with them.
     """
-    points = check_points(domain.bounds, _DRIFT_POINTS).T
+    points = check_points(domain.bounds, _DRIFT_POINTS)
     count = system.n_lifted
     size, worst = np.zeros(count), np.zeros(count)
-    for slab in slabs:
+    for slab, carry in _with_carries(slabs, points):
         times = times_within(slab.start, slab.end, _DRIFT_SHARES)
-        states = slab.on_grid(times, slab.over_parameters(points))
-        lifted, meant = states[-count:], system.meanings(times, states, points[:, :, None])
+        states = slab.on_grid(times, carry)
+        lifted, meant = states[-count:], system.meanings(times, states, points.T[:, :, None])
         size = np.maximum(size, np.abs(lifted).max(axis=(1, 2)))
         worst = np.maximum(worst, np.abs(lifted - meant).max(axis=(1, 2)))
     return float(np.nan_to_num(worst / np.where(size > 0.0, size, 1.0), nan=np.inf).max())
 
 
 def worst_points(
-    reference_set: ReferenceSet,
-    slabs: Sequence[SlabTrain],
-    error: float,
-    rtol: float,
-    attempt: int,
+    reference_set: ReferenceSet, slabs: Sequence[SlabTrain], error: float, rtol: float, attempt: int
 ) -> Array | None:
     """Points (m, d) where the error is expected to be above the tolerance; None if there are none.
 
@@ -407,135 +383,111 @@ def worst_points(
     if not reference_set.domain.box or not slabs or not reference_set.checked:
         return None
     generator = np.random.default_rng((20141, attempt + 1))
-    doubtful = np.concatenate(
-        [
-            _by_residual(reference_set, slabs, error, rtol, generator),
-            _after_jumps(reference_set, slabs, rtol, generator),
-        ]
-    )
-    return doubtful if len(doubtful) else None
+    search = _WorstPoints(reference_set, slabs, rtol, generator)
+    points = np.concatenate([search.by_residual(error), search.after_jumps()])
+    return points if len(points) else None
 
 
-def _by_residual(
-    reference_set: ReferenceSet,
-    slabs: Sequence[SlabTrain],
-    error: float,
-    rtol: float,
-    generator: np.random.Generator,
-) -> Array:
-    """Points (m, d) where the residual, beside those of known trajectories, is large."""
-    lower, upper = reference_set.domain.bounds.T
-    unit, tolerated = _candidates(lower.size, _affordable(slabs[-1:]), generator)
-    if reference_set.whole_box:
-        tolerated = np.ones(len(unit))
-    candidates = lower + (upper - lower) * unit
-    compared = reference_set.interior_points[-_MOST_KNOWN:]
-    points = np.concatenate([compared, candidates])
-    ratios = np.zeros(len(candidates))
-    carry, last = np.zeros((0, 0)), None
-    for i in sorted({round(i) for i in np.linspace(0, len(slabs) - 1, _MOST_SLABS)}):
-        slab = slabs[i]
-        if last is None or not slab.shares_parameters(last):
-            carry, last = slab.over_parameters(points.T), slab
-        residuals = _residuals(reference_set, slab, points, carry)
-        floor = _NEGLIGIBLE * rtol / (slab.end - slab.start)
-        usual = np.maximum(residuals[:, : len(compared)].max(axis=1, keepdims=True), floor)
-        ratios = np.maximum(ratios, (residuals[:, len(compared) :] / usual).max(axis=0))
-    ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
-    worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
-    doubtful = ratios[worst] * max(error, _NEGLIGIBLE) > _DOUBTFUL_ERROR
-    return np.asarray(candidates[worst[doubtful]])
+@dataclass(frozen=True)
+class _WorstPoints:
+    """A search for points where slabs are wrong."""
+
+    reference_set: ReferenceSet
+    slabs: Sequence[SlabTrain]
+    rtol: float
+    generator: np.random.Generator
+
+    def by_residual(self, error: float) -> Array:
+        """Points (m, d) where the residual, beside those of known trajectories, is large."""
+        lower, upper = self.reference_set.domain.bounds.T
+        unit, tolerated = self._candidates(lower.size)
+        if self.reference_set.whole_box:
+            tolerated = np.ones(len(unit))
+        candidates = lower + (upper - lower) * unit
+        compared = self.reference_set.interior_points[-_MOST_COMPARED:]
+        indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, _MOST_SLABS)})
+        points, slabs = np.concatenate([compared, candidates]), [self.slabs[i] for i in indices]
+        ratios = np.zeros(len(candidates))
+        for slab, carry in _with_carries(slabs, points):
+            residuals = self._residuals(slab, points, carry)
+            floor = _NEGLIGIBLE * self.rtol / (slab.end - slab.start)
+            usual = np.maximum(residuals[:, : len(compared)].max(axis=1, keepdims=True), floor)
+            ratios = np.maximum(ratios, (residuals[:, len(compared) :] / usual).max(axis=0))
+        ratios = np.where(np.isfinite(ratios), ratios, np.inf) / tolerated
+        worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
+        doubtful = ratios[worst] * max(error, _NEGLIGIBLE) > _DOUBTFUL_ERROR
+        return np.asarray(candidates[worst[doubtful]])
+
+    def _candidates(self, d: int) -> tuple[Array, Array]:
+        """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
+        if d <= FEW_PARAMETERS:
+            return self.generator.random((_CANDIDATES, d)), np.ones(_CANDIDATES)
+        affordable = _affordable(self.slabs[-1:])
+        points = self.generator.random((min(max(affordable, _CANDIDATES), _MOST_CANDIDATES), d))
+        near = np.arange(len(points)) % _CORNER_INTERVAL == 0
+        offset = 2.0 * points[near] - 1.0
+        points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _CORNER_POWER
+        return points, np.where(near, _CORNER_ERROR, 1.0)
+
+    def _residuals(self, slab: SlabTrain, points: Array, carry: Array) -> Array:
+        """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
+        system, units = self.reference_set.system, self.reference_set.states[:, None]
+        times = slab.start + (slab.end - slab.start) * _RESIDUAL_SHARES
+        states, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
+        cost = function_cost(system.rhs, system.user_functions)
+        charge(len(times) * (cost(len(points)) + 2.0 * states[:, :, 0].size))
+        with np.errstate(all="ignore"):
+            residuals = [
+                np.abs(rates[:, :, j] - system.rhs(time, states[:, :, j], points.T)) / units
+                for j, time in enumerate(times)
+            ]
+        return np.stack([np.nan_to_num(each.max(axis=0), nan=np.inf) for each in residuals])
+
+    def after_jumps(self) -> Array:
+        """Points (m, d) where the states after a jump are not what it makes of those before it."""
+        jumps, bounds = self.reference_set.system.jumps, self.reference_set.domain.bounds
+        lower, upper = bounds.T
+        affordable = _affordable(self.slabs)
+        count = min(_JUMP_CANDIDATES, max(_CANDIDATES, affordable))
+        anywhere = lower + (upper - lower) * self.generator.random((count, lower.size))
+        climb = replace(_TO_KINKS, tries=min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries))
+        doubtful, looks = [anywhere[:0]], Counter[int]()
+        for before, after in itertools.pairwise(self.slabs):
+            kind = jumps.kind_at(before.end)
+            if kind is None or looks[kind] == _MOST_SLABS:
+                continue
+            looks[kind] += 1
+            rough = kind in jumps.rough_kinds
+            error = partial(self._jump_error, kind, before, after)
+            points = anywhere if rough else anywhere[:_CANDIDATES]
+            inside = points_in_elements(after.bases, len(points) // 2, self.generator)
+            points = np.concatenate([points, inside])
+            errors = error(points)
+            # Points from everywhere, and not the worst alone, which may lie at one border.
+            wrong = np.flatnonzero(errors > _JUMP_ERROR * self.rtol)
+            doubtful.append(points[wrong[:: max(1, len(wrong) // _CHOSEN)][:_CHOSEN]])
+            if rough:  # kinks are thin: climb towards them
+                best = np.argsort(-errors, kind="stable")[:_CLIMBERS]
+                points, errors = climbed(error, points[best], errors[best], bounds, climb)
+            worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
+            doubtful.append(points[worst[errors[worst] > _JUMP_ERROR * self.rtol]])
+        return np.concatenate(doubtful)
+
+    def _jump_error(self, kind: int, before: SlabTrain, after: SlabTrain, points: Array) -> Array:
+        """Largest error of a state after a jump, in units of the sizes, at points (m, d): (m,)."""
+        system, time = self.reference_set.system, np.array([before.end])
+        charge(function_cost(system.jumps.jumped, system.user_functions)(len(points)))
+        start, end = (
+            slab.on_grid(time, carry)[:, :, 0]
+            for slab, carry in _with_carries([before, after], points)
+        )
+        with np.errstate(all="ignore"):
+            errors = np.abs(end - system.jumps.jumped(kind, start, points.T))
+        largest = (errors / self.reference_set.states[:, None]).max(axis=0)
+        return np.asarray(np.nan_to_num(largest, nan=np.inf))
 
 
 def _affordable(slabs: Sequence[SlabTrain]) -> int:
     """Points at which trains can be evaluated within the work allowed."""
     work = max(sum(core.size for core in slab.cores[1:]) for slab in slabs)
     return int(_WORK / max(work, 1))
-
-
-def _candidates(d: int, affordable: int, generator: np.random.Generator) -> tuple[Array, Array]:
-    """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
-    if d <= FEW_PARAMETERS:
-        return generator.random((_CANDIDATES, d)), np.ones(_CANDIDATES)
-    count = min(max(affordable, _CANDIDATES), _CORNER_SHARE * _CANDIDATES)
-    points = generator.random((count, d))
-    near = np.arange(count) % _CORNER_SHARE == 0
-    offset = 2.0 * points[near] - 1.0
-    points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _CORNER_POWER
-    return points, np.where(near, _CORNER_ERROR, 1.0)
-
-
-def _residuals(reference_set: ReferenceSet, slab: SlabTrain, points: Array, carry: Array) -> Array:
-    """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
-    system, units = reference_set.system, reference_set.states[:, None]
-    times = slab.start + (slab.end - slab.start) * _RESIDUAL_SHARES
-    states, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
-    cost = function_cost(system.rhs, system.user_functions)
-    charge(len(times) * (cost(len(points)) + 2.0 * states[:, :, 0].size))
-    with np.errstate(all="ignore"):
-        residuals = [
-            np.abs(rates[:, :, j] - system.rhs(time, states[:, :, j], points.T)) / units
-            for j, time in enumerate(times)
-        ]
-    return np.stack([np.nan_to_num(each.max(axis=0), nan=np.inf) for each in residuals])
-
-
-def _after_jumps(
-    reference_set: ReferenceSet,
-    slabs: Sequence[SlabTrain],
-    rtol: float,
-    generator: np.random.Generator,
-) -> Array:
-    """Points (m, d) where the states after a jump are not what it makes of those before it."""
-    jumps, bounds = reference_set.system.jumps, reference_set.domain.bounds
-    lower, upper = bounds.T
-    affordable = _affordable(slabs)
-    count = min(_JUMP_CANDIDATES, max(_CANDIDATES, affordable))
-    anywhere = lower + (upper - lower) * generator.random((count, lower.size))
-    climb = replace(_TO_KINKS, tries=min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries))
-    doubtful, looks = [anywhere[:0]], dict.fromkeys(range(len(slabs)), 0)
-    for before, after in itertools.pairwise(slabs):
-        kind = jumps.kind_at(before.end)
-        if kind is None or looks[kind] == _MOST_SLABS:
-            continue
-        looks[kind] += 1
-        rough = kind in jumps.rough_kinds
-        error = _jump_error(reference_set, kind, before, after)
-        points = anywhere if rough else anywhere[:_CANDIDATES]
-        inside = points_in_elements(after.bases, len(points) // 2, generator)
-        points = np.concatenate([points, inside])
-        errors = error(points)
-        # Points from everywhere, and not the worst alone, which may lie at one border.
-        wrong = np.flatnonzero(errors > _JUMP_ERROR * rtol)
-        doubtful.append(points[wrong[:: max(1, len(wrong) // _CHOSEN)][:_CHOSEN]])
-        if rough:  # kinks are thin: climb towards them
-            best = np.argsort(-errors, kind="stable")[:_CLIMBERS]
-            points, errors = climbed(error, points[best], errors[best], bounds, climb)
-        worst = np.argsort(-errors, kind="stable")[:_CHOSEN]
-        doubtful.append(points[worst[errors[worst] > _JUMP_ERROR * rtol]])
-    return np.concatenate(doubtful)
-
-
-def _jump_error(
-    reference_set: ReferenceSet, kind: int, before: SlabTrain, after: SlabTrain
-) -> Callable[[Array], Array]:
-    """Largest error of a state after a jump between two slabs, in units of the sizes.
-
-    It maps points (m, d) to errors (m,).
-    """
-    system, units = reference_set.system, reference_set.states[:, None]
-    cost = function_cost(system.jumps.jumped, system.user_functions)
-    time = np.array([before.end])
-
-    def error(points: Array) -> Array:
-        charge(cost(len(points)))
-        carry = before.over_parameters(points.T)
-        start = before.on_grid(time, carry)[:, :, 0]
-        if not after.shares_parameters(before):
-            carry = after.over_parameters(points.T)
-        end = after.on_grid(time, carry)[:, :, 0]
-        with np.errstate(all="ignore"):
-            errors = np.abs(end - system.jumps.jumped(kind, start, points.T)) / units
-        return np.asarray(np.nan_to_num(errors.max(axis=0), nan=np.inf))
-
-    return error
