@@ -13,7 +13,7 @@ import numpy as np
 
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
-from rankone.outputs.solved import samples_of, with_outputs
+from rankone.outputs.interpolation import samples_of, with_outputs
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solvers.registry import ENGINES

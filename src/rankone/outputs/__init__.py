@@ -3,11 +3,9 @@
 =================  ====================================================================
 module             subject
 =================  ====================================================================
-``quantities``     what is asked for, as functions of arrays
-``over_time``      integrals, extremes and crossings of functions of time
-``sampling``       values of quantities at parameter points
-``check``          where quantities are compared with their interpolation
-``interpolation``  from values at points to a train, and how good it is
-``solved``         that as a solution
+``quantities``     the quantities, as functions of arrays
+``sampling``       quantities at parameter points: functions of time, and reductions
+``check``          points where quantities are compared with their interpolation
+``interpolation``  from quantities at points to trains, and their error
 =================  ====================================================================
 """

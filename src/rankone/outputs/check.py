@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.domain import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
-from rankone.solvers.cross.time_grid import TimeGrid
 from rankone.support.arrays import Array, corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.search import Climb, bisected, climbed
@@ -20,9 +20,11 @@ from rankone.verification.search import Climb, bisected, climbed
 __all__ = ["Check", "CheckPoints", "critical_points", "split", "spread_over"]
 
 _ROUNDING = 1e-13
-"""Quantities so small, over what they are made of, are zero."""
-_POINTS, _CORNERS = 96, 32
-"""Points of the interior where an error is measured, and most corners of the box."""
+"""A quantity that is so small, relative to its operands, is zero but for rounding."""
+_INTERIOR_POINTS = 96
+"""Points of the interior where an error is measured, as for solutions."""
+_MAX_CORNERS = 32
+"""Corners where an error is measured: all of five parameters."""
 _SCOUTS = 512
 """Points where a search begins."""
 _CLIMBERS = 16
@@ -31,11 +33,18 @@ _TO_CHANGES = Climb(rounds=24, tries=5, first_step=0.25, shrinkage=0.8)
 """The way to where extremes, durations or crossings are nearest to a change."""
 _TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)
 """The way to larger errors."""
-_FIRST_PART = 0.55
-"""Of a slab of the grid on which the error is measured, so that its nodes are others."""
-_MOST_BREAKS, _NEAR, _BISECTIONS = 32, 1e-6, 60
-"""Most places of a parameter that are looked at, how near, in widths of its interval, and steps to
-find places of several."""
+_SPLIT_RATIO = 0.55
+"""Where slabs are split for the check, so that its nodes are not those of the grid."""
+_MAX_BREAKS = 32
+"""Most breaks of a parameter, and most points on a ridge, that are looked at."""
+_BREAK_DISTANCE = 1e-6
+"""Distance of points beside a break, in widths of the interval."""
+_HALVINGS = 60
+"""Bisections of a segment across a ridge: to the last digit."""
+_SPREAD_SEED = 20145
+"""Seed of evenly spread points."""
+_CORNER_SEED = 20146
+"""Seed of the choice of corners."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +56,7 @@ class Check:
     points : ndarray (m, d)
     values : ndarray (quantities, rows, m)
     sizes : ndarray (quantities,)
-        Their largest values; those of what they are made of where they vanish but for rounding.
+        Their largest values; the largest operand where they vanish but for rounding.
     """
 
     points: Array
@@ -64,16 +73,17 @@ class Check:
 
     def missed(self, slabs: Sequence[SlabTrain], sampler: Sampler) -> Array:
         """Error of trains over the sizes, (quantities, m)."""
-        carry = slabs[0].over_parameters(self.points.T)
+        columns = slabs[0].over_parameters(self.points.T)
         if sampler.quantities.timeless:
-            found = slabs[0].on_grid(np.array([slabs[0].start]), carry)
+            interpolated = slabs[0].on_grid(np.array([slabs[0].start]), columns)
         else:
             times = sampler.grid.times
             owner = np.searchsorted([slab.start for slab in slabs[1:]], times, side="right")
-            parts = [slab.on_grid(times[owner == k], carry) for k, slab in enumerate(slabs)]
-            found = np.concatenate(parts, axis=2)
-        missed = np.abs(found.swapaxes(1, 2) - self.values).max(axis=1)
-        return np.asarray(missed / self.sizes[:, None])
+            interpolated = np.concatenate(
+                [slab.on_grid(times[owner == k], columns) for k, slab in enumerate(slabs)], axis=2
+            )
+        errors = np.abs(interpolated.swapaxes(1, 2) - self.values).max(axis=1)
+        return np.asarray(errors / self.sizes[:, None])
 
     def with_points(self, sampler: Sampler, points: Array) -> Check:
         """The same with further points."""
@@ -95,7 +105,7 @@ class Check:
         return Check(points, sampler(points), self.sizes)
 
     def amplified(self, sampler: Sampler, rtol: float) -> Array:
-        """What errors of the sources change the quantities by, over their sizes.
+        """Effect of errors of the sources on the quantities, over their sizes.
 
         Each source is shifted by ``rtol`` times its largest value, up and down.
 
@@ -106,8 +116,8 @@ class Check:
         largest = np.abs(sampler.sources(self.points)).max(axis=(1, 2), initial=0.0)
         total = np.zeros((largest.size, *self.values.shape[::2]))
         for change, shift in zip(total, np.diag(rtol * largest), strict=True):
-            both = [sampler(self.points, signed) for signed in (shift, -shift)]
-            change += np.max([np.abs(found - self.values).max(axis=1) for found in both], axis=0)
+            both = [sampler(self.points, signed_shift) for signed_shift in (shift, -shift)]
+            change += np.max([np.abs(s - self.values).max(axis=1) for s in both], axis=0)
         relative: Array = total / self.sizes[:, None]
         return relative
 
@@ -115,8 +125,8 @@ class Check:
 def critical_points(sampler: Sampler, domain: Domain) -> Array:
     """Points of the box where extremes, durations or crossings are nearest to a change: (m, d).
 
-    A maximum that changes from one peak to another in a small part of the box, and a crossing that
-    is there in a small part alone, are hardly met by points spread over the box.
+    Points spread over the box hardly meet a maximum that moves to another peak in a small part of
+    the box, or a crossing that exists only there.
     """
     if not domain.box:
         return np.zeros((0, 0))
@@ -132,7 +142,7 @@ def critical_points(sampler: Sampler, domain: Domain) -> Array:
 
 @dataclass(frozen=True)
 class CheckPoints:
-    """Points of the box for two checks: one that is aimed at, and one of further points.
+    """Points of the box for two checks: one to aim at, and one of further points.
 
     Attributes
     ----------
@@ -152,7 +162,7 @@ class CheckPoints:
         """The points for some quantities."""
         at_corners = _corners(domain)
         special = [_beside(domain, quantities.breaks[1:]), _on_ridges(domain, quantities)]
-        halves = np.split(spread_over(domain, 2 * _POINTS if domain.box else 2), 2)
+        halves = np.split(spread_over(domain, 2 * _INTERIOR_POINTS if domain.box else 2), 2)
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
 
@@ -160,7 +170,7 @@ class CheckPoints:
 def spread_over(domain: Domain, count: int) -> Array:
     """Points of the box, evenly spread, the centre first: (count, d)."""
     lower, upper = domain.bounds.T
-    shares = spread(count, lower.size, np.random.default_rng(20145))
+    shares = spread(count, lower.size, np.random.default_rng(_SPREAD_SEED))
     shares = np.concatenate([np.full((1, lower.size), 0.5), shares[1:]])
     return np.asarray(lower + (upper - lower) * shares)
 
@@ -168,42 +178,43 @@ def spread_over(domain: Domain, count: int) -> Array:
 def split(grid: TimeGrid) -> TimeGrid:
     """A grid with two slabs, of unequal length, for each."""
     pairs = itertools.pairwise(grid.breaks)
-    breaks = [x for a, b in pairs for x in (a, a + _FIRST_PART * (b - a))]
+    breaks = [x for a, b in pairs for x in (a, a + _SPLIT_RATIO * (b - a))]
     return TimeGrid((*breaks, grid.breaks[-1]), grid.count)
 
 
 def _beside(domain: Domain, breaks: Sequence[Sequence[float]]) -> Array:
     """Points of the box beside places where functions of a parameter are not smooth: (m, d)."""
-    found = [np.zeros((0, len(domain.box)))]
+    blocks = [np.zeros((0, len(domain.box)))]
     for j, places in enumerate(breaks):
         lower, upper = domain.box[j]
-        some = list(places)[:_MOST_BREAKS]
-        points = spread_over(domain, 2 * len(some) + 1)[1:]
-        width = _NEAR * (upper - lower)
-        points[:, j] = np.clip([x + s * width for x in some for s in (-1.0, 1.0)], lower, upper)
-        found.append(points)
-    return np.concatenate(found)
+        chosen = list(places)[:_MAX_BREAKS]
+        points = spread_over(domain, 2 * len(chosen) + 1)[1:]
+        distance = _BREAK_DISTANCE * (upper - lower)
+        beside = [x + side * distance for x in chosen for side in (-1.0, 1.0)]
+        points[:, j] = np.clip(beside, lower, upper)
+        blocks.append(points)
+    return np.concatenate(blocks)
 
 
 def _on_ridges(domain: Domain, quantities: Quantities) -> Array:
     """Points of the box where functions of several parameters are narrow or not smooth: (m, d)."""
-    points = spread_over(domain, 2 * _POINTS)
-    left, right = points[:_POINTS], points[_POINTS:]
-    found = [points[:0]]
+    points = spread_over(domain, 2 * _INTERIOR_POINTS)
+    left, right = np.split(points, 2)
+    blocks = [points[:0]]
     with np.errstate(all="ignore"):
         for k in range(len(quantities.ridges(points.T))):
 
             def sign(at: Array, k: int = k) -> Array:
                 return np.sign(np.broadcast_to(quantities.ridges(at.T)[k], len(at)))
 
-            here = np.flatnonzero(sign(left) * sign(right) < 0.0)[:_MOST_BREAKS]
-            on_left = sign(left[here])
+            across = np.flatnonzero(sign(left) * sign(right) < 0.0)[:_MAX_BREAKS]
+            on_left = sign(left[across])
 
             def like_left(at: Array, on_left: Array = on_left) -> NDArray[np.bool_]:
                 return np.asarray(sign(at) == on_left)
 
-            found.append(bisected(left[here], right[here], like_left, _BISECTIONS)[0])
-    return np.concatenate(found)
+            blocks.append(bisected(left[across], right[across], like_left, _HALVINGS)[0])
+    return np.concatenate(blocks)
 
 
 def _corners(domain: Domain) -> Array:
@@ -211,5 +222,5 @@ def _corners(domain: Domain) -> Array:
     if not domain.box:
         return np.zeros((0, 0))
     lower, upper = domain.bounds.T
-    unit = corners(lower.size, _CORNERS, np.random.default_rng(20146))
+    unit = corners(lower.size, _MAX_CORNERS, np.random.default_rng(_CORNER_SEED))
     return np.asarray(np.where(unit == 1.0, upper, lower))

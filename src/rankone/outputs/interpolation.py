@@ -1,42 +1,60 @@
 """From values of quantities at parameter points to a solution, and how good it is.
 
-By cross interpolation, as the cross engine does it with trajectories; its error is that of the
-interpolation, measured at further points, and what the errors of the solution make of it.
+By adaptive cross interpolation, as the cross engine does it with trajectories. The error is that
+of the interpolation, measured at further points, plus the effect of the solution's own error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rankone.discretization import Basis1D
+from rankone.discretization import BASES
+from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.domain import Domain
+from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome
-from rankone.ir.verdict import Note, OutputError, Remedy, Status, UnknownOutputError, WorstOutput
+from rankone.ir.verdict import (
+    EarlyEnd,
+    Note,
+    OutputError,
+    Remedy,
+    Status,
+    UnknownOutputError,
+    WorstOutput,
+)
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.solution.core import SolutionCore
-from rankone.solvers.cross.nodes import divided, more_nodes, resolving_bases
-from rankone.solvers.cross.options import CrossOptions
-from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
+from rankone.solvers.cross import CrossOptions
 from rankone.support.arrays import Array
 from rankone.support.budget import (
     OutOfBudgetError,
     OutOfTimeError,
     limited,
+    operations_for,
     seconds_left,
     work_left,
 )
-from rankone.support.errors import ConvergenceError
-from rankone.tensors.cross import interpolate, left_points, with_points
-from rankone.tensors.samples import GrowingBasis, Samples
-from rankone.tensors.slab import SlabTrain
-from rankone.tensors.train import Train
+from rankone.support.errors import ConvergenceError, OptionError
+from rankone.support.options import checked_number
+from rankone.support.wording import did_you_mean, quote
+from rankone.tensors.adaptive import (
+    FIRST_LEFT_POINTS,
+    AdaptiveInterpolation,
+    InterpolationLimits,
+    KnownElements,
+    Tightening,
+)
+from rankone.tensors.cross import GrowingBasis
+from rankone.tensors.slab import SlabTrain, slab_trains
 
-__all__ = ["solved_quantities"]
+__all__ = ["samples_of", "with_outputs"]
 
 _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
 _OF_INTERPOLATION = Remedy(
@@ -44,262 +62,291 @@ _OF_INTERPOLATION = Remedy(
     "is hardly resolved"
 )
 
-_AIM = 0.1
-"""Error of the interpolation that is aimed at, over the tolerance."""
-_DEFAULT = 1.5
-"""The tolerance where none is given, over what errors of the solution's tolerance bring."""
-_SHARE = 0.1
-"""Share of a part of the interpolation in that."""
-_LEFT_POINTS = 7
-_ATTEMPTS = 8
-_PROBES = 12
+_AIMED_SHARE = 0.1
+"""Error aimed at by the interpolation, relative to the tolerance: the solution's error adds up."""
+_DEFAULT_MARGIN = 1.5
+"""Default tolerance over the effect of errors of the solution's tolerance."""
+_LARGEST_DEFAULT = 0.1
+"""Largest default tolerance."""
+_BASIS_SHARE = 0.1
+"""What the basis of the columns may miss, relative to the error aimed at."""
+_TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
+"""Tolerances are tightened only when no nodes are added: attempts are cheap."""
+_MAX_ATTEMPTS = 8
+"""Most interpolations: errors that do not fall by then belong to jumps."""
+_TRAIN_SHARE = 0.7
+"""Share of the remaining budget for the interpolation."""
+_TIME_PROBES = 12
 """Points whose functions of time are resolved, besides the corners."""
-_GRIDS, _ROUGHEST, _ROUGH = 4, 8, 3.0
-"""Most grids in time, points that each has to resolve besides those before it, and the highest
-modes there, over what is aimed at, that suffice."""
-_SLABS = 500
-"""Most slabs of a grid, or twice those that the solution has."""
-_FOR_TRAINS = 0.7
-"""Share of the budget for the interpolation; its error is measured whatever is left then."""
-_LARGEST = 0.1
-"""Largest tolerance where none is given."""
+_MAX_GRIDS = 4
+"""Most grids in time, each with further points to resolve."""
+_ROUGHEST_POINTS = 8
+"""Points that each grid has to resolve besides those before it."""
+_ROUGH_RATIO = 3.0
+"""Highest modes in time, over the error aimed at, that a grid may leave."""
+_MAX_SLABS = 500
+"""Most slabs of a grid; more if the solution has more than half as many."""
+_SAMPLE_COUNT = 20
+"""Points at which quantities are tried before any work."""
+_SAMPLE_SEED = 1795
+"""Seed of these points."""
 
 
-def solved_quantities(
+def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
+    """Some times (m,), parameters (d, m) and the states there (n, m)."""
+    rng = np.random.default_rng(_SAMPLE_SEED)
+    box = np.array(list(solution.parameters.values()), dtype=float).reshape(-1, 2)
+    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), _SAMPLE_COUNT))
+    start, end = solution.time
+    t = start + (end - start) * rng.random(_SAMPLE_COUNT)
+    named = dict(zip(solution.parameters, p, strict=True))
+    at = () if solution.metadata.timeless else (t,)
+    states = [np.broadcast_to(solution[s](*at, **named), t.shape) for s in solution.states]
+    return t, p, np.array(states)
+
+
+def with_outputs(
     solution: SolutionCore,
     quantities: Quantities,
     rtol: float | None,
-    operations: float,
-    max_seconds: float,
-) -> tuple[Outcome, float]:
-    """Quantities as an outcome over the box and the time that the solution holds.
+    effort: str | float,
+    max_seconds: float | None,
+    units: Mapping[str, str],
+) -> tuple[Outcome, SolutionMetadata]:
+    """Quantities of interest; see :meth:`rankone.Solution.output`."""
+    if rtol is not None:
+        rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
+    seconds = math.inf
+    if max_seconds is not None:
+        seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
+    operations = operations_for(effort)
+    _check_units(units, quantities)
+    interpolation = OutputInterpolation(solution, quantities)
+    outcome, rtol = interpolation.solve(rtol, operations, seconds)
+    metadata = solution.metadata
+    if solution.time[1] < metadata.horizon[1]:
+        cause = EarlyEnd(
+            *solution.time, metadata.horizon[1], outcome.verdict, solution.outcome.verdict
+        )
+        outcome = replace(outcome, status=solution.status, cause=cause, notes=())
+    return outcome, replace(
+        metadata,
+        states=quantities.names,
+        roles=(Role.UNKNOWN,) * len(quantities.names),
+        horizon=solution.time,
+        rtol=rtol,
+        equations=quantities.texts,
+        source=None,
+        timeless=quantities.timeless,
+        units=(
+            *(pair for pair in metadata.units if pair[0] in metadata.coordinates),
+            *units.items(),
+        ),
+    )
 
-    Returns
-    -------
-    outcome : Outcome
-    rtol : float
-        The tolerance; if it is not given, what errors of the solution's tolerance would bring.
 
-    Raises
-    ------
-    EvaluationError
-        If a quantity is not finite somewhere.
-    ConvergenceError
-        If the time limit is reached before there is anything.
-    """
-    domain, options = Domain(solution.time, solution.metadata.box), CrossOptions()
-    slabs, names = solution.outcome.slabs, solution.metadata.parameters
-    points = CheckPoints.of(domain, quantities)
-    with _limited(operations, max_seconds):
-        level = _AIM * (rtol or solution.rtol)
-        grid = _resolving_grid(solution, quantities, domain, options, level, points)
-        sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
-        finer = Sampler(slabs, names, quantities, split(grid), solution.rtol)
-        critical = critical_points(sampler, domain)
-        check = Check.at(finer, np.concatenate([points.further, critical]))
-        amplified = check.amplified(finer, solution.rtol)
-        if rtol is None:
-            most = float(amplified.sum(axis=0).max(initial=0.0))
-            rtol = min(_DEFAULT * max(solution.rtol, most), max(_LARGEST, solution.rtol))
-        target = Check.at(sampler, np.concatenate([points.aimed, critical]))
-        with limited(_FOR_TRAINS * work_left(), _FOR_TRAINS * seconds_left()):
-            found = _interpolated(sampler, target, domain, options, _AIM * rtol)
-    errors = list(solution.errors.values())
-    shares = [
-        np.nan if source.order else errors[source.row] / solution.rtol
-        for source in quantities.sources
-    ]
-    brought = np.tensordot(np.array(shares), amplified, 1)
-    missed = check.missed(found, finer) + sampler.narrow(check.points)
-    if domain.box:
-        climbed = check.climbed(found, finer, domain).missed(found, finer)
-        missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))
-    return _outcome(quantities, found, missed, brought, points.corners, rtol), rtol
+def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
+    """Raise unless units are texts by names of quantities."""
+    if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
+        raise OptionError(
+            f"units={units!r} is no mapping to texts", term=units, remedy='give {"name": "m/s"}'
+        )
+    for name in units:
+        if name not in quantities.names:
+            raise OptionError(
+                f"there is no output {quote(name)}{did_you_mean(name, quantities.names)}", term=name
+            )
 
 
 @contextmanager
 def _limited(operations: float, seconds: float) -> Iterator[None]:
-    """Limit what is done inside, with an error of ours."""
+    """Limit the work inside, and raise a ConvergenceError where it ends."""
     try:
         with limited(operations, seconds):
             yield
     except OutOfBudgetError as out:
-        more = (
+        remedy = (
             "give more time by max_seconds" if isinstance(out, OutOfTimeError) else "raise effort"
         )
         raise ConvergenceError(
             f"{Status.of_limit(out).value} before anything was interpolated",
-            remedy=f"{more}, or restrict the solution",
+            remedy=f"{remedy}, or restrict the solution",
         ) from None
 
 
-def _resolving_grid(
-    solution: SolutionCore,
-    quantities: Quantities,
-    domain: Domain,
-    options: CrossOptions,
-    level: float,
-    points: CheckPoints,
-) -> TimeGrid:
-    """A grid that resolves the functions of time at corners, and where they are roughest."""
-    probes = np.concatenate([points.aimed[: points.corners], spread_over(domain, _PROBES)])
-    slabs, names = solution.outcome.slabs, solution.metadata.parameters
-    for _ in range(_GRIDS):
-        grid = _grid(solution, quantities, domain, options, level, probes)
-        sampler = Sampler(slabs, names, quantities, grid, solution.rtol)
-        if solution.metadata.timeless:
-            break
-        rough = sampler.roughness(points.aimed)
-        worst = np.argsort(-rough)[:_ROUGHEST]
-        if rough[worst[0]] <= _ROUGH * level:
-            break
-        probes = np.concatenate([probes, points.aimed[worst]])
-    return grid
+@dataclass(frozen=True)
+class OutputInterpolation:
+    """Quantities of a solution as trains over its box and horizon."""
 
+    solution: SolutionCore
+    quantities: Quantities
+    options: CrossOptions = field(default_factory=CrossOptions)
 
-def _grid(
-    solution: SolutionCore,
-    quantities: Quantities,
-    domain: Domain,
-    options: CrossOptions,
-    level: float,
-    points: Array,
-) -> TimeGrid:
-    """Slabs that resolve the integrands, and what is no reduction, at some points."""
-    slabs, names = solution.outcome.slabs, solution.metadata.parameters
-    start, end = domain.horizon
-    if solution.metadata.timeless:
-        return TimeGrid((start, end), 1)
-    limits = [x for r in quantities.reductions for x in (r.start, r.end) if start < x < end]
-    cuts = {*(slab.start for slab in slabs[1:]), *limits, *quantities.breaks[0]}
-    edges = [start, *sorted(cuts), end]
-    count = options.nodes_in_time(level)
-    first = Sampler(slabs, names, quantities, TimeGrid(tuple(edges), count), solution.rtol)
-    found = np.abs(first.at(first.grid.times, points))
-    sizes = np.maximum(found.max(axis=(1, 2), where=np.isfinite(found), initial=0.0), 1e-300)
+    @property
+    def domain(self) -> Domain:
+        """The box and the horizon of the solution."""
+        return Domain(self.solution.time, self.solution.metadata.box)
 
-    def values(times: Array) -> Array:
-        exact = first.at(times, points) / sizes[:, None, None]
-        return np.asarray(np.nan_to_num(exact.swapaxes(1, 2), posinf=0.0, neginf=0.0))
+    def solve(self, rtol: float | None, operations: float, seconds: float) -> tuple[Outcome, float]:
+        """The quantities as an outcome, and the tolerance.
 
-    breaks = resolving_breaks(values, edges, count, level, max(_SLABS, 2 * len(edges)))
-    return TimeGrid(tuple(edges) if breaks is None else breaks, count)
+        By default the tolerance is the effect of errors of the solution's tolerance, with a
+        margin. The limits of work do not hold for the final measurement of the error.
 
+        Raises
+        ------
+        EvaluationError
+            If a quantity is not finite somewhere.
+        ConvergenceError
+            If a limit is reached before there is any train.
+        """
+        solution, domain = self.solution, self.domain
+        points = CheckPoints.of(domain, self.quantities)
+        with _limited(operations, seconds):
+            grid = self._resolving_grid(_AIMED_SHARE * (rtol or solution.rtol), points)
+            sampler, finer = self._sampler(grid), self._sampler(split(grid))
+            critical = critical_points(sampler, domain)
+            check = Check.at(finer, np.concatenate([points.further, critical]))
+            amplified = check.amplified(finer, solution.rtol)
+            if rtol is None:
+                effect = float(amplified.sum(axis=0).max(initial=0.0))
+                default = _DEFAULT_MARGIN * max(solution.rtol, effect)
+                rtol = min(default, max(_LARGEST_DEFAULT, solution.rtol))
+            target = Check.at(sampler, np.concatenate([points.aimed, critical]))
+            with limited(_TRAIN_SHARE * work_left(), _TRAIN_SHARE * seconds_left()):
+                slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
+        errors = list(solution.errors.values())
+        shares = [
+            np.nan if source.order else errors[source.row] / solution.rtol
+            for source in self.quantities.sources
+        ]
+        from_solution = np.tensordot(np.array(shares), amplified, 1)
+        missed = check.missed(slabs, finer) + sampler.narrow(check.points)
+        if domain.box:
+            climbed = check.climbed(slabs, finer, domain).missed(slabs, finer)
+            missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))
+        return self._outcome(slabs, missed, from_solution, points.corners, rtol), rtol
 
-def _interpolated(
-    sampler: Sampler,
-    check: Check,
-    domain: Domain,
-    options: CrossOptions,
-    level: float,
-) -> tuple[SlabTrain, ...]:
-    """The best trains by a check."""
-    function = _Columns(sampler, check.sizes, _SHARE * level)
-    bases: tuple[Basis1D, ...] = ()
-    best: tuple[float, tuple[SlabTrain, ...]] | None = None
-    left_count, inner, worst = _LEFT_POINTS, level, None
-    for attempt in range(_ATTEMPTS):
-        try:
-            if not attempt:
-                known = [(borders, 0) for borders in sampler.quantities.breaks[1:]]
-                if domain.box:
-                    bases = resolving_bases(function, domain, inner, options, known)
-            else:
-                bases = divided(bases, function, domain, inner, options, worst)
-            slabs, spectra = _one(function, bases, left_count, inner, options, worst)
-        except OutOfBudgetError:
-            if best is None:
-                raise
-            break
-        missed = check.missed(slabs, sampler)
-        error = float(missed.max())
-        if error <= level and domain.box:
-            check = check.with_points(sampler, check.climbed(slabs, sampler, domain).points)
+    def _sampler(self, grid: TimeGrid) -> Sampler:
+        solution = self.solution
+        slabs, names = solution.outcome.slabs, solution.metadata.parameters
+        return Sampler(slabs, names, self.quantities, grid, solution.rtol)
+
+    def _resolving_grid(self, level: float, points: CheckPoints) -> TimeGrid:
+        """A grid that resolves the functions of time at corners, and where they are roughest."""
+        corners = points.aimed[: points.corners]
+        probes = np.concatenate([corners, spread_over(self.domain, _TIME_PROBES)])
+        for _ in range(_MAX_GRIDS):
+            grid = self._grid(level, probes)
+            if self.solution.metadata.timeless:
+                break
+            rough = self._sampler(grid).roughness(points.aimed)
+            worst = np.argsort(-rough)[:_ROUGHEST_POINTS]
+            if rough[worst[0]] <= _ROUGH_RATIO * level:
+                break
+            probes = np.concatenate([probes, points.aimed[worst]])
+        return grid
+
+    def _grid(self, level: float, points: Array) -> TimeGrid:
+        """Slabs that resolve the integrands, and what is no reduction, at some points."""
+        start, end = self.domain.horizon
+        if self.solution.metadata.timeless:
+            return TimeGrid((start, end), 1)
+        reductions = self.quantities.reductions
+        limits = [x for r in reductions for x in (r.start, r.end) if start < x < end]
+        starts = (slab.start for slab in self.solution.outcome.slabs[1:])
+        edges = [start, *sorted({*starts, *limits, *self.quantities.breaks[0]}), end]
+        count = self.options.nodes_in_time(level)
+        coarse = self._sampler(TimeGrid(tuple(edges), count))
+        sampled = np.abs(coarse.at(coarse.grid.times, points))
+        sizes = sampled.max(axis=(1, 2), where=np.isfinite(sampled), initial=0.0)
+        units = np.maximum(sizes, 1e-300)[:, None, None]
+
+        def in_units(times: Array) -> Array:
+            exact = coarse.at(times, points) / units
+            return np.asarray(np.nan_to_num(exact.swapaxes(1, 2), posinf=0.0, neginf=0.0))
+
+        breaks = resolving_breaks(in_units, edges, count, level, max(_MAX_SLABS, 2 * len(edges)))
+        return TimeGrid(tuple(edges) if breaks is None else breaks, count)
+
+    def _best_trains(self, sampler: Sampler, check: Check, level: float) -> tuple[SlabTrain, ...]:
+        """Interpolate until the error at the points of a check is small; the best trains."""
+        options, domain = self.options, self.domain
+        columns = QuantityColumns(sampler, check.sizes, _BASIS_SHARE * level)
+        limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
+        adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING)
+        known_elements = [KnownElements(borders) for borders in self.quantities.breaks[1:]]
+        best: tuple[float, tuple[SlabTrain, ...]] | None = None
+        for _ in range(_MAX_ATTEMPTS):
+            try:
+                train, _ = adaptive.interpolate(columns, lambda _: known_elements)
+            except OutOfBudgetError:
+                if best is None:
+                    raise
+                break
+            train = train.with_first(columns.quantities(train.first))
+            slabs = slab_trains(columns.grid, train, adaptive.bases or ())
             missed = check.missed(slabs, sampler)
             error = float(missed.max())
-        if best is None or error < best[0]:
-            best = error, slabs
-        if error <= level or not domain.box:
-            break
-        worst = check.points[np.argsort(-missed.max(axis=0))[:_LEFT_POINTS]]
-        left_count = -(-3 * left_count // 2)
-        finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
-        if finer == bases:
-            inner *= max(min(0.5, level / error), 0.05)
-            finer = more_nodes(bases, spectra, _SHARE * inner, options.max_nodes)
-        bases = finer
-    assert best is not None
-    return best[1]
+            if error <= level and domain.box:
+                check = check.with_points(sampler, check.climbed(slabs, sampler, domain).points)
+                missed = check.missed(slabs, sampler)
+                error = float(missed.max())
+            if best is None or error < best[0]:
+                best = error, slabs
+            if error <= level or not domain.box:
+                break
+            worst = check.points[np.argsort(-missed.max(axis=0))[:FIRST_LEFT_POINTS]]
+            adaptive.steep = adaptive.doubtful = worst
+            adaptive.refine(error)
+        assert best is not None
+        return best[1]
+
+    def _outcome(
+        self,
+        slabs: tuple[SlabTrain, ...],
+        missed: Array,
+        from_solution: Array,
+        corners: int,
+        rtol: float,
+    ) -> Outcome:
+        """Trains, and errors (quantities, m) at points of which the first are corners."""
+        if np.isnan(from_solution).any():
+            cause = UnknownOutputError(float(missed.max()))
+            return Outcome(slabs, Status.UNCHECKED, None, (), cause=cause)
+        total = missed + from_solution
+        measured = Measured(
+            interior=tuple(map(float, total.max(axis=1))),
+            corners=tuple(map(float, total[:, :corners].max(axis=1))) if corners else (),
+            points=total.shape[1],
+            method="solution",
+            cover="box",
+        )
+        status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
+        notes: list[Note] = [OutputError(float(missed.max()), float(from_solution.max()))]
+        if status is Status.TOLERANCE:
+            notes.append(WorstOutput(self.quantities.names[int(total.max(axis=1).argmax())]))
+            limited_by_solution = from_solution.max() > missed.max()
+            notes.append(_OF_SOLUTION if limited_by_solution else _OF_INTERPOLATION)
+        return Outcome(slabs, status, measured, (), notes=tuple(notes))
 
 
-class _Columns:
+class QuantityColumns:
     """Quantities at points as coefficients in a growing basis, in units of their sizes."""
 
-    def __init__(self, sampler: Sampler, sizes: Array, lost: float) -> None:
-        self.sampler, self.lost = sampler, lost
+    def __init__(self, sampler: Sampler, sizes: Array, tolerance: float) -> None:
+        self.sampler, self.tolerance, self.grid = sampler, tolerance, sampler.grid
+        if sampler.quantities.timeless:
+            self.grid = TimeGrid((self.grid.breaks[0], self.grid.breaks[-1]), 1)
         self.units = sizes * np.sqrt(sampler.rows)
         self.basis = GrowingBasis(sizes.size * sampler.rows)
 
     def __call__(self, points: Array) -> Array:
-        values = self.sampler(points) / self.units[:, None, None]
-        return self.basis.coefficients(values.reshape(-1, len(points)), self.lost)
+        in_units = self.sampler(points) / self.units[:, None, None]
+        return self.basis.coefficients(in_units.reshape(-1, len(points)), self.tolerance)
 
-    def values(self, coefficients: Array) -> Array:
+    def quantities(self, coefficients: Array) -> Array:
         """Quantities (quantities, rows, m) from coefficients (rank, m)."""
         columns = self.basis.columns(coefficients)
         shape = self.units.size, self.sampler.rows, coefficients.shape[1]
         return np.asarray(columns.reshape(shape) * self.units[:, None, None])
-
-
-def _one(
-    function: _Columns,
-    bases: Sequence[Basis1D],
-    left_count: int,
-    level: float,
-    options: CrossOptions,
-    doubtful: Array | None,
-) -> tuple[tuple[SlabTrain, ...], list[Array]]:
-    """One interpolation: slabs, and the norms of the modes of each parameter."""
-    if bases:
-        left = left_points([basis.size for basis in bases], left_count, 20140)
-        if doubtful is not None:
-            left = with_points(left, [basis.nodes for basis in bases], doubtful)
-        tolerance = _SHARE * level / np.sqrt(len(bases))
-        samples = Samples(function, bases)
-        train, _ = interpolate(samples, bases, left, tolerance, options.max_rank)
-        train = train.rounded(_SHARE * level)
-    else:
-        train = Train((function(np.zeros((1, 0))),))
-    modal = train.apply_to_modes([basis.to_modal for basis in bases])
-    first, grid = function.values(train.first), function.sampler.grid
-    if function.sampler.quantities.timeless:
-        grid = TimeGrid((grid.breaks[0], grid.breaks[-1]), 1)
-    return tuple(grid.trains(modal.with_first(first), bases)), modal.mode_norms()
-
-
-def _outcome(
-    quantities: Quantities,
-    slabs: tuple[SlabTrain, ...],
-    missed: Array,
-    brought: Array,
-    corners: int,
-    rtol: float,
-) -> Outcome:
-    """What was found and how good it is; the first points are corners."""
-    if np.isnan(brought).any():
-        cause = UnknownOutputError(float(missed.max()))
-        return Outcome(slabs, Status.UNCHECKED, None, (), cause=cause)
-    total = missed + brought
-    measured = Measured(
-        interior=tuple(map(float, total.max(axis=1))),
-        corners=tuple(map(float, total[:, :corners].max(axis=1))) if corners else (),
-        points=total.shape[1],
-        method="solution",
-        cover="box",
-    )
-    status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
-    notes: list[Note] = [OutputError(float(missed.max()), float(brought.max()))]
-    if status is Status.TOLERANCE:
-        notes.append(WorstOutput(quantities.names[int(total.max(axis=1).argmax())]))
-        notes.append(_OF_SOLUTION if brought.max() > missed.max() else _OF_INTERPOLATION)
-    return Outcome(slabs, status, measured, (), notes=tuple(notes))

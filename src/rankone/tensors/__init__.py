@@ -1,0 +1,14 @@
+"""Tensors: trains and sums of products, their arithmetic, cross interpolation and evaluation.
+
+==================  =========================================================================
+module              subject, in the order to read
+==================  =========================================================================
+``train``           a tensor train: orthonormal cores, truncation; truncated SVD
+``slab``            states on a time slab as a train; derivatives and smaller boxes
+``cross``           cross interpolation of sampled columns in one sweep
+``adaptive``        its nodes, left points and tolerances, from attempt to attempt
+``evaluator``       trains at many points, at one point, along curves and on grids
+``canonical``       sums of products of functions, from the trains of a horizon
+``rank_one_sums``   arithmetic of sums of products of nodal values; conversion to trains
+==================  =========================================================================
+"""

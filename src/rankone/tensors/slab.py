@@ -6,18 +6,28 @@ their parameters go on sharing them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rankone.discretization import Basis1D, legendre_derivative, legendre_values
+from rankone.discretization.time_grid import TimeGrid
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, product
 from rankone.tensors.train import Train
 
-__all__ = ["SlabTrain", "at_one_time", "differentiated", "fixed", "restricted", "sharing"]
+__all__ = [
+    "SlabTrain",
+    "at_one_time",
+    "differentiated",
+    "fixed",
+    "restricted",
+    "sharing",
+    "slab_trains",
+]
 
 _CORE_COST = Cost(10.0 * CALL, 0.1)
 """Operations of multiplying a core: once, and for each of its entries at a point."""
@@ -122,6 +132,23 @@ def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
             run = []
         run.append(slab)
     yield run
+
+
+def slab_trains(grid: TimeGrid, train: Train, bases: Sequence[Basis1D]) -> tuple[SlabTrain, ...]:
+    """One train for each slab of a grid.
+
+    Parameters
+    ----------
+    grid : TimeGrid
+    train : Train
+        Core 0 holds states at the times of the grid, (states, T, r_1), the others modes.
+    bases : sequence of Basis1D
+    """
+    slabs = []
+    for k, (start, end) in enumerate(itertools.pairwise(grid.breaks)):
+        first = grid.to_modal @ train.first[:, k * grid.count : (k + 1) * grid.count]
+        slabs.append(SlabTrain(start, end, train.with_first(first), tuple(bases)))
+    return tuple(slabs)
 
 
 # --- calculus ------------------------------------------------------------------------------------

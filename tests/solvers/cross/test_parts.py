@@ -7,13 +7,12 @@ import pytest
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
+from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.domain import Domain
 from rankone.ir.request import Check, SolveRequest
-from rankone.solvers.cross.nodes import needed
-from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import Trajectories
-from rankone.tensors.cross import _skeleton, interpolate, left_points
-from rankone.tensors.samples import Samples
+from rankone.tensors.adaptive import needed
+from rankone.tensors.cross import Samples, _skeleton, interpolate, left_points
 from rankone.trajectories.integrator import Tolerances
 from rankone.trajectories.stacks import StackedIntegrator
 from rankone.verification.measure import ReferenceSet

@@ -7,7 +7,7 @@ import pytest
 import scipy.integrate
 
 import rankone as ro
-from rankone.tensors.samples import _span
+from rankone.tensors.cross import _span
 
 
 def problem(rates, initial, box, end):

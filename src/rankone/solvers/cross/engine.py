@@ -3,52 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from rankone.discretization import BASES, Basis1D
+from rankone.discretization import BASES
+from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import Cause, MovingFeatures, Status, TrajectoryStops
 from rankone.solvers.attempts import Attempt, Progress
-from rankone.solvers.cross.nodes import divided, first_bases, more_nodes
-from rankone.solvers.cross.options import CrossOptions
-from rankone.solvers.cross.pace import Pace
-from rankone.solvers.cross.record import CrossRecord
+from rankone.solvers.cross.constants import (
+    CHEAP_TRAJECTORIES,
+    FAR_ERROR_RATIO,
+    FAST_ERROR_RATIO,
+    FIRST_TIGHTNESS,
+    HIGHEST_TIME_MODES_SHARE,
+    INTEGRATION_SHARE,
+    KNOWN_FUNCTIONS_SHARE,
+    KNOWN_NODE_RATIOS,
+    LEAST_NODES,
+    LINES_FRACTION,
+    MAX_COSTLY_STALLS,
+    MAX_STALLS,
+    REPORTED_FRACTION,
+    TIGHTENING,
+    TIGHTEST_TIME_TOLERANCE,
+    UNTIGHTENED_RATIO,
+)
+from rankone.solvers.cross.options import CrossOptions, CrossRecord
 from rankone.solvers.cross.steep import steepest_front
-from rankone.solvers.cross.time_grid import TimeGrid, resolving_breaks
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, unlimited
 from rankone.support.progress import ProgressEvent, Report
-from rankone.tensors.cross import interpolate, left_points, with_points
-from rankone.tensors.samples import Samples
+from rankone.tensors.adaptive import AdaptiveInterpolation, InterpolationLimits, KnownElements
+from rankone.tensors.slab import slab_trains
 from rankone.tensors.train import Train
 from rankone.trajectories.workers import Workers
+from rankone.verification.cuts import Cuts, resolving_pieces
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points, steepest_point
 
 __all__ = ["ENGINE"]
-
-_INTEGRATION, _ROW_SPACE, _HIGHEST, _ROUNDING = 0.1, 0.1, 0.1, 0.1
-"""Shares of the error asked for: integration, row spaces, highest modes, rounding."""
-_LEFT_POINTS = 7
-_LEAST_NODES = 3
-"""Nodes of what does not depend on a parameter."""
-_PATIENCE, _CHEAP = 5, 80_000
-"""Attempts in a row that may stall while so many trajectories are not reached; beyond, two may."""
-_FEW = 3
-"""So many times that number, the tolerances of an attempt are lowered once whatever the errors."""
-_SETTLED = 1.2
-"""Growth of the nodes up to which more of them alone are not expected to suffice."""
-_TIGHTENED = 0.7
-"""Power of the error wanted over that found by which tolerances are tightened: there are more nodes
-and left points as well."""
-_FAR, _FAST = 5.0, 0.2
-"""Beyond, an error so many times that asked for must fall to this part of it in each attempt."""
-
 
 _UNRESOLVED = (
     Status.TOLERANCE,
@@ -59,6 +59,37 @@ _UNRESOLVED = (
     Status.TIME_LIMIT,
 )
 """Failures for which a steep dependence on a parameter may be the reason."""
+
+
+class Pace:
+    """The part of an attempt that is done: first lines through the box, then a sweep over bonds.
+
+    Parameters
+    ----------
+    report : callable
+    event : ProgressEvent
+        The beginning of the attempt.
+    """
+
+    def __init__(self, report: Report, event: ProgressEvent) -> None:
+        self.report, self.event = report, event
+        self._stage = 0.0, LINES_FRACTION
+
+    def bond(self, done: int, total: int, rank: int) -> None:
+        """A sweep begins a bond after ``done`` of them; ``rank`` is the largest so far."""
+        width = (1.0 - LINES_FRACTION) / total
+        begin = LINES_FRACTION + done * width
+        self._stage = begin, begin + width
+        self.event = replace(self.event, rank=max(rank, self.event.rank))
+        self.batch(0.0)
+
+    def batch(self, share: float) -> None:
+        """A share of the trajectories that are being integrated is done."""
+        begin, end = self._stage
+        fraction = begin + share * (end - begin)
+        if fraction >= self.event.fraction + REPORTED_FRACTION:
+            self.event = replace(self.event, fraction=fraction)
+            self.report(self.event)
 
 
 class CrossMarcher:
@@ -80,77 +111,76 @@ class CrossMarcher:
         self.workers = workers
         self.rtol, self.options = request.rtol, request.options_of(CrossOptions)
         self.reference_set = reference_set
-        self.share, self.left = 1.0, _LEFT_POINTS
-        self.bases: tuple[Basis1D, ...] | None = None
-        self.spectra: list[Array] = []
+        options, box = self.options, reference_set.domain.box
+        limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
+        self.adaptive = AdaptiveInterpolation(box, limits, self.rtol, TIGHTENING)
         self.breaks: set[float] = set()
-        self.steep: Array | None = None
-        self.doubtful: Array | None = None
-        self.undivided: tuple[Basis1D, ...] | None = None
-        self.divides = True
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
-        self.tightness = 0.3
+        self.tightness = FIRST_TIGHTNESS
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
-        level = self.share * self.rtol
+        level = self.adaptive.level
         grid = self._grid(level)
         if grid is None:
             return MarchResult(stopped=Status.SLAB_LIMIT)
-        most = self.options.max_trajectories - self.integrated
         pace = Pace(report, ProgressEvent(grid.breaks[0], 0.0, number, grid.slabs, 1))
-        given = grid, _INTEGRATION * level, self.tightness, most, self.workers, pace.batch
-        self.trajectories = trajectories = Trajectories(self.reference_set, *given)
+        self.trajectories = trajectories = Trajectories(
+            self.reference_set,
+            grid,
+            INTEGRATION_SHARE * level,
+            self.tightness,
+            self.options.max_trajectories - self.integrated,
+            self.workers,
+            pace.batch,
+        )
         try:
-            result = self._marched(trajectories, level, number, pace)
+            march = self._marched(trajectories, level, number, pace)
         except TooManyTrajectories:
-            result = self._stopped(Status.TRAJECTORY_LIMIT, grid)
+            march = self._stopped(Status.TRAJECTORY_LIMIT, grid)
         except OutOfBudgetError as out:
-            result = self._stopped(Status.of_limit(out), grid)
+            march = self._stopped(Status.of_limit(out), grid)
         except TrajectoryEnds as ends:
-            result = MarchResult(stopped=Status.NO_CONVERGENCE, points=ends.point[None, :])
+            march = MarchResult(stopped=Status.NO_CONVERGENCE, points=ends.point[None, :])
             self.ends = ends.time
         self.integrated += trajectories.count
         self.tightness = trajectories.tightness
-        result.sampled = trajectories.work
-        return result
+        march.sampled = trajectories.work
+        return march
 
     def _marched(
         self, trajectories: Trajectories, level: float, number: int, pace: Pace
     ) -> MarchResult:
-        """The interpolation of trajectories, and what it came to."""
-        result, grid = MarchResult(), trajectories.grid
-        train, limited, bases = self._interpolated(trajectories, level, pace)
-        self.bases = bases
+        """The interpolation of trajectories, with its record."""
+        march, grid = MarchResult(), trajectories.grid
+        train, limited = self.adaptive.interpolate(trajectories, self._known_elements, pace.bond)
+        bases, spectra = self.adaptive.bases or (), self.adaptive.spectra
         if limited:
-            result.limits.add(Status.RANK_LIMIT)
+            march.limits.add(Status.RANK_LIMIT)
         if any(basis.size >= self.options.max_nodes for basis in bases):
-            result.limits.add(Status.NODE_LIMIT)
-        modal = train.rounded(_ROUNDING * level).apply_to_modes([b.to_modal for b in bases])
-        self.spectra = modal.mode_norms()
-        states = trajectories.states(modal.first)
-        result.slabs = grid.trains(modal.with_first(states), bases)
-        result.points = candidate_points(result.slabs, trajectories.sizes, number, self.rtol)
-        ranks = modal.ranks
-        tails = tuple(b.tail(s) for b, s in zip(bases, self.spectra, strict=True))
-        sizes = tuple(basis.size for basis in bases)
+            march.limits.add(Status.NODE_LIMIT)
+        states = trajectories.states(train.first)
+        march.slabs = list(slab_trains(grid, train.with_first(states), bases))
+        march.points = candidate_points(march.slabs, trajectories.sizes, number, self.rtol)
         start, end = grid.breaks[0], grid.breaks[-1]
+        tails = tuple(b.tail(spectrum) for b, spectrum in zip(bases, spectra, strict=True))
+        sizes = tuple(basis.size for basis in bases)
         counts = trajectories.count, grid.slabs
-        record = CrossRecord(number, start, end, True, level, tails, ranks, sizes, *counts)
-        result.records.append(record)
-        pace.report(ProgressEvent(end, 1.0, number, grid.slabs, max(ranks, default=1)))
-        return result
+        record = CrossRecord(number, start, end, True, level, tails, train.ranks, sizes, *counts)
+        march.records.append(record)
+        pace.report(ProgressEvent(end, 1.0, number, grid.slabs, max(train.ranks, default=1)))
+        return march
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""
         reference_set, kind = self.reference_set, BASES[self.options.basis]
-        bases = tuple(kind(lower, upper, _LEAST_NODES) for lower, upper in reference_set.domain.box)
+        bases = tuple(kind(lower, upper, LEAST_NODES) for lower, upper in reference_set.domain.box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
             centre = reference_set.reference(grid.times)[:, 0, :, None]
         train = Train((centre, *constant)).apply_to_modes([basis.to_modal for basis in bases])
-        return MarchResult(grid.trains(train, bases), stopped=status, whole=True)
+        return MarchResult(list(slab_trains(grid, train, bases)), stopped=status, whole=True)
 
     def _grid(self, level: float) -> TimeGrid | None:
         """Slabs that resolve the reference, or None if there are too many."""
@@ -160,86 +190,73 @@ class CrossMarcher:
         edges = [start, *sorted(cut for cut in between if cut < end), end]
         units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
-        tolerance = max(_HIGHEST * level, 1e-13)
-        most = self.options.max_slabs
+        tolerance = max(HIGHEST_TIME_MODES_SHARE * level, TIGHTEST_TIME_TOLERANCE)
 
-        def values(t: Array) -> Array:
-            return reference_set.reference(t) / units
+        def in_units(times: Array) -> Array:
+            return reference_set.reference(times) / units
 
-        breaks = resolving_breaks(values, edges, count, tolerance, most)
+        breaks = resolving_breaks(in_units, edges, count, tolerance, self.options.max_slabs)
         return None if breaks is None else TimeGrid(breaks, count)
 
-    def _interpolated(
-        self, trajectories: Trajectories, level: float, pace: Pace
-    ) -> tuple[Train, bool, tuple[Basis1D, ...]]:
-        domain = self.reference_set.domain
-        if not domain.box:
-            return Train((trajectories(np.zeros((1, 0))),)), False, ()
-        if self.bases is None:
-            bases = first_bases(trajectories, domain, level, self.options)
-        else:
-            bases, self.undivided = self.bases, None
-            if self.divides:
-                given = trajectories, domain, level, self.options, self.steep
-                bases = divided(self.bases, *given)
-                self.undivided = self.bases if bases != self.bases else None
-        left = left_points([basis.size for basis in bases], self.left, 20140)
-        if self.doubtful is not None:
-            left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
-        samples = Samples(trajectories, bases)
-        tolerance = _ROW_SPACE * level / np.sqrt(len(bases))
-        most = self.options.max_rank
-        return *interpolate(samples, bases, left, tolerance, most, pace.bond), bases
+    def _known_elements(self, nodes: int) -> list[KnownElements]:
+        """Elements, of so many nodes, that resolve the known functions of each parameter."""
+        reference_set, tolerance = self.reference_set, KNOWN_FUNCTIONS_SHARE * self.adaptive.level
+        known_elements = []
+        for j, interval in enumerate(reference_set.domain.box):
+            cuts = reference_set.parameter_cuts[j] if reference_set.parameter_cuts else Cuts()
+            if cuts.smooth:
+                known_elements.append(KnownElements(cuts.points))
+                continue
+            factors = partial(reference_set.system.parameter_factors, j)
+            for count in (nodes, *(round(ratio * nodes) for ratio in KNOWN_NODE_RATIOS)):
+                pieces = resolving_pieces(factors, *interval, cuts.points, count, tolerance)
+                if count == nodes:
+                    borders = [a for a, _ in pieces[1:]]
+                if len(pieces) == 1:
+                    known_elements.append(KnownElements(least_nodes=count))
+                    break
+            else:
+                known_elements.append(KnownElements(borders))
+        return known_elements
 
     def refine(self, attempt: Attempt, progress: Progress) -> bool:
         """More nodes where the highest modes are not small, more points, or more accuracy."""
-        if attempt.result.stopped or self.bases is None:
+        adaptive = self.adaptive
+        if attempt.result.stopped or adaptive.bases is None:
             return False
-        worse = attempt.error > self.error
-        if worse and self.undivided is not None:  # what is steep moves: elements do not follow
-            self.bases, self.undivided, self.divides = self.undivided, None, False
+        if attempt.error > self.error and adaptive.undo_division():
             return True
         self._halve_slabs()
-        self.steep, self.doubtful = attempt.result.points, attempt.result.doubtful
-        if self.doubtful is not None:  # lines through these first
-            known = [] if self.steep is None else [self.steep]
-            self.steep = np.concatenate([self.doubtful, *known])
-        finer = self._finer(self.bases)
-        grown = sum(basis.elements for basis in finer) > sum(b.elements for b in self.bases)
-        patient = progress.pays or self._patient(attempt, progress.stalls, grown)
+        adaptive.steep, adaptive.doubtful = attempt.result.points, attempt.result.doubtful
+        if adaptive.doubtful is not None:  # lines through these first
+            steep = [] if adaptive.steep is None else [adaptive.steep]
+            adaptive.steep = np.concatenate([adaptive.doubtful, *steep])
+        grows = adaptive.adds_elements
+        patient = progress.pays or self._patient(attempt, progress.stalls, grows)
         self.error = attempt.error
         if not patient:
             return False
-        settled = all(
-            new.size <= _SETTLED * b.size for new, b in zip(finer, self.bases, strict=True)
-        )
-        close = attempt.error < _FAR * self.rtol
-        if settled or close or (progress.stalls and not grown):
-            self.share *= min(max((self.rtol / attempt.error) ** _TIGHTENED, 0.1), 0.7)
-            finer = self._finer(self.bases)
-        self.left = -(-3 * self.left // 2)
-        self.bases = finer
+        close = attempt.error < FAR_ERROR_RATIO * self.rtol
+        adaptive.refine(attempt.error, tighten=close or (progress.stalls > 0 and not grows))
         return True
 
-    def _patient(self, attempt: Attempt, stalls: int, grown: bool) -> bool:
-        """Whether another attempt may be worth its cost; ``grown``: there are more elements."""
-        if self.integrated < _CHEAP:
-            return grown or stalls < _PATIENCE
-        if self.share == 1.0 and self.integrated < _FEW * _CHEAP:  # not all was tried
+    def _patient(self, attempt: Attempt, stalls: int, grows: bool) -> bool:
+        """Whether another attempt may be worth its cost; ``grows``: it has more elements."""
+        if self.integrated < CHEAP_TRAJECTORIES:
+            return grows or stalls < MAX_STALLS
+        untightened = self.adaptive.share == 1.0
+        if untightened and self.integrated < UNTIGHTENED_RATIO * CHEAP_TRAJECTORIES:
             return True
-        return stalls < 2 and attempt.error < max(_FAR * self.rtol, _FAST * self.error)
+        fast_enough = max(FAR_ERROR_RATIO * self.rtol, FAST_ERROR_RATIO * self.error)
+        return stalls < MAX_COSTLY_STALLS and attempt.error < fast_enough
 
     def _halve_slabs(self) -> None:
         """Halve the slabs on which some trajectory varies more than those of the reference."""
         assert self.trajectories is not None
         breaks = np.array(self.trajectories.grid.breaks)
-        rough = self.trajectories.highest > _HIGHEST * self.share * self.rtol
+        tolerance = HIGHEST_TIME_MODES_SHARE * self.adaptive.share * self.rtol
+        rough = self.trajectories.highest_modes > tolerance
         self.breaks |= {*(0.5 * (breaks[:-1] + breaks[1:])[rough]).tolist()}
-
-    def _finer(self, bases: tuple[Basis1D, ...]) -> tuple[Basis1D, ...]:
-        """Bases with more nodes where the highest modes found are not small."""
-        tolerance = _HIGHEST * self.share * self.rtol
-        return more_nodes(bases, self.spectra, tolerance, self.options.max_nodes)
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """Whether a steep dependence on a parameter is the reason, and on which."""
@@ -251,12 +268,12 @@ class CrossMarcher:
         cause = MovingFeatures() if moves else None
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
-        trajectories.wanted = _INTEGRATION * self.rtol  # what later attempts wanted is too dear
+        trajectories.allowed_error = INTEGRATION_SHARE * self.rtol  # later attempts cost more
         lines = [domain.bounds.mean(axis=1)]
         try:
             if attempt.result.slabs:
                 lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
-            front = steepest_front(trajectories.values, domain, lines)
+            front = steepest_front(trajectories.uncounted, domain, lines)
         except (OutOfBudgetError, TrajectoryEnds):
             front = None
         if front is None:

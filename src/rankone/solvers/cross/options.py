@@ -1,4 +1,4 @@
-"""Options of the cross engine."""
+"""Options of the cross engine, and the record of its attempts."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rankone.discretization import BASES
+from rankone.ir.outcome import SlabRecord
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, checked_number, choice, integer
 
-__all__ = ["CrossOptions"]
+__all__ = ["CrossOptions", "CrossRecord"]
 
-
-_MOST_PROCESSES = 1000
+_MAX_PROCESSES = 1000
+"""More processes than this are a mistake."""
 
 
 def _check_executor(name: str, value: Any) -> Executor | int:
@@ -22,7 +23,7 @@ def _check_executor(name: str, value: Any) -> Executor | int:
     if isinstance(value, Executor):
         return value
     if isinstance(value, int):
-        return int(checked_number(name, value, 1, _MOST_PROCESSES))
+        return int(checked_number(name, value, 1, _MAX_PROCESSES))
     raise OptionError(
         f"{name}={value!r} is not valid",
         remedy="give a number of processes or a concurrent.futures.Executor",
@@ -69,3 +70,22 @@ class CrossOptions(Options):
         if self.time_nodes is not None:
             return self.time_nodes
         return int(min(max(round(5.6 + 1.4 * -math.log10(rtol)), 7), 20))
+
+
+@dataclass(frozen=True, slots=True)
+class CrossRecord(SlabRecord):
+    """One interpolation over the whole horizon.
+
+    ``tolerance`` is that of the row spaces, ``residuals`` holds for each parameter the size of its
+    two highest modes, both in units of the states' sizes.
+
+    Attributes
+    ----------
+    trajectories : int
+        Number of trajectories integrated so far.
+    slabs : int
+        Number of time slabs.
+    """
+
+    trajectories: int = 0
+    slabs: int = 1

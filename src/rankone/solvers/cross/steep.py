@@ -10,21 +10,19 @@ import numpy as np
 
 from rankone.ir.domain import Domain
 from rankone.ir.verdict import SteepParameter
+from rankone.solvers.cross.constants import (
+    FRONT_CHANGE,
+    FRONT_WIDTH,
+    JUMP_WIDTH,
+    KEPT_CHANGE,
+    LINE_PLACES,
+    MAX_ZOOMS,
+    ZOOM_PLACES,
+)
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
 
 __all__ = ["Front", "steepest_front"]
-
-_PLACES, _ZOOM = 65, 9
-"""Places on a line through the box, and between two of them when looked at closer."""
-_LARGEST = 4
-"""Pairs of neighbours on a line that are looked at closer."""
-_LARGE = 0.1
-"""Change of a state, in units of its size, that makes a front."""
-_KEPT = 0.5
-"""Part of the change that a narrower piece must hold to be looked at instead."""
-_STEEP, _JUMP = 0.01, 1e-6
-"""Widths of a front and of a jump, relative to the interval."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Front:
 
     def cause(self, states: Sequence[str], parameters: Sequence[str]) -> SteepParameter:
         """The front by the names of states and parameters."""
-        others = tuple(
+        fixed = tuple(
             (name, float(at))
             for j, (name, at) in enumerate(zip(parameters, self.point, strict=True))
             if j != self.parameter
@@ -69,37 +67,37 @@ class Front:
             float(self.lower),
             float(self.upper),
             self.change,
-            bool(self.share <= _JUMP),
+            bool(self.share <= JUMP_WIDTH),
             bool(self.at_end),
-            others,
+            fixed,
         )
 
 
 def steepest_front(
-    values: Callable[[Array], Array], domain: Domain, points: Sequence[Array]
+    trajectories: Callable[[Array], Array], domain: Domain, points: Sequence[Array]
 ) -> Front | None:
-    """The narrowest front found on lines through points of the box; None without any.
+    """The narrowest front on lines through points of the box; None if there is none.
 
     Parameters
     ----------
-    values : callable
+    trajectories : callable
         Trajectories at points (m, d) in units of the states' sizes: shape (n, T, m).
     points : sequence of ndarray (d,)
         Through each goes one line for each parameter.
     """
-    found: list[Front] = []
+    fronts: list[Front] = []
     lines = ((point, j) for point in points for j in range(len(domain.box)))
-    with suppress(OutOfBudgetError):  # those that were found so far say it as well
+    with suppress(OutOfBudgetError):  # the fronts so far say it as well
         for point, j in lines:
-            for front in _on_line(values, domain.box[j], point, j):
-                found.append(front)
+            for front in _on_line(trajectories, domain.box[j], point, j):
+                fronts.append(front)
     return min(
-        found, key=lambda front: (front.share, not front.at_end, -front.change), default=None
+        fronts, key=lambda front: (front.share, not front.at_end, -front.change), default=None
     )
 
 
 def _on_line(
-    values: Callable[[Array], Array], interval: tuple[float, float], point: Array, j: int
+    trajectories: Callable[[Array], Array], interval: tuple[float, float], point: Array, j: int
 ) -> Iterator[Front]:
     """Fronts on the line through a point along parameter j, at the end and at any time."""
     width = interval[1] - interval[0]
@@ -109,20 +107,20 @@ def _on_line(
         places = np.linspace(a, b, count)
         line = np.tile(point, (count, 1))
         line[:, j] = places
-        return places, np.abs(np.diff(values(line), axis=2))
+        return places, np.abs(np.diff(trajectories(line), axis=2))
 
-    places, coarse = changes(*interval, _PLACES)
+    places, coarse = changes(*interval, LINE_PLACES)
     for times in (slice(-1, None), slice(None)):
-        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[:_LARGEST]:
-            a, b, found = places[i], places[i + 1], coarse[:, times, i]
-            if not found.max() >= _LARGE:
+        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[:MAX_ZOOMS]:
+            a, b, change = places[i], places[i + 1], coarse[:, times, i]
+            if not change.max() >= FRONT_CHANGE:
                 break
-            while b - a > _JUMP * width:
-                closer, fine = changes(a, b, _ZOOM)
+            while b - a > JUMP_WIDTH * width:
+                closer, fine = changes(a, b, ZOOM_PLACES)
                 k = int(fine[:, times].max(axis=(0, 1)).argmax())
-                if not fine[:, times, k].max() >= _KEPT * found.max():
+                if not fine[:, times, k].max() >= KEPT_CHANGE * change.max():
                     break
-                a, b, found = closer[k], closer[k + 1], fine[:, times, k]
-            if b - a < _STEEP * width:
-                state, at_end = int(found.max(axis=1).argmax()), found.shape[1] == 1
-                yield Front(j, state, a, b, (b - a) / width, float(found.max()), at_end, point)
+                a, b, change = closer[k], closer[k + 1], fine[:, times, k]
+            if b - a < FRONT_WIDTH * width:
+                state, at_end = int(change.max(axis=1).argmax()), change.shape[1] == 1
+                yield Front(j, state, a, b, (b - a) / width, float(change.max()), at_end, point)

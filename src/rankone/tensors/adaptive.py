@@ -1,0 +1,406 @@
+"""Adaptive cross interpolation: nodes, left points and tolerances chosen until it suffices.
+
+The nodes of a parameter are read off columns on lines through the box: one element where a smooth
+function is resolved by few nodes; where it kinks, jumps or is steep, elements of unequal size,
+halved where they do not suffice. The caller measures the error and asks for a refinement.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rankone.discretization import Basis1D
+from rankone.support.arrays import Array
+from rankone.tensors.cross import Columns, Samples, interpolate, left_points, with_points
+from rankone.tensors.train import Train
+
+__all__ = [
+    "FIRST_LEFT_POINTS",
+    "HIGHEST_MODES_SHARE",
+    "AdaptiveInterpolation",
+    "InterpolationLimits",
+    "KnownElements",
+    "Tightening",
+    "needed",
+]
+
+FIRST_LEFT_POINTS = 7
+"""Random left points of each bond in the first attempt; every refinement takes half as many again.
+"""
+ROW_SPACE_SHARE = 0.1
+"""What row spaces may miss, relative to the level of an attempt: an error there is amplified."""
+HIGHEST_MODES_SHARE = 0.1
+"""Size of the highest modes, relative to the level, above which there are more nodes."""
+ROUNDING_SHARE = 0.1
+"""Error of rounding the train, relative to the level."""
+SECOND_LINE_OFFSET = 0.35
+"""Distance of the second line of a parameter from the centre, in widths of the other intervals:
+functions with a symmetry about the centre look different there."""
+MAX_STEEP_LINES = 6
+"""Most lines of a parameter through steep points: each costs as much as the first ones."""
+TAIL_SHARE = 0.015
+"""What the modes left out may make up on the first lines, relative to the level: elsewhere in the
+box a function may need more modes."""
+STEEP_TAIL_SHARE = 0.01
+"""The same where elements are taken: a column is steep at few times only."""
+BORDER_ERROR_FACTOR = 30.0
+"""An element is halved where its error at the borders exceeds so many tolerances of its tail."""
+SLOWEST_DECAY = 0.95
+"""Largest ratio of successive modes used for a prediction: slower decay looks like none."""
+FASTEST_DECAY = 1e-3
+"""Smallest ratio of successive modes used for a prediction."""
+MAX_PREDICTED_RATIO = 3.0
+"""Largest number of nodes predicted, over the nodes it is predicted from."""
+ELEMENT_NODE_RATIO = 5.0
+"""Number of nodes, over that of the lines, from which elements are tried."""
+ELEMENT_COST_RATIO = 2.0
+"""In one parameter elements may have so many times the nodes of a single element that does not
+suffice. With more parameters what is steep moves, and elements must have fewer nodes."""
+BORDER_DISTANCE = 4e-9
+"""Distance of points beside a border, in widths of the interval: there may be a jump."""
+NARROWEST_ELEMENT = 1e-9
+"""Width of the smallest element, relative to the interval: it holds a jump."""
+LEAST_NODES = 3
+"""Fewest nodes of a parameter."""
+SEED = 20140
+"""Seed of the left points and of the side of the second lines."""
+
+
+@dataclass(frozen=True)
+class InterpolationLimits:
+    """The kind of the bases, and the largest number of nodes and rank."""
+
+    basis: type[Basis1D]
+    max_nodes: int
+    max_rank: int
+
+
+@dataclass(frozen=True)
+class Tightening:
+    """When and how far a refinement tightens the tolerances.
+
+    Attributes
+    ----------
+    settled_growth : float
+        Growth of the nodes up to which more of them alone are not expected to suffice.
+    power : float
+        Power of target over error that is the factor on the tolerances.
+    smallest, largest : float
+        Limits of that factor.
+    """
+
+    settled_growth: float
+    power: float
+    smallest: float
+    largest: float
+
+    def factor(self, target: float, error: float) -> float:
+        """The factor on the tolerances."""
+        factor: float = (target / error) ** self.power
+        return min(max(factor, self.smallest), self.largest)
+
+
+@dataclass(frozen=True)
+class KnownElements:
+    """What is known of a parameter beforehand: where elements begin, and the fewest nodes."""
+
+    borders: Sequence[float] = ()
+    least_nodes: int = 0
+
+
+class AdaptiveInterpolation:
+    """Cross interpolation of columns, each attempt with more nodes, left points or accuracy.
+
+    Parameters
+    ----------
+    box : sequence of (float, float)
+        The interval of each parameter.
+    limits : InterpolationLimits
+    target : float
+        Error aimed at, in units of the columns.
+    tightening : Tightening
+
+    Attributes
+    ----------
+    share : float
+        Tolerances over those of the first attempt.
+    bases : tuple of Basis1D or None
+        Bases of the last attempt or, after a refinement, of the next one.
+    spectra : list of ndarray
+        For each parameter the norms of the modes of the last attempt.
+    steep, doubtful : ndarray (m, d) or None
+        Points through which further lines go, and points near which left points lie.
+    """
+
+    def __init__(
+        self,
+        box: Sequence[tuple[float, float]],
+        limits: InterpolationLimits,
+        target: float,
+        tightening: Tightening,
+    ) -> None:
+        self.box, self.limits, self.target, self.tightening = box, limits, target, tightening
+        self.share = 1.0
+        self.bases: tuple[Basis1D, ...] | None = None
+        self.spectra: list[Array] = []
+        self.steep: Array | None = None
+        self.doubtful: Array | None = None
+        self._left_count = FIRST_LEFT_POINTS
+        self._undivided: tuple[Basis1D, ...] | None = None
+        self._divides = True
+
+    @property
+    def level(self) -> float:
+        """Error aimed at in the next attempt."""
+        return self.share * self.target
+
+    def interpolate(
+        self,
+        columns: Columns,
+        known_elements: Callable[[int], Sequence[KnownElements]],
+        begun: Callable[[int, int, int], None] | None = None,
+    ) -> tuple[Train, bool]:
+        """Interpolate columns on the nodes of this attempt.
+
+        Parameters
+        ----------
+        columns : callable
+        known_elements : callable
+            From the number of nodes of an element to what is known of each parameter; called in
+            the first attempt.
+        begun : callable, optional
+            See :func:`~rankone.tensors.cross.interpolate`.
+
+        Returns
+        -------
+        train : Train
+            Core 0 holds coefficients of columns (rank, r_1); the others hold modes of the bases.
+        limited : bool
+            Whether a rank was cut.
+        """
+        bases = self._attempt_bases(columns, known_elements)
+        if bases:
+            left = left_points([basis.size for basis in bases], self._left_count, SEED)
+            if self.doubtful is not None:
+                left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
+            tolerance = ROW_SPACE_SHARE * self.level / np.sqrt(len(bases))
+            samples, most = Samples(columns, bases), self.limits.max_rank
+            train, limited = interpolate(samples, bases, left, tolerance, most, begun)
+        else:
+            train, limited = Train((columns(np.zeros((1, 0))),)), False
+        self.bases = bases
+        train = train.rounded(ROUNDING_SHARE * self.level)
+        train = train.apply_to_modes([basis.to_modal for basis in bases])
+        self.spectra = train.mode_norms()
+        return train, limited
+
+    def _attempt_bases(
+        self, columns: Columns, known_elements: Callable[[int], Sequence[KnownElements]]
+    ) -> tuple[Basis1D, ...]:
+        """Bases of an attempt: new ones first, later those of the refinement, divided."""
+        self._undivided = None
+        if not self.box:
+            return ()
+        count = min(max(round(4.0 + 1.4 * -math.log10(self.level)), 6), self.limits.max_nodes)
+        if self.bases is None:
+            return self._first_bases(Lines(columns, self.box), count, known_elements(count))
+        if not self._divides:
+            return self.bases
+        bases = self._divided(self.bases, Lines(columns, self.box, self.steep), count)
+        if bases != self.bases:
+            self._undivided = self.bases
+        return bases
+
+    def _first_bases(
+        self, lines: Lines, count: int, known_elements: Sequence[KnownElements]
+    ) -> tuple[Basis1D, ...]:
+        """Bases that resolve columns on two lines for each parameter.
+
+        One line goes through the centre of the box, one past it. The modes of a smooth function
+        fall geometrically, which tells how many are needed beyond the ``count`` of the lines.
+        """
+        most = self.limits.max_nodes
+        line_bases = [self.limits.basis(lower, upper, count) for lower, upper in self.box]
+        on_lines = lines([(j, basis.nodes) for j, basis in enumerate(line_bases)])
+        bases = []
+        for j, basis in enumerate(line_bases):
+            borders = known_elements[j].borders
+            spectrum = _spectrum(basis, on_lines[j])
+            predicted = needed(spectrum, TAIL_SHARE * self.level, math.inf)
+            if borders or (len(self.box) == 1 and predicted > ELEMENT_NODE_RATIO * count):
+                elements = self._elements(lines, j, basis, borders)
+                if elements.size <= predicted or borders:
+                    bases.append(elements)
+                    continue
+            degree = max(min(predicted, math.ceil(MAX_PREDICTED_RATIO * count)), LEAST_NODES)
+            degree = max(degree, known_elements[j].least_nodes)
+            bases.append(replace(basis, degree=min(degree, most)))
+        return tuple(bases)
+
+    def _divided(self, bases: Sequence[Basis1D], lines: Lines, count: int) -> tuple[Basis1D, ...]:
+        """The same bases, but elements where one element of many nodes does no better.
+
+        Elements resolve the columns on further lines through some of the steep points.
+        """
+        divided = list(bases)
+        for j, basis in enumerate(bases):
+            if basis.elements == 1 and basis.size > ELEMENT_NODE_RATIO * count:
+                elements = self._elements(lines, j, replace(basis, degree=count), ())
+                if elements.size <= basis.size * (ELEMENT_COST_RATIO if len(bases) == 1 else 1.0):
+                    divided[j] = elements
+        return tuple(divided)
+
+    def _elements(self, lines: Lines, j: int, basis: Basis1D, borders: Sequence[float]) -> Basis1D:
+        """Elements that begin at the borders and are halved until the lines are resolved."""
+        tolerance = STEEP_TAIL_SHARE * self.level
+        width = basis.upper - basis.lower
+        waiting = list(itertools.pairwise([basis.lower, *borders, basis.upper]))
+        ends = {basis.upper}
+        while waiting:
+            pieces = [replace(basis, lower=a, upper=b) for a, b in waiting]
+            insets = [min(BORDER_DISTANCE * width, 0.01 * (b - a)) for a, b in waiting]
+            beside = [np.array([a + s, b - s]) for (a, b), s in zip(waiting, insets, strict=True)]
+            points = zip((piece.nodes for piece in pieces), beside, strict=True)
+            on_lines = lines([(j, np.concatenate(pair)) for pair in points])
+            halves: list[tuple[float, float]] = []
+            for piece, points_beside, columns in zip(pieces, beside, on_lines, strict=True):
+                a, b = piece.lower, piece.upper
+                at_nodes, exact = columns[..., :-2], columns[..., -2:]
+                rough = needed(_spectrum(piece, at_nodes), tolerance, math.inf) > piece.degree
+                if not rough:  # a layer may hide between the last node and the border
+                    modal = piece.modal_values(points_beside) @ piece.to_modal
+                    errors = at_nodes * np.sqrt(piece.weights) @ modal.T - exact
+                    error = float(np.linalg.norm(errors, axis=0).max())
+                    rough = error > BORDER_ERROR_FACTOR * tolerance
+                room = (len(ends) + len(halves) + 2) * basis.degree <= self.limits.max_nodes
+                if rough and room and b - a > NARROWEST_ELEMENT * width:
+                    halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
+                else:
+                    ends.add(a)
+            waiting = halves
+        return replace(basis, breaks=tuple(sorted(ends)[1:-1]))
+
+    @property
+    def adds_elements(self) -> bool:
+        """Whether a refinement would halve elements."""
+        assert self.bases is not None
+        return sum(b.elements for b in self._finer()) > sum(b.elements for b in self.bases)
+
+    def refine(self, error: float, tighten: bool = False) -> None:
+        """Take more left points, more nodes, and tighter tolerances where nodes settle.
+
+        Parameters
+        ----------
+        error : float
+            Error of the last attempt.
+        tighten : bool
+            Whether to tighten the tolerances in any case.
+        """
+        assert self.bases is not None
+        finer, growth = self._finer(), self.tightening.settled_growth
+        pairs = zip(finer, self.bases, strict=True)
+        if tighten or all(basis.size <= growth * before.size for basis, before in pairs):
+            self.share *= self.tightening.factor(self.target, error)
+            finer = self._finer()
+        self._left_count = -(-3 * self._left_count // 2)
+        self.bases = finer
+
+    def undo_division(self) -> bool:
+        """Go back to the bases before they were divided, for good; whether they had been.
+
+        Where what is steep moves with other parameters, elements do not follow.
+        """
+        if self._undivided is None:
+            return False
+        self.bases, self._undivided, self._divides = self._undivided, None, False
+        return True
+
+    def _finer(self) -> tuple[Basis1D, ...]:
+        """Bases with more nodes where the highest modes of the last attempt are not small."""
+        assert self.bases is not None
+        tolerance, most = HIGHEST_MODES_SHARE * self.share * self.target, self.limits.max_nodes
+        finer = []
+        for basis, spectrum in zip(self.bases, self.spectra, strict=True):
+            if basis.elements > 1:
+                finer.append(_halved(basis, spectrum, tolerance, most))
+            elif basis.tail(spectrum) <= tolerance:
+                finer.append(basis)
+            else:
+                degree = max(needed(spectrum, tolerance), basis.size + 2)
+                finer.append(replace(basis, degree=max(basis.size, min(degree, most))))
+        return tuple(finer)
+
+
+class Lines:
+    """Columns on lines for each parameter: through the centre of the box, and past it.
+
+    With several parameters also through some of the ``steep`` points (m, d), if there are any.
+    """
+
+    def __init__(
+        self, columns: Columns, box: Sequence[tuple[float, float]], steep: Array | None = None
+    ) -> None:
+        self.columns = columns
+        lower, upper = np.array(box, dtype=float).reshape(-1, 2).T
+        centre = 0.5 * (lower + upper)
+        sides = np.random.default_rng(SEED).choice([-1.0, 1.0], centre.size)
+        points = [centre, centre + SECOND_LINE_OFFSET * sides * (upper - lower)]
+        if steep is not None:
+            points += list(steep[:: -(-len(steep) // MAX_STEEP_LINES)])
+        self.points = points[: None if centre.size > 1 else 1]
+
+    def __call__(self, places: Sequence[tuple[int, Array]]) -> list[Array]:
+        """Coefficients (rank, lines, N) at places (N,) of the parameters j in pairs (j, places)."""
+        points = []
+        for j, coordinates in places:
+            for point in self.points:
+                line = np.tile(point, (coordinates.size, 1))
+                line[:, j] = coordinates
+                points.append(line)
+        coefficients = self.columns(np.concatenate(points))
+        sizes = np.cumsum([len(self.points) * coordinates.size for _, coordinates in places])[:-1]
+        on_lines = np.split(coefficients, sizes, axis=1)
+        return [block.reshape(len(block), len(self.points), -1) for block in on_lines]
+
+
+def _spectrum(basis: Basis1D, coefficients: Array) -> Array:
+    """Largest size of each mode of columns (rank, lines, nodes) on some lines."""
+    scaled = coefficients * np.sqrt(basis.weights)
+    return np.asarray(np.linalg.norm(scaled @ basis.to_modal.T, axis=0).max(axis=0))
+
+
+def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_RATIO) -> int:
+    """Number of modes after which the tail of a spectrum is below a tolerance.
+
+    At most ``max_ratio`` times those of the spectrum are predicted.
+    """
+    tails = np.sqrt(np.cumsum(spectrum[::-1] ** 2)[::-1])
+    count = spectrum.size
+    if tails[-2:].max() <= tolerance:
+        return int(np.count_nonzero(tails > tolerance)) + 1
+    half = count // 2
+    levels = np.maximum.accumulate(spectrum[::-1])[::-1]  # modes may vanish by symmetry
+    ratio = (levels[-2] / max(levels[half - 1], 1e-300)) ** (1.0 / (count - 1 - half))
+    ratio = min(max(ratio, FASTEST_DECAY), SLOWEST_DECAY)
+    beyond = math.log(tolerance / levels[-2]) / math.log(ratio)
+    return math.ceil(min(count + beyond, max_ratio * count))
+
+
+def _halved(basis: Basis1D, spectrum: Array, tolerance: float, most: int) -> Basis1D:
+    """The elements with the highest tails halved, the worst first, as far as there is room."""
+    tails = np.linalg.norm(spectrum.reshape(basis.elements, -1)[:, -2:], axis=1)
+    tails *= math.sqrt(basis.elements)
+    narrowest = NARROWEST_ELEMENT * (basis.upper - basis.lower)
+    rough = (tails > tolerance) & (np.diff(basis.edges) > narrowest)
+    room = max(most // basis.degree - basis.elements, 0)
+    chosen = np.flatnonzero(rough)[np.argsort(-tails[rough])][:room]
+    if not chosen.size:
+        return basis
+    middles = 0.5 * (basis.edges[:-1] + basis.edges[1:])[chosen]
+    breaks = np.sort(np.concatenate([basis.edges[1:-1], middles]))
+    return replace(basis, elements=breaks.size + 1, breaks=tuple(breaks.tolist()))
