@@ -228,7 +228,7 @@ def test_quantiles_and_samples():
     np.testing.assert_array_equal(drawn["k"], solution.sample(4000, seed=1, under={"k": norm})["k"])
     with pytest.raises(OptionError, match=r"q=1\.5 is not in"):
         solution.quantile(1.5, 1.0)
-    with pytest.raises(OptionError, match="are no numbers"):
+    with pytest.raises(OptionError, match="are not numbers"):
         solution.quantile("a", 1.0)
     with pytest.raises(OptionError, match="count"):
         solution.sample(-1)

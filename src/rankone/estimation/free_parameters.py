@@ -10,18 +10,19 @@ import numpy as np
 
 from rankone.discretization.coordinates import name_of
 from rankone.solution.core import SolutionCore
+from rankone.statistics.joint_distribution import by_name
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 
-__all__ = ["Bounds", "FreeParameters", "ParameterValues", "free_parameters"]
+__all__ = ["BOUND_TOLERANCE", "Bounds", "FreeParameters", "ParameterValues", "free_parameters"]
 
 ParameterValues = Mapping[Any, float] | None
 """Values by parameter, a name or a symbol."""
 Bounds = Mapping[Any, tuple[float, float]] | None
 """Intervals by parameter, a name or a symbol."""
 
-_BOUND_TOLERANCE = 1e-9
+BOUND_TOLERANCE = 1e-9
 """Distance from a bound, in widths of the interval, that counts as at the bound: rounding."""
 
 
@@ -89,7 +90,7 @@ class FreeParameters:
         return {
             name: "lower" if x < 0.5 else "upper"
             for name, x in ends
-            if min(x, 1.0 - x) <= _BOUND_TOLERANCE
+            if min(x, 1.0 - x) <= BOUND_TOLERANCE
         }
 
     def complete(self, free: Mapping[str, float]) -> dict[str, float]:
@@ -114,13 +115,13 @@ def free_parameters(
         If a value or a bound is outside of the box.
     """
     order = tuple(solution.parameters)
-    held = {name: _in_box(solution, name, x) for name, x in _by_name(order, "fixed", fixed)}
+    held = {name: _in_box(solution, name, x) for name, x in by_name("fixed", fixed, order).items()}
     names = tuple(name for name in order if name not in held)
     if not names:
         reason = "all parameters are fixed" if order else "the solution has no parameters"
         raise OptionError(reason, term=fixed, remedy="leave one of them free")
     box = {name: solution.parameters[name] for name in names}
-    for name, interval in _by_name(order, "bounds", bounds):
+    for name, interval in by_name("bounds", bounds, order).items():
         if name in held:
             raise OptionError(f"{quote(name)} is fixed, and has bounds", term=name)
         box[name] = _interval(solution, name, interval)
@@ -144,7 +145,7 @@ def _start(
 ) -> Array:
     """The start in the unit cube; the middle for parameters without one."""
     z = dict.fromkeys(box, 0.5)
-    for name, given in _by_name(tuple(solution.parameters), "start", start):
+    for name, given in by_name("start", start, tuple(solution.parameters)).items():
         if name in held:
             raise OptionError(f"{quote(name)} is fixed, and has a start", term=name)
         x, (lower, upper) = _in_box(solution, name, given), box[name]
@@ -156,27 +157,6 @@ def _start(
             )
         z[name] = (x - lower) / (upper - lower)
     return np.array(list(z.values()))
-
-
-def _by_name(names: tuple[str, ...], option: str, given: object) -> list[tuple[str, Any]]:
-    """The entries of an option, by names of parameters."""
-    if not isinstance(given, Mapping | None):
-        raise OptionError(
-            f"{option}={given!r} is not a mapping from parameters",
-            term=given,
-            remedy=f"give {option}={{name: ...}}",
-        )
-    pairs = [(name_of(key), entry) for key, entry in (given or {}).items()]
-    for name, _ in pairs:
-        if name not in names:
-            raise OptionError(
-                f"{option}: there is no parameter {quote(name)}{did_you_mean(name, names)}",
-                term=name,
-                remedy=f"known are {listing(names)}" if names else "the solution has none",
-            )
-    if len({name for name, _ in pairs}) < len(pairs):
-        raise OptionError(f"{option}: a parameter is given twice", term=given)
-    return pairs
 
 
 def _in_box(solution: SolutionCore, name: str, given: object) -> float:

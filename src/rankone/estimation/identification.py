@@ -18,6 +18,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from rankone.estimation.free_parameters import BOUND_TOLERANCE
 from rankone.estimation.least_squares import LeastSquares
 from rankone.support.arrays import Array
 
@@ -33,8 +34,6 @@ _END_TOLERANCE = 1e-4
 """How close an end comes to the limit, in shares of its root: four digits."""
 _ROUGH_END_TOLERANCE = 0.05
 """The same where only the length of an interval is compared with others."""
-_BOUND_TOLERANCE = 1e-9
-"""Distance from a bound, in widths of the box, that counts as at the bound: rounding."""
 _SUSPICIOUS_WIDTH = 0.25
 """Half a linear interval, in widths of the box, above which the profile is computed."""
 _FLAT_WIDTH = 0.1
@@ -190,7 +189,7 @@ class _Branch:
         share = float((np.sqrt(limit) - pair[0]) / (pair[1] - pair[0]))
         z = self.path[k - 1] + share * (self.path[k] - self.path[k - 1])
         free = np.delete(self.path[k], self.index)
-        at_bound = (free <= _BOUND_TOLERANCE) | (free >= 1.0 - _BOUND_TOLERANCE)
+        at_bound = (free <= BOUND_TOLERANCE) | (free >= 1.0 - BOUND_TOLERANCE)
         return End(float(z[self.index]), Stop.OTHER if at_bound.any() else Stop.DATA)
 
 

@@ -13,11 +13,7 @@ from scipy.optimize import minimize as scipy_minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from rankone.estimation.free_parameters import (
-    Bounds,
-    ParameterValues,
-    free_parameters,
-)
+from rankone.estimation.free_parameters import Bounds, ParameterValues, free_parameters
 from rankone.estimation.objective import (
     Constraint,
     Limits,

@@ -150,11 +150,7 @@ class Objective:
 
 
 def constraints_of(
-    solution: SolutionCore,
-    given: Limits,
-    t: ArrayLike | None,
-    free: FreeParameters,
-    points: Array,
+    solution: SolutionCore, given: Limits, t: ArrayLike | None, free: FreeParameters, points: Array
 ) -> list[Constraint]:
     """Checked limits of unknowns, scaled by the range of each unknown over points (N, n)."""
     if not isinstance(given, Mapping | None):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rankone.discretization.coordinates import name_of
 from rankone.estimation.cube_distributions import CubeDistribution, adapted, chain
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Bounds, ParameterValues
@@ -17,8 +16,9 @@ from rankone.estimation.least_squares import LeastSquares, TrainModel
 from rankone.estimation.observations import Measurements
 from rankone.estimation.search import fit
 from rankone.solution.core import SolutionCore
-from rankone.statistics.distributions import Measure, from_text
-from rankone.statistics.joint_distribution import Distributions, measures_of
+from rankone.statistics.distributions import Distribution, Measure, from_text
+from rankone.statistics.joint_distribution import Distributions, by_name, measures_of
+from rankone.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
 from rankone.support.options import checked_count, checked_number
@@ -147,12 +147,7 @@ class Posterior:
         OptionError
             If a probability is not in [0, 1].
         """
-        try:
-            shares = np.asarray(q, dtype=float)
-        except (TypeError, ValueError):
-            raise OptionError(f"q={q!r} are no numbers", term=q) from None
-        if not ((shares >= 0.0) & (shares <= 1.0)).all():
-            raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
+        shares = checked_probabilities(q)
         quantiles = self._quantiles(shares)
         if shares.ndim:
             return quantiles
@@ -253,8 +248,7 @@ def posterior(
     RankoneError
         If emcee is needed and not installed.
     """
-    if not isinstance(prior, Mapping | None):
-        raise OptionError(f"prior={prior!r} is not a mapping from parameters", term=prior)
+    priors = by_name("prior", prior, tuple(solution.parameters))
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, _MOST_STEPS)
     best = fit(
@@ -268,7 +262,7 @@ def posterior(
         bounds=bounds,
         missing=missing,
     )
-    log_density = LogPosterior(_without_fixed(best), _priors(best, prior))
+    log_density = LogPosterior(_without_fixed(best), _priors(best, priors))
     likely, extents = _likely(best, log_density)
     names = [name for name, identified in best.identifiable.items() if not identified]
     limits = f"; the data do not identify {listing(names)} alone: box and prior limit them"
@@ -285,15 +279,15 @@ def posterior(
     return Posterior(best, "quadrature", evidence, success, message, log_density, cells)
 
 
-def _priors(fit: Fit, prior: Distributions) -> tuple[Measure, ...]:
+def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
     """The prior of each free parameter, cut at its bounds: as given, of the problem, or uniform."""
     free = fit._problem.free
-    for key in prior or {}:
-        if name_of(key) in free.fixed:
-            raise OptionError(f"{quote(name_of(key))} is fixed, and has a prior", term=key)
+    for name in prior:
+        if name in free.fixed:
+            raise OptionError(f"{quote(name)} is fixed, and has a prior", term=name)
     box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
-    usual = {name: from_text(text) for name, text in fit.solution.metadata.distributions}
-    return measures_of(free.names, box, prior, usual)
+    from_problem = {name: from_text(text) for name, text in fit.solution.metadata.distributions}
+    return measures_of(free.names, box, prior, from_problem)
 
 
 def _without_fixed(fit: Fit) -> LeastSquares:

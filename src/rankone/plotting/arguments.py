@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rankone.interface.solution import Solution
 
 __all__ = [
+    "CURVE_TIMES",
     "check_solution",
     "fine_times",
     "needs_time",
@@ -27,6 +28,9 @@ __all__ = [
     "unknown_of",
     "unknowns_of",
 ]
+
+CURVE_TIMES = 401
+"""Times of a curve, about a pixel each."""
 
 
 def check_solution(function: str, given: object) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rankone.estimation.fit import Fit
 from rankone.plotting import style
-from rankone.plotting.arguments import fine_times, needs_time
+from rankone.plotting.arguments import CURVE_TIMES, fine_times, needs_time
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from rankone.interface.solution import Solution
 
 __all__ = ["plot_fit"]
-
-_CURVE_TIMES = 401
-"""Times of a curve, about a pixel each."""
 
 
 def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
@@ -109,7 +106,7 @@ def _output(fit: Fit, solution: Solution, index: int) -> _Output:
     times, data = observed.times[here], observed.values[here]
     unit = 1.0 if observed.sigma_known else fit.sigma
     sigma = unit / observed.scale[here] if np.isfinite(unit) and unit > 0.0 else None
-    fine = fine_times(solution, float(times.max(initial=solution.time[0])), _CURVE_TIMES)
+    fine = fine_times(solution, float(times.max(initial=solution.time[0])), CURVE_TIMES)
     curve = np.array([fine, solution[name](fine, fit.values), _half_widths(fit, name, fine)])
     return _Output(name, times, data, solution[name](times, fit.values), sigma, curve)
 

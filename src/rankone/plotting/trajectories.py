@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.plotting import style
-from rankone.plotting.arguments import check_solution, needs_time, states_of, times_of, unknowns_of
+from rankone.plotting.arguments import (
+    CURVE_TIMES,
+    check_solution,
+    needs_time,
+    states_of,
+    times_of,
+    unknowns_of,
+)
 from rankone.solution.smaller import merged
 from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.support.arrays import Array
@@ -26,8 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_bands", "plot_trajectories"]
 
-_CURVE_TIMES = 401
-"""Times of a curve, about a pixel each."""
 _BAND_TIMES = 201
 """Times of a band, which is smoother than a curve."""
 _BAND_PROBABILITIES = (0.025, 0.975)
@@ -101,7 +106,7 @@ def plot_trajectories(
     time = solution.metadata.time
     if time in arrays and t is not None:
         raise OptionError(f"`{time}` is given twice", term=time, remedy="give it once")
-    times = times_of(solution, arrays.pop(time, t), _CURVE_TIMES)
+    times = times_of(solution, arrays.pop(time, t), CURVE_TIMES)
     family = _family(solution, arrays)
     columns = {name: np.asarray(array)[..., None] for name, array in arrays.items()}
     shape = np.broadcast_shapes(*(column.shape for column in columns.values()), (1,))[:-1]

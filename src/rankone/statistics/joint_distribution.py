@@ -13,7 +13,7 @@ import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -29,10 +29,12 @@ __all__ = [
     "Correlations",
     "Distributions",
     "JointDistribution",
+    "by_name",
     "copula_of",
     "measures_of",
 ]
 
+Entry = TypeVar("Entry")
 Distributions = Mapping[Any, Distribution] | None
 """Distributions by parameter, a name or a symbol; those of the problem where none are given."""
 Correlations = Mapping[Any, float] | None
@@ -174,14 +176,14 @@ def _pair(names: Sequence[str], key: object) -> tuple[int, int]:
     return i, j
 
 
-def _checked_name(names: Sequence[str], key: object) -> str:
+def _checked_name(names: Sequence[str], key: object, prefix: str = "") -> str:
     """The name of a parameter; an OptionError if there is no such parameter."""
     name = name_of(key)
     if name not in names:
         raise OptionError(
-            f"there is no parameter {quote(name)}{did_you_mean(name, names)}",
+            f"{prefix}there is no parameter {quote(name)}{did_you_mean(name, names)}",
             term=name,
-            remedy=f"known are {listing(names)}",
+            remedy=f"known are {listing(names)}" if names else "the solution has none",
         )
     return name
 
@@ -215,20 +217,36 @@ def measures_of(
     OptionError
         If there is no such parameter, or a distribution does not fit its interval.
     """
-    if not isinstance(under, Mapping | None):
-        raise OptionError(
-            f"under={under!r} is not a mapping from parameters to distributions", term=under
-        )
-    by_name: dict[str, Distribution] = {}
-    for key, distribution in (under or {}).items():
-        name = _checked_name(names, key)
-        if name in by_name:
-            raise OptionError(f"{quote(name)} is given twice", term=name)
-        by_name[name] = distribution
+    named = by_name("under", under, names)
     return tuple(
-        Measure(name, *ends, by_name.get(name, from_problem.get(name)), name not in by_name)
+        Measure(name, *ends, named.get(name, from_problem.get(name)), name not in named)
         for name, ends in zip(names, box, strict=True)
     )
+
+
+def by_name(
+    option: str, given: Mapping[Any, Entry] | None, names: Sequence[str]
+) -> dict[str, Entry]:
+    """The entries of an option that is a mapping from parameters, by names.
+
+    Raises
+    ------
+    OptionError
+        If it is not a mapping, or a parameter is unknown or given twice.
+    """
+    if not isinstance(given, Mapping | None):
+        raise OptionError(
+            f"{option}={given!r} is not a mapping from parameters",
+            term=given,
+            remedy=f"give {option}={{name: ...}}",
+        )
+    named: dict[str, Entry] = {}
+    for key, entry in (given or {}).items():
+        name = _checked_name(names, key, f"{option}: ")
+        if name in named:
+            raise OptionError(f"{option}: {quote(name)} is given twice", term=given)
+        named[name] = entry
+    return named
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,18 @@ from rankone.statistics.joint_distribution import (
     copula_of,
     measures_of,
 )
-from rankone.statistics.solution_statistics import Certainty, MainEffects, Sobol, Statistics
+from rankone.statistics.solution_statistics import (
+    ROUNDING_ERROR,
+    MainEffects,
+    Sobol,
+    Statistics,
+    doubtful_shares,
+)
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
 
-__all__ = ["StatisticsOverBox", "Times"]
+__all__ = ["StatisticsOverBox", "Times", "checked_probabilities"]
 
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""
@@ -31,6 +37,17 @@ _SIZE_TIMES = 25
 """Times at which the size of an unknown is measured: a size need not be exact."""
 _TRUNCATION_SHARE = 0.1
 """Truncation of a train for higher moments, in shares of the tolerance of the solution."""
+
+
+def checked_probabilities(q: ArrayLike) -> Array:
+    """Numbers in [0, 1], or an OptionError."""
+    try:
+        probabilities = np.asarray(q, dtype=float)
+    except (TypeError, ValueError):
+        raise OptionError(f"q={q!r} are not numbers", term=q) from None
+    if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
+        raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
+    return probabilities
 
 
 class StatisticsOverBox(SolutionCore):
@@ -172,9 +189,10 @@ class StatisticsOverBox(SolutionCore):
         Correlations are refused: the shares of correlated parameters overlap, and depend on the
         order in which they are counted.
         """
-        indices, certainty = self._indices(t, self._statistics(under, correlation))
-        if message := certainty.message:
-            warn(message)
+        indices, doubts = self._indices(t, self._statistics(under, correlation))
+        if doubts:
+            remedy = "solve with a smaller rtol if it should vary there"
+            warn(f"{'; '.join(doubts)}; remedy: {remedy}")
         return indices
 
     def main_effects(
@@ -251,12 +269,7 @@ class StatisticsOverBox(SolutionCore):
         OptionError
             If a probability is not in [0, 1]; and as for :meth:`mean`.
         """
-        try:
-            probabilities = np.asarray(q, dtype=float)
-        except (TypeError, ValueError):
-            raise OptionError(f"q={q!r} are no numbers", term=q) from None
-        if not np.all((probabilities >= 0.0) & (probabilities <= 1.0)):
-            raise OptionError(f"q={q!r} is not in [0, 1]", term=q)
+        probabilities = checked_probabilities(q)
         count = checked_count("count", count, 1, self._numbers_each())
         statistics = self._statistics(under, correlation)
 
@@ -284,8 +297,8 @@ class StatisticsOverBox(SolutionCore):
         tolerance = _TRUNCATION_SHARE * self.rtol
         return self._at(t, lambda times: statistics.higher(times, central, tolerance))
 
-    def _indices(self, t: Times, statistics: Statistics) -> tuple[Sobol, Certainty]:
-        """Sobol indices, and how far they can be trusted."""
+    def _indices(self, t: Times, statistics: Statistics) -> tuple[Sobol, list[str]]:
+        """Sobol indices, and sentences on those that are not certain."""
         statistics.parameters.require_independent(
             "Sobol indices are not defined for correlated parameters: their shares of the variance "
             "overlap",
@@ -299,16 +312,21 @@ class StatisticsOverBox(SolutionCore):
         variance = self._at(times, statistics.variance)
         clock = np.asarray([] if times is None else times, dtype=float)
         ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
-        mean, spread = self._at(ends, statistics.mean), np.sqrt(self._at(ends, statistics.variance))
-        sizes = np.asarray(np.hypot(mean, spread).reshape(len(mean), -1).max(axis=1))
-        errors = np.array([self.errors[name] for name in self.unknowns])
-        certainty = Certainty(self.unknowns, clock, self.time[0], np.sqrt(variance), sizes, errors)
+        mean, square = self._at(ends, statistics.mean), self._at(ends, statistics.variance)
+        sizes = np.asarray(np.hypot(mean, np.sqrt(square)).reshape(len(mean), -1).max(axis=1))
+        errors = np.nan_to_num([self.errors[name] for name in self.unknowns], posinf=0.0)
+        errors = sizes * np.maximum(errors, ROUNDING_ERROR)
+        spread = np.sqrt(variance).reshape(len(errors), -1)
+        defined = (spread > errors[:, None]).reshape(variance.shape)
         with np.errstate(all="ignore"):
-            share = np.where(certainty.defined, 1.0 / variance, np.nan)
+            share = np.where(defined, 1.0 / variance, np.nan)
         first, total = self._at(times, statistics.first), self._at(times, statistics.total)
         second = self._at(times, statistics.second) * share[:, None, None]
         indices = first * share[:, None], total * share[:, None], second
-        return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), certainty
+        later = np.ones(1, dtype=bool) if times is None else clock > self.time[0]
+        when = np.full(1, np.nan) if times is None else clock[later]
+        doubts = list(doubtful_shares(self.unknowns, when, spread[:, later], sizes, errors))
+        return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), doubts
 
     def _main_effects(self, t: Times, count: int, statistics: Statistics) -> MainEffects:
         """Means given one parameter."""

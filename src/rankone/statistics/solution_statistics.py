@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.statistics.higher_moments import HigherMoments
 from rankone.statistics.joint_distribution import JointDistribution
@@ -17,7 +16,7 @@ from rankone.support.arrays import Array
 from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Certainty", "MainEffects", "Sobol", "Statistics"]
+__all__ = ["ROUNDING_ERROR", "MainEffects", "Sobol", "Statistics", "doubtful_shares"]
 
 _Moments = TypeVar("_Moments")
 
@@ -25,10 +24,8 @@ _POINTS_AT_ONCE = 2**14
 """Points that are evaluated together, to bound memory."""
 _SLABS_REMEMBERED = 4
 """Latest slabs whose moments may serve a later slab that shares their cores."""
-_STILL = 1e-13
-"""Standard deviation, relative to the size of a state, below which it is rounding."""
-_ROUNDING_ERROR = 1e-13
-"""Error of values, relative to the largest, where none is measured."""
+ROUNDING_ERROR = 1e-13
+"""Error by rounding, relative to the size of a state: a smaller spread is none."""
 _CLEAR_RATIO = 5.0
 """Spread over error above which the error changes shares of the variance by 4 % at most."""
 
@@ -120,7 +117,7 @@ class Statistics:
 
     def mean(self, times: Array) -> Array:
         """Means, (states, times)."""
-        return self._gathered(times, lambda rows, moments: rows @ moments.mean)
+        return self._gathered(times, self._moments, lambda rows, moments: rows @ moments.mean)
 
     def covariance(self, times: Array) -> Array:
         """Covariances, (states, states, times)."""
@@ -129,7 +126,7 @@ class Statistics:
             covariance = moments.covariance[0]
             return np.asarray(np.einsum("ntr,rs,mts->nmt", rows, covariance, rows, optimize=True))
 
-        return self._gathered(times, of_slab)
+        return self._gathered(times, self._moments, of_slab)
 
     def variance(self, times: Array) -> Array:
         """Variances, (states, times)."""
@@ -158,7 +155,7 @@ class Statistics:
         def of_slab(rows: Array, moments: TrainMoments) -> Array:
             return (rows @ moments.main_effect(j, points)).swapaxes(1, 2)
 
-        return self._gathered(times, of_slab)
+        return self._gathered(times, self._moments, of_slab)
 
     def higher(self, times: Array, central: bool, tolerance: float) -> Array:
         """Root mean squares, and third and fourth moments over their powers, (3, states, times).
@@ -172,11 +169,11 @@ class Statistics:
         def of_slab(rows: Array, moments: HigherMoments) -> Array:
             return moments(rows.reshape(-1, rows.shape[2])).reshape(3, *rows.shape[:2])
 
-        table = self._gathered_from(times, slab_moments, of_slab)
+        table = self._gathered(times, slab_moments, of_slab)
         firsts = (slab.cores[0][self.rows] for slab in self.slabs)
         pairs = zip(slab_moments, firsts, strict=True)
         sizes = np.max([moments.sizes(first) for moments, first in pairs], axis=0)
-        still = table[0] <= _STILL * sizes[:, None]
+        still = table[0] <= ROUNDING_ERROR * sizes[:, None]
         table[1:, still] = np.nan
         return table
 
@@ -223,13 +220,9 @@ class Statistics:
             squares = np.maximum(squares, 0.0)  # negative by rounding alone
             return np.asarray(squares.reshape(len(squares), n, count).swapaxes(0, 1))
 
-        return self._gathered(times, of_slab)
+        return self._gathered(times, self._moments, of_slab)
 
-    def _gathered(self, times: Array, of_slab: Callable[[Array, TrainMoments], Array]) -> Array:
-        """A function of each slab's rows and moments at its times, (..., times)."""
-        return self._gathered_from(times, self._moments, of_slab)
-
-    def _gathered_from(
+    def _gathered(
         self,
         times: Array,
         slab_moments: Sequence[_Moments],
@@ -247,86 +240,43 @@ class Statistics:
         return table
 
 
-@dataclass(frozen=True)
-class Certainty:
-    """Standard deviations of the unknowns beside the errors of the solution.
+def doubtful_shares(
+    unknowns: Sequence[str], times: Array, spread: Array, sizes: Array, errors: Array
+) -> Iterator[str]:
+    """For each unknown a sentence on times at which its shares of the variance are not certain.
 
-    Attributes
+    Parameters
     ----------
-    unknowns : tuple of str
+    unknowns : sequence of str
     times : ndarray (times,)
-        None of them where nothing depends on time.
-    start : float
-        Start of the horizon.
-    spread : ndarray (unknowns, times) or (unknowns,)
-        Standard deviations over the box.
+        NaN where nothing depends on time.
+    spread : ndarray (unknowns, times)
+        Standard deviations over the box. An unknown that does not vary at all does not count.
     sizes, errors : ndarray (unknowns,)
-        Largest values, and measured errors relative to them; NaN where none was measured.
+        Largest values and absolute errors.
     """
+    for name, row, size, error in zip(unknowns, spread, sizes, errors, strict=True):
+        varies = row > ROUNDING_ERROR * size
+        hidden = varies & (row <= error)
+        vague = varies & (row > error) & (row < _CLEAR_RATIO * error)
+        if hidden.any():
+            yield (
+                f"the Sobol indices of {quote(name)} are NaN{_when(times[hidden])}: its spread "
+                f"over the box, {row[hidden].max():.2g}, is below the error of the solution, "
+                f"{error:.2g}"
+            )
+        if vague.any():
+            yield (
+                f"the Sobol indices of {quote(name)} are uncertain{_when(times[vague])}: its "
+                f"spread over the box is {row[vague].min():.2g}, and the error of the solution "
+                f"{error:.2g}"
+            )
 
-    unknowns: tuple[str, ...]
-    times: Array
-    start: float
-    spread: Array
-    sizes: Array
-    errors: Array
 
-    @property
-    def error(self) -> Array:
-        """Absolute errors, (unknowns,): at least rounding."""
-        relative = np.where(np.isfinite(self.errors), self.errors, 0.0)
-        return np.asarray(self.sizes * np.maximum(relative, _ROUNDING_ERROR))
-
-    @property
-    def defined(self) -> NDArray[np.bool_]:
-        """Where the spread is above the error, in the shape of the spread."""
-        return np.asarray(self._spread_rows > self.error[:, None]).reshape(self.spread.shape)
-
-    @property
-    def message(self) -> str | None:
-        """A warning about shares of the variance that are not defined or not certain."""
-        sentences = list(self._sentences())
-        if not sentences:
-            return None
-        remedy = "solve with a smaller rtol if it should vary there"
-        return f"{'; '.join(sentences)}; remedy: {remedy}"
-
-    def _sentences(self) -> Iterator[str]:
-        """For each unknown what is wrong with its shares.
-
-        The start of the horizon, where most initial values are numbers, does not count, nor does
-        an unknown that does not vary at all.
-        """
-        later = self.times > self.start if self.times.size else np.ones(1, dtype=bool)
-        for name, spread, size, error in zip(
-            self.unknowns, self._spread_rows, self.sizes, self.error, strict=True
-        ):
-            varies = later & (spread > _ROUNDING_ERROR * size)
-            hidden = varies & (spread <= error)
-            vague = varies & (spread > error) & (spread < _CLEAR_RATIO * error)
-            if hidden.any():
-                yield (
-                    f"the Sobol indices of {quote(name)} are NaN{self._when(hidden)}: its spread "
-                    f"over the box, {spread[hidden].max():.2g}, is below the error of the "
-                    f"solution, {error:.2g}"
-                )
-            if vague.any():
-                yield (
-                    f"the Sobol indices of {quote(name)} are uncertain{self._when(vague)}: its "
-                    f"spread over the box is {spread[vague].min():.2g}, and the error of the "
-                    f"solution {error:.2g}"
-                )
-
-    def _when(self, chosen: NDArray[np.bool_]) -> str:
-        """The times chosen, by their ends."""
-        if not self.times.size:
-            return ""
-        times = self.times[chosen]
-        if times.size == 1:
-            return f" at t = {times[0]:.4g}"
-        return f" at {times.size} times between t = {times.min():.4g} and {times.max():.4g}"
-
-    @property
-    def _spread_rows(self) -> Array:
-        """The spread with an axis of times, of length one where nothing depends on time."""
-        return self.spread.reshape(len(self.unknowns), -1)
+def _when(times: Array) -> str:
+    """Some times, by their ends."""
+    if np.isnan(times).any():
+        return ""
+    if times.size == 1:
+        return f" at t = {times[0]:.4g}"
+    return f" at {times.size} times between t = {times.min():.4g} and {times.max():.4g}"
