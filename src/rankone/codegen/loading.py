@@ -9,11 +9,11 @@ import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
-from typing import TypeVar, cast
+from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from rankone.ir.system import GeneratedNames, System, UserFunction, system_of
+from rankone.ir.system import System, UserFunction, system_of
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import quote
 
@@ -57,7 +57,7 @@ def load_module(
         ) from None
     exec(code, names)
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    return system_of(cast(GeneratedNames, names))
+    return system_of(names)
 
 
 _MAX_LOADED = 8

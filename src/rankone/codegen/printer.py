@@ -1,4 +1,4 @@
-"""Printing: SymPy expressions as NumPy text."""
+"""SymPy expressions as NumPy text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from typing import Any
 
 import sympy as sp
 from sympy.printing.precedence import PRECEDENCE, precedence
@@ -21,10 +20,10 @@ from rankone.support.wording import quote
 
 __all__ = ["common_subexpressions", "factor_text", "numpy_text"]
 
-_LONGEST = 10**15
-"""Integers up to which every one is a floating-point number."""
-_TOGETHER = 200
-"""Terms of a sum in one pair of parentheses at most."""
+_MAX_INTEGER = 10**15
+"""Every integer up to this is a floating-point number."""
+_MAX_TERMS = 200
+"""Terms of a sum in one pair of parentheses: Python compiles longer sums by deep recursion."""
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
 _INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
 _SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")
@@ -95,18 +94,18 @@ class NumPyText(Printer):  # type: ignore[misc]
     def operand(self, expr: sp.Expr, level: int, *, strict: bool = False) -> str:
         """Text of an operand, in parentheses unless it binds tighter than ``level``."""
         text = str(self._print(expr))
-        own = PRECEDENCE["Add"] if text.startswith("-") else precedence(expr)
+        binding = PRECEDENCE["Add"] if text.startswith("-") else precedence(expr)
         if isinstance(expr, sp.Rational) and expr.q != 1:
-            own = min(own, PRECEDENCE["Atom" if _is_decimal(expr) else "Mul"])
+            binding = min(binding, PRECEDENCE["Atom" if _is_decimal(expr) else "Mul"])
         if isinstance(expr, sp.Pow) and (expr.exp == -1 or text.startswith("1 / ")):
-            own = PRECEDENCE["Mul"]
+            binding = PRECEDENCE["Mul"]
         if isinstance(expr, CALLS):
-            own = PRECEDENCE["Atom"]
+            binding = PRECEDENCE["Atom"]
         if isinstance(expr, scaled_power):
-            own = PRECEDENCE["Pow"]
+            binding = PRECEDENCE["Pow"]
         if isinstance(expr, fraction):
-            own = PRECEDENCE["Mul"]
-        return f"({text})" if own < level or (strict and own == level) else text
+            binding = PRECEDENCE["Mul"]
+        return f"({text})" if binding < level or (strict and binding == level) else text
 
     def arguments(self, expr: sp.Basic) -> str:
         return ", ".join(str(self._print(arg)) for arg in expr.args)
@@ -137,9 +136,9 @@ class NumPyText(Printer):  # type: ignore[misc]
 
     def _print_Add(self, expr: sp.Add) -> str:
         terms = sorted(expr.as_ordered_terms(), key=lambda term: term.could_extract_minus_sign())
-        if len(terms) > _TOGETHER:  # Python compiles long sums by recursion
-            starts = range(0, len(terms), _TOGETHER)
-            groups = (sp.Add(*terms[k : k + _TOGETHER], evaluate=False) for k in starts)
+        if len(terms) > _MAX_TERMS:  # Python compiles long sums by recursion
+            starts = range(0, len(terms), _MAX_TERMS)
+            groups = (sp.Add(*terms[k : k + _MAX_TERMS], evaluate=False) for k in starts)
             return " + ".join(f"({self._print(group)})" for group in groups)
         text = self.operand(terms[0], PRECEDENCE["Add"])
         if text.startswith("(-"):
@@ -152,9 +151,9 @@ class NumPyText(Printer):  # type: ignore[misc]
         return text
 
     def _print_Mul(self, expr: sp.Mul) -> str:
-        coefficient, rest = expr.as_coeff_Mul()
+        coefficient, product = expr.as_coeff_Mul()
         if coefficient.is_negative:
-            return f"-{self.operand(sp.Mul(-coefficient, rest), PRECEDENCE['Mul'])}"
+            return f"-{self.operand(sp.Mul(-coefficient, product), PRECEDENCE['Mul'])}"
         above: list[sp.Expr] = []
         below: list[sp.Expr] = []
         for factor in expr.as_ordered_factors():
@@ -185,9 +184,9 @@ class NumPyText(Printer):  # type: ignore[misc]
         return self.power(base, exponent)
 
     def _print_fraction(self, expr: sp.Expr) -> str:
-        part, rest = expr.args
-        above, below = self.operand(part, PRECEDENCE["Mul"]), self._print(part)
-        text = str(self._print(rest))
+        numerator, addend = expr.args
+        above, below = self.operand(numerator, PRECEDENCE["Mul"]), self._print(numerator)
+        text = str(self._print(addend))
         sum_ = f"{below} - {text[1:]}" if text.startswith("-") else f"{below} + {text}"
         return f"{above} / ({sum_})"
 
@@ -225,10 +224,10 @@ class NumPyText(Printer):  # type: ignore[misc]
     def nested(self, expr: sp.Basic) -> str:
         """A binary function of two or more arguments, in a deterministic order."""
         function = f"np.{NESTED[type(expr).__name__]}"
-        first, *others = sorted(expr.args, key=sp.default_sort_key)
+        first, *further = sorted(expr.args, key=sp.default_sort_key)
         text = str(self._print(first))
-        for other in others:
-            text = f"{function}({text}, {self._print(other)})"
+        for argument in further:
+            text = f"{function}({text}, {self._print(argument)})"
         return text
 
     _print_And = _print_Or = _print_Min = _print_Max = nested
@@ -236,19 +235,19 @@ class NumPyText(Printer):  # type: ignore[misc]
     def _print_Not(self, expr: sp.Not) -> str:
         return f"np.logical_not({self._print(expr.args[0])})"
 
-    def _print_Relational(self, expr: Any) -> str:
+    def _print_Relational(self, expr: sp.Basic) -> str:
         return f"{self._print(expr.lhs)} {expr.rel_op} {self._print(expr.rhs)}"
 
     def _print_Piecewise(self, expr: sp.Piecewise) -> str:
-        *branches, (value, condition) = expr.args
-        text = str(self._print(value))
+        *branches, (default, condition) = expr.args
+        text = str(self._print(default))
         if condition != sp.true:
             text = f"np.where({self._print(condition)}, {text}, np.nan)"
-        for value, condition in reversed(branches):
-            text = f"np.where({self._print(condition)}, {self._print(value)}, {text})"
+        for branch, condition in reversed(branches):
+            text = f"np.where({self._print(condition)}, {self._print(branch)}, {text})"
         return text
 
-    def emptyPrinter(self, expr: Any) -> str:
+    def emptyPrinter(self, expr: sp.Basic) -> str:
         raise unprintable(type(expr).__name__, expr)
 
 
@@ -256,7 +255,7 @@ CALLS = (sp.Piecewise, sp.Min, sp.Max, sp.Mod, sp.Heaviside, sp.LambertW, sp.fra
 """Expressions printed as a call, whatever SymPy says of their precedence."""
 
 
-def unprintable(name: str, expr: Any) -> SeparationError:
+def unprintable(name: str, expr: sp.Basic) -> SeparationError:
     """The error for a function without a NumPy counterpart."""
     return SeparationError(
         f"the function `{name}` in {quote(expr)} cannot be written with NumPy",
@@ -307,19 +306,19 @@ def common_subexpressions(
     expressions = [stable(expression) for expression in expressions]
     replacements, reduced = sp.cse(expressions, symbols=symbols, order="canonical", list=True)
     written = {**names, **{symbol: symbol.name for symbol, _ in replacements}}
-    shared = [(symbol.name, numpy_text(value, written)) for symbol, value in replacements]
-    return shared, [numpy_text(value, written) for value in reduced]
+    shared = [(symbol.name, numpy_text(term, written)) for symbol, term in replacements]
+    return shared, [numpy_text(term, written) for term in reduced]
 
 
-def _is_decimal(number: sp.Rational) -> bool:
+def _is_decimal(rational: sp.Rational) -> bool:
     """Whether a number is a short decimal, or has more digits than floating point holds."""
-    if max(abs(number.p), number.q) > _LONGEST:
+    if max(abs(rational.p), rational.q) > _MAX_INTEGER:
         return True
-    exact = Fraction(int(number.p), int(number.q))
+    exact = Fraction(int(rational.p), int(rational.q))
     return exact.denominator > 1 and Fraction(repr(float(exact))) == exact
 
 
-def _float(number: sp.Rational) -> float:
+def _float(rational: sp.Rational) -> float:
     """The nearest floating-point number.
 
     Raises
@@ -328,14 +327,14 @@ def _float(number: sp.Rational) -> float:
         If the number is too large, or too small to keep its digits.
     """
     try:
-        value = int(number.p) / int(number.q)
+        nearest = int(rational.p) / int(rational.q)
     except OverflowError:
-        value = math.inf
-    if not sys.float_info.min <= abs(value) < math.inf:
-        size = "large" if value else "small"
+        nearest = math.inf
+    if not sys.float_info.min <= abs(nearest) < math.inf:
+        size = "large" if nearest else "small"
         raise ProblemError(
-            f"the number {sp.Float(number, 6)} is too {size}",
-            term=number,
+            f"the number {sp.Float(rational, 6)} is too {size}",
+            term=rational,
             remedy="change the units",
         )
-    return value
+    return nearest

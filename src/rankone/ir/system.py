@@ -34,8 +34,8 @@ A module leaves out what its system does not have; :func:`system_of` fills in wh
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import NotRequired, Protocol, TypeAlias, TypedDict, TypeVar
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -48,12 +48,11 @@ from rankone.ir.features import (
     VectorLike,
     no_rows,
 )
-from rankone.ir.jumps import Jumped, Jumps, unchanged
+from rankone.ir.jumps import Jumps, unchanged
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 
 __all__ = [
-    "GeneratedNames",
     "Kernel",
     "Kernels",
     "ModuleSpecification",
@@ -68,6 +67,7 @@ Kernel: TypeAlias = Callable[..., Array]
 UserFunction: TypeAlias = Callable[..., object]
 """A function that the user gave for an expression."""
 Answer = TypeVar("Answer")
+Member = TypeVar("Member")
 
 
 class ModuleSpecification(Protocol):
@@ -166,26 +166,26 @@ class System:
     separated: bool
     states: tuple[str, ...]
     n_differential: int
+    n_lifted: int
     products: tuple[tuple[int, int], ...]
     parameters: tuple[str, ...]
     horizon: tuple[float, float]
     box: tuple[tuple[float, float], ...]
+    terms: tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...]
+    initial_terms: tuple[tuple[float, int, tuple[int, ...]], ...]
+    initial_separates: bool
+    unseparated_initial: OfParameters
     time_factors: Callable[[Array], Array]
     parameter_factors: Callable[[int, Array], Array]
     rhs: OfStates
     jacobian: OfStates
     with_products: Callable[[VectorLike], Array]
+    quadratic_jacobian: OfStates
+    meanings: OfStates
+    kernels: Kernels
     features: Features
-    quadratic_jacobian: OfStates = no_rows
-    initial_separates: bool = True
-    unseparated_initial: OfParameters = no_rows
-    terms: tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...] = ()
-    initial_terms: tuple[tuple[float, int, tuple[int, ...]], ...] = ()
-    n_lifted: int = 0
-    meanings: OfStates = no_rows
-    kernels: Kernels = field(default_factory=Kernels)
-    jumps: Jumps = field(default_factory=Jumps)
-    gaps: Gaps = field(default_factory=Gaps)
+    jumps: Jumps
+    gaps: Gaps
     specification: ModuleSpecification | None = None
 
     @property
@@ -205,111 +205,75 @@ class System:
                 return self.unseparated_initial(p)
         m = p.shape[1]
         rows = [self.parameter_factors(j, p[j]) for j in range(len(p))]
-        values = np.zeros((self.n_differential, m))
+        start = np.zeros((self.n_differential, m))
         for coefficient, state, factors in self.initial_terms:
             product = np.full(m, coefficient)
             for row, index in zip(rows, factors, strict=True):
                 product = product * row[index]
-            values[state] += product
-        return values if self.initial_separates else values + self.unseparated_initial(p)
+            start[state] += product
+        return start if self.initial_separates else start + self.unseparated_initial(p)
 
 
-class GeneratedNames(TypedDict):
-    """The names that a generated module defines; see :class:`System` for what they are."""
-
-    SEPARATED: bool
-    STATES: tuple[str, ...]
-    N_DIFFERENTIAL: int
-    PRODUCTS: tuple[tuple[int, int], ...]
-    PARAMETERS: tuple[str, ...]
-    TIME: tuple[float, float]
-    BOX: tuple[tuple[float, float], ...]
-    time_factors: Callable[[Array], Array]
-    parameter_factors: Callable[[int, Array], Array]
-    rhs: OfStates
-    jacobian: OfStates
-    with_products: Callable[[VectorLike], Array]
-    TERMS: NotRequired[tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...]]
-    INITIAL: NotRequired[tuple[tuple[float, int, tuple[int, ...]], ...]]
-    SIGNATURES: NotRequired[tuple[tuple[int, ...], ...]]
-    PAIRED: NotRequired[tuple[tuple[int, ...], ...]]
-    KERNELS: NotRequired[dict[str, tuple[Kernel | None, ...]]]
-    quadratic_jacobian: NotRequired[OfStates]
-    unseparated_initial: NotRequired[OfParameters]
-    N_LIFTED: NotRequired[int]
-    meanings: NotRequired[OfStates]
-    CUTS: NotRequired[tuple[tuple[float, ...], ...]]
-    PERIODIC_CUTS: NotRequired[tuple[tuple[tuple[float, float], ...], ...]]
-    N_MOVING_CUTS: NotRequired[int]
-    moving_cuts: NotRequired[OfParameters]
-    N_PARAMETER_SURFACES: NotRequired[int]
-    parameter_surfaces: NotRequired[OfParameters]
-    STATE_SURFACES: NotRequired[tuple[int, int, int]]
-    state_surfaces: NotRequired[OfStates]
-    JUMPS: NotRequired[tuple[tuple[float, int], ...]]
-    ROUGH_JUMPS: NotRequired[tuple[int, ...]]
-    jumped: NotRequired[Jumped]
-    GAPS: NotRequired[tuple[str, ...]]
-    gaps: NotRequired[OfStates]
-    JUMP_GAPS: NotRequired[tuple[str, ...]]
-    jump_gaps: NotRequired[OfStates]
-
-
-def system_of(names: GeneratedNames, specification: ModuleSpecification | None = None) -> System:
+def system_of(names: Mapping[str, object]) -> System:
     """The system that the names of a generated module make: the one way a System is built.
 
-    Any mapping will do that has the module's names, such as ``vars(module)``; names that a module
-    does not define become empty members.
+    Any mapping will do that has the module's names, such as ``vars(module)``. A name that the
+    module does not define becomes an empty member.
     """
-    none: tuple[tuple[()], ...] = ((),) * (1 + len(names["BOX"]))
-    peaks, kinks, steps = names.get("STATE_SURFACES", (0, 0, 0))
-    jumps = names.get("JUMPS", ())
+
+    def member(name: str, empty: Member) -> Member:
+        return cast(Member, names.get(name, empty))
+
+    box: tuple[tuple[float, float], ...] = member("BOX", ())
+    no_cuts: tuple[tuple[()], ...] = ((),) * (1 + len(box))
+    jacobian: OfStates = member("jacobian", no_rows)
+    peaks, kinks, steps = member("STATE_SURFACES", (0, 0, 0))
+    jumps: tuple[tuple[float, int], ...] = member("JUMPS", ())
     return System(
-        separated=names["SEPARATED"],
-        states=names["STATES"],
-        n_differential=names["N_DIFFERENTIAL"],
-        products=names["PRODUCTS"],
-        parameters=names["PARAMETERS"],
-        horizon=names["TIME"],
-        box=names["BOX"],
-        time_factors=names["time_factors"],
-        parameter_factors=names["parameter_factors"],
-        rhs=names["rhs"],
-        jacobian=names["jacobian"],
-        with_products=names["with_products"],
-        quadratic_jacobian=names.get("quadratic_jacobian", names["jacobian"]),
+        separated=member("SEPARATED", False),
+        states=member("STATES", ()),
+        n_differential=member("N_DIFFERENTIAL", 0),
+        products=member("PRODUCTS", ()),
+        parameters=member("PARAMETERS", ()),
+        horizon=member("TIME", (0.0, 0.0)),
+        box=box,
+        time_factors=member("time_factors", no_rows),
+        parameter_factors=member("parameter_factors", no_rows),
+        rhs=member("rhs", no_rows),
+        jacobian=jacobian,
+        with_products=member("with_products", no_rows),
+        quadratic_jacobian=member("quadratic_jacobian", jacobian),
         initial_separates="unseparated_initial" not in names,
-        unseparated_initial=names.get("unseparated_initial", no_rows),
-        terms=names.get("TERMS", ()),
-        initial_terms=names.get("INITIAL", ()),
-        n_lifted=names.get("N_LIFTED", 0),
-        meanings=names.get("meanings", no_rows),
+        unseparated_initial=member("unseparated_initial", no_rows),
+        terms=member("TERMS", ()),
+        initial_terms=member("INITIAL", ()),
+        n_lifted=member("N_LIFTED", 0),
+        meanings=member("meanings", no_rows),
         kernels=Kernels(
-            signatures=names.get("SIGNATURES", ()),
-            paired=names.get("PAIRED", ()),
-            **names.get("KERNELS", {}),
+            signatures=member("SIGNATURES", ()),
+            paired=member("PAIRED", ()),
+            **member("KERNELS", {}),
         ),
         features=Features(
-            cuts=names.get("CUTS", none),
-            periodic_cuts=names.get("PERIODIC_CUTS", none),
-            n_moving_cuts=names.get("N_MOVING_CUTS", 0),
-            moving_cuts=names.get("moving_cuts", no_rows),
-            n_parameter_surfaces=names.get("N_PARAMETER_SURFACES", 0),
-            parameter_surfaces=names.get("parameter_surfaces", no_rows),
+            cuts=member("CUTS", no_cuts),
+            periodic_cuts=member("PERIODIC_CUTS", no_cuts),
+            n_moving_cuts=member("N_MOVING_CUTS", 0),
+            moving_cuts=member("moving_cuts", no_rows),
+            n_parameter_surfaces=member("N_PARAMETER_SURFACES", 0),
+            parameter_surfaces=member("parameter_surfaces", no_rows),
             n_peaks=peaks,
             n_kinks=kinks,
             n_steps=steps,
-            state_surfaces=names.get("state_surfaces", no_rows),
+            state_surfaces=member("state_surfaces", no_rows),
         ),
         jumps=Jumps(
             times=tuple(time for time, _ in jumps),
             kinds=tuple(kind for _, kind in jumps),
-            rough_kinds=names.get("ROUGH_JUMPS", ()),
-            jumped=names.get("jumped", unchanged),
-            gaps=Gaps(names.get("JUMP_GAPS", ()), names.get("jump_gaps", no_rows)),
+            rough_kinds=member("ROUGH_JUMPS", ()),
+            jumped=member("jumped", unchanged),
+            gaps=Gaps(member("JUMP_GAPS", ()), member("jump_gaps", no_rows)),
         ),
-        gaps=Gaps(names.get("GAPS", ()), names.get("gaps", no_rows)),
-        specification=specification,
+        gaps=Gaps(member("GAPS", ()), member("gaps", no_rows)),
     )
 
 
