@@ -94,7 +94,8 @@ def quantities_of(
     gap_regions = _gaps(evaluated, translator, metadata, horizon)
     moving = {*translator.sources.values(), *translator.running, sp.Symbol(metadata.time)}
     timeless = metadata.timeless or not any(formula.free_symbols & moving for formula in formulas)
-    middles = _middles(evaluated, moving - {*translator.running})
+    of_states = _surfaces(evaluated, moving - {*translator.running})
+    of_parameters = _parameter_surfaces(evaluated, {*parameters})
     quantities = Quantities(
         names=tuple(expressions),
         texts=tuple(texts),
@@ -102,9 +103,9 @@ def quantities_of(
         sources=tuple(translator.sources),
         integrands=_function("t, s, p", translator.integrands, names),
         reductions=tuple(translator.reductions),
-        middles=_function("t, s, p", middles, names),
-        ridges=_function("p", _ridges(evaluated, {*parameters}), names),
-        breaks=_cuts(evaluated, metadata, horizon),
+        state_surfaces=_function("t, s, p", of_states, names),
+        parameter_surfaces=_function("p", of_parameters, names),
+        cuts=_cuts(evaluated, metadata, horizon),
         values=_function("t, s, p, r", formulas, names),
         gaps=_function(
             "t, s, p", [sp.Piecewise((1, region), (0, True)) for region in gap_regions], names
@@ -179,7 +180,7 @@ def _gaps(
     }
 
 
-def _middles(formulas: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
+def _surfaces(formulas: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Expr]:
     """What vanishes where functions of some symbols are narrow or steep."""
 
     def variables(expression: sp.Basic) -> set[sp.Expr]:
@@ -189,9 +190,9 @@ def _middles(formulas: Sequence[sp.Expr], symbols: set[sp.Symbol]) -> list[sp.Ex
     return [middle for middle in dict.fromkeys(m for _, m in narrow) if variables(middle)]
 
 
-def _ridges(formulas: Sequence[sp.Expr], parameters: set[sp.Symbol]) -> list[sp.Expr]:
+def _parameter_surfaces(formulas: Sequence[sp.Expr], parameters: set[sp.Symbol]) -> list[sp.Expr]:
     """What vanishes where functions of several parameters alone are narrow, steep or kink."""
-    surfaces = [*_middles(formulas, parameters), *(f for f, _ in boundaries(formulas))]
+    surfaces = [*_surfaces(formulas, parameters), *(f for f, _ in boundaries(formulas))]
     several = (f for f in dict.fromkeys(surfaces) if len(f.free_symbols) > 1)
     return [function for function in several if function.free_symbols <= parameters]
 

@@ -161,7 +161,7 @@ class CheckPoints:
     def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
         """The points for some quantities."""
         at_corners = _corners(domain)
-        special = [_beside(domain, quantities.breaks[1:]), _on_ridges(domain, quantities)]
+        special = [_beside(domain, quantities.cuts[1:]), _on_ridges(domain, quantities)]
         halves = np.split(spread_over(domain, 2 * _INTERIOR_POINTS if domain.box else 2), 2)
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
@@ -202,10 +202,10 @@ def _on_ridges(domain: Domain, quantities: Quantities) -> Array:
     left, right = np.split(points, 2)
     blocks = [points[:0]]
     with np.errstate(all="ignore"):
-        for k in range(len(quantities.ridges(points.T))):
+        for k in range(len(quantities.parameter_surfaces(points.T))):
 
             def sign(at: Array, k: int = k) -> Array:
-                return np.sign(np.broadcast_to(quantities.ridges(at.T)[k], len(at)))
+                return np.sign(np.broadcast_to(quantities.parameter_surfaces(at.T)[k], len(at)))
 
             across = np.flatnonzero(sign(left) * sign(right) < 0.0)[:_MAX_BREAKS]
             on_left = sign(left[across])

@@ -255,7 +255,7 @@ class OutputInterpolation:
         reductions = self.quantities.reductions
         limits = [x for r in reductions for x in (r.start, r.end) if start < x < end]
         starts = (slab.start for slab in self.solution.outcome.slabs[1:])
-        edges = [start, *sorted({*starts, *limits, *self.quantities.breaks[0]}), end]
+        edges = [start, *sorted({*starts, *limits, *self.quantities.cuts[0]}), end]
         count = self.options.nodes_in_time(level)
         coarse = self._sampler(TimeGrid(tuple(edges), count))
         sampled = np.abs(coarse.at(coarse.grid.times, points))
@@ -275,7 +275,7 @@ class OutputInterpolation:
         columns = QuantityColumns(sampler, check.sizes, _BASIS_SHARE * level)
         limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
         adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING)
-        known_elements = [KnownElements(borders) for borders in self.quantities.breaks[1:]]
+        known_elements = [KnownElements(borders) for borders in self.quantities.cuts[1:]]
         best: tuple[float, tuple[SlabTrain, ...]] | None = None
         for _ in range(_MAX_ATTEMPTS):
             try:

@@ -70,12 +70,12 @@ class Quantities:
         From times (T, 1), the sources (k, T, m), parameters (d, m) to a sequence of arrays that
         broadcast to (T, m).
     reductions : tuple of Reduction
-    middles : callable
+    state_surfaces : callable
         From the same to functions that vanish where something narrow is largest or steepest.
-    ridges : callable
+    parameter_surfaces : callable
         From parameters (d, m) alone to functions of several of them that vanish where something
         narrow is largest or steepest.
-    breaks : tuple of tuple of float
+    cuts : tuple of tuple of float
         For time and each parameter where functions of it alone are narrow, kink or jump.
     values : callable
         From times, sources and parameters as before, and a sequence of reductions, (m,) or (T, m),
@@ -93,9 +93,9 @@ class Quantities:
     sources: tuple[Source, ...]
     integrands: Callable[[Array, Array, Array], Sequence[Array]]
     reductions: tuple[Reduction, ...]
-    middles: Callable[[Array, Array, Array], Sequence[Array]]
-    ridges: Callable[[Array], Sequence[Array]]
-    breaks: tuple[tuple[float, ...], ...]
+    state_surfaces: Callable[[Array, Array, Array], Sequence[Array]]
+    parameter_surfaces: Callable[[Array], Sequence[Array]]
+    cuts: tuple[tuple[float, ...], ...]
     values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]
     gaps: Callable[[Array, Array, Array], Sequence[Array]]
     gap_texts: tuple[str, ...]

@@ -139,7 +139,7 @@ class Sampler:
         times, sources = self.grid.times[:, None], self.sources(points)
         shape = times.size, len(points)
         with np.errstate(all="ignore"):
-            middles = self.quantities.middles(times, sources, points.T)
+            middles = self.quantities.state_surfaces(times, sources, points.T)
         worst = 0.0
         at_nodes = self._functions(times, sources, points.T) if middles else []
         for middle in middles:
