@@ -19,7 +19,7 @@
 from rankone.codegen.header import equation_texts, general_equation_texts
 from rankone.codegen.loading import ModuleSpecification, load_module
 from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.module import general_source, generate_source
+from rankone.codegen.module import general_source, generate_source, generated_module
 
 __all__ = [
     "ModuleSpecification",
@@ -27,6 +27,7 @@ __all__ = [
     "general_equation_texts",
     "general_source",
     "generate_source",
+    "generated_module",
     "load_module",
     "quadratic_system",
 ]

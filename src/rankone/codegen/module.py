@@ -10,6 +10,7 @@ from sympy.core.function import AppliedUndef
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import general_header, header, sum_text
 from rankone.codegen.kernels import kernel_blocks
+from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.rates import GeneralWriter, SeparatedWriter
@@ -26,6 +27,7 @@ from rankone.expressions.admissible import known_functions
 from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, SeparatedForm, State, Term
 from rankone.ir.functions import known_applied
 from rankone.support.errors import check_kind
+from rankone.support.progress import timed
 from rankone.support.wording import number
 from rankone.symbolic.features import SymbolicFeatures, features_of
 from rankone.symbolic.first_order import FirstOrderSystem
@@ -314,3 +316,17 @@ def _gaps(writer: PointwiseWriter, name: str, gaps: Sequence[Gap]) -> list[Block
     summary = f"One where a piecewise function has no branch, else zero: ({len(gaps)}, ...)."
     listed = table(name.upper(), [quoted(text) for text in texts]) if gaps else []
     return [listed, writer.vector(name, "t, u, p", summary, regions)]
+
+
+def generated_module(
+    system: FirstOrderSystem, separated: SeparatedForm, name: str | None, timings: dict[str, float]
+) -> tuple[QuadraticSystem | None, ModuleSpecification]:
+    """The module of a system, and its quadratic form if it separates; timed."""
+    with timed(timings, "lowering"):
+        quadratic = None if separated.general else quadratic_system(separated)
+    with timed(timings, "code generation"):
+        if quadratic is None:
+            source = general_source(system, name)
+        else:
+            source = generate_source(quadratic, name)
+    return quadratic, ModuleSpecification(source, name or "system", system.user_functions)

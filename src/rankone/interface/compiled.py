@@ -39,15 +39,13 @@ from rankone.codegen import (
     equation_texts,
     general_equation_texts,
     general_source,
-    generate_source,
-    quadratic_system,
+    generated_module,
 )
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution
 from rankone.ir.domain import Domain
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
-from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
@@ -66,18 +64,14 @@ from rankone.support.errors import (
     check_kind,
 )
 from rankone.support.options import refuse_positional
-from rankone.support.progress import Report, resolve_progress
+from rankone.support.progress import Report, resolve_progress, timed
 from rankone.support.wording import count, quote
 from rankone.symbolic import (
     FirstOrderSystem,
     WeakForm,
-    check_known,
     check_moved,
     check_start,
-    check_tables,
-    first_order,
-    separate,
-    weak_form,
+    symbolic_forms,
 )
 from rankone.symbolic.features import switching_term
 from rankone.symbolic.gaps import check_gaps
@@ -167,8 +161,7 @@ class CompiledProblem:
     @property
     def user_functions(self) -> Mapping[str, Callable[..., Any]]:
         """The functions of the user that the source calls, by the names it calls them by."""
-        jumps = (after for jump in self.first_order.jumps for after in jump.values)
-        return namespace_of([*self.first_order.rhs, *self.first_order.initial, *jumps])
+        return self.first_order.user_functions
 
     @property
     def methods(self) -> dict[str, str | None]:
@@ -445,29 +438,15 @@ def compile_problem(problem: Problem) -> CompiledProblem:
 def _compiled(problem: Problem) -> CompiledProblem:
     """Every stage up to the generated module."""
     timings: dict[str, float] = {}
-    with _timed(timings, "first order"):
-        system = first_order(problem)
-        check_tables(system, system.coordinates)
-        check_gaps(system.piecewise(), system.coordinates)
-    with _timed(timings, "weak form"):
-        weak = weak_form(system)
-    with _timed(timings, "separation"):
-        separated = separate(weak)
-    if separated.general:
-        check_known(system, system.coordinates)
-    with _timed(timings, "lowering"):
-        quadratic = None if separated.general else quadratic_system(separated)
-    with _timed(timings, "code generation"):
-        if quadratic is None:
-            source = general_source(system, problem.name)
-        else:
-            source = generate_source(quadratic, problem.name)
+    system, weak, separated = symbolic_forms(problem, timings)
+    quadratic, specification = generated_module(system, separated, problem.name, timings)
+    source = specification.source
     compiled = CompiledProblem(problem, system, weak, separated, quadratic, source, timings)
-    with _timed(timings, "import"):
-        _ = compiled.system
+    with timed(timings, "import"):
+        vars(compiled)["system"] = specification.load()
     if separated.general:
         check_start(system, compiled.system, system.coordinates)
-    with _timed(timings, "agreement"):
+    with timed(timings, "agreement"):
         return _agreeing(compiled)
 
 
@@ -518,14 +497,6 @@ def solve_problem(
     """
     with preparing(options.get("max_seconds")):
         return compile_problem(problem).solve(rtol, *arguments, **options)
-
-
-@contextmanager
-def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
-    began = time.perf_counter()
-    yield
-    timings[stage] = time.perf_counter() - began
-    logger.info("%s: %.3f s", stage, timings[stage])
 
 
 @cache

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -9,7 +11,19 @@ from dataclasses import dataclass
 from rankone.support.errors import OptionError
 from rankone.support.wording import count
 
-__all__ = ["ProgressEvent", "Report", "progress_bar", "quiet", "resolve_progress"]
+__all__ = ["ProgressEvent", "Report", "progress_bar", "quiet", "resolve_progress", "timed"]
+
+
+logger = logging.getLogger("rankone")
+
+
+@contextmanager
+def timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    """Time a stage, in seconds, and log it."""
+    began = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - began
+    logger.info("%s: %.3f s", stage, timings[stage])
 
 
 @dataclass(frozen=True, slots=True)

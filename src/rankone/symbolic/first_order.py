@@ -8,7 +8,7 @@ parameters as further coordinates, one variational statement holds for all of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import sympy as sp
@@ -20,6 +20,7 @@ from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jump
 from rankone.frontend.mass import MassForm
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Coordinate, Jump, Role, State
+from rankone.ir.functions import namespace_of
 from rankone.support.errors import check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
 
@@ -79,6 +80,12 @@ class FirstOrderSystem(Stage):
     """
 
     rhs: tuple[sp.Expr, ...]
+
+    @property
+    def user_functions(self) -> Mapping[str, Callable[..., object]]:
+        """The functions of the user in the equations, by the names that generated source uses."""
+        jumps = (after for jump in self.jumps for after in jump.values)
+        return namespace_of([*self.rhs, *self.initial, *jumps])
 
     def piecewise(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
         """Rates, initial values and values after jumps that have piecewise functions.

@@ -18,9 +18,12 @@ from rankone.expressions.admissible import located_defect
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Factor, GeneralTerm, SeparatedForm, Term
 from rankone.support.errors import ProblemError, check_kind
+from rankone.support.progress import timed
 from rankone.support.wording import listing, quote
-from rankone.symbolic.first_order import WeakForm, weak_form
+from rankone.symbolic.first_order import FirstOrderSystem, WeakForm, first_order, weak_form
+from rankone.symbolic.gaps import check_gaps
 from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
+from rankone.symbolic.well_posed import check_known, check_tables
 
 _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
 """Largest coefficient of a separated term, and with its reciprocal the smallest: the product of
@@ -56,6 +59,29 @@ def separate(form: WeakForm | Problem) -> SeparatedForm:
     remedy = "give a problem or weak_form(problem); what is compiled has `.separated`"
     check_kind("separate", weak, WeakForm, Problem, remedy=remedy)
     return _Separation(weak).form()
+
+
+def symbolic_forms(
+    problem: Problem, timings: dict[str, float]
+) -> tuple[FirstOrderSystem, WeakForm, SeparatedForm]:
+    """Every symbolic pass over a problem, checked and timed.
+
+    Raises
+    ------
+    ProblemError
+        If something is not finite and real on the domain, or has no branch somewhere.
+    """
+    with timed(timings, "first order"):
+        system = first_order(problem)
+        check_tables(system, system.coordinates)
+        check_gaps(system.piecewise(), system.coordinates)
+    with timed(timings, "weak form"):
+        weak = weak_form(system)
+    with timed(timings, "separation"):
+        separated = separate(weak)
+    if separated.general:
+        check_known(system, system.coordinates)
+    return system, weak, separated
 
 
 class _Separation:
