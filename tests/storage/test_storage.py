@@ -27,7 +27,6 @@ from rankone.ir.verdict import (
     Cause,
     DerivativeOf,
     EarlyEnd,
-    LiftedStates,
     MeasuredError,
     MovingFeatures,
     Note,
@@ -47,7 +46,6 @@ from rankone.ir.verdict import (
     UnknownOutputError,
     UnsettledTerms,
     Verdict,
-    WorstOutput,
 )
 from rankone.storage.header import digest_of
 from rankone.storage.netcdf import sealed
@@ -358,7 +356,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
         (lambda header, _: header["history"][0].pop("ranks"), "damaged .*ranks"),
         (lambda header, _: header.update(status="FINE"), "damaged"),
         (lambda header, _: header.update(cause={"type": "Status"}), "damaged"),
-        (lambda header, _: header.update(cause={"type": "Remedy", "text": ""}), "is no Cause"),
+        (lambda header, _: header.update(cause={"type": "Remedy", "advice": ""}), "is no Cause"),
         (lambda header, _: header.update(notes=[{"type": "StoppedAt", "time": "x"}]), "damaged"),
         (lambda header, _: header["slabs"][0].update(bases=[0, 99]), "damaged"),
         (lambda header, _: header["bases"][0].update(degree=5), "do not fit their bases"),
@@ -606,11 +604,11 @@ VERDICTS = [
         SteepParameter("k", "x", 1.0, 1.1, 0.5, False, True, (("m", 2.0),)),
         (MeasuredError(1e-3, 1e-6, "x", 0.1), AccurateUnknowns(("y",), ("x",))),
     ),
-    Verdict(Status.TOLERANCE, MovingFeatures(), (MeasuredError(1e-3, 1e-6), LiftedStates(1e-4))),
+    Verdict(Status.TOLERANCE, MovingFeatures(), (MeasuredError(1e-3, 1e-6, drift=1e-4),)),
     Verdict(Status.UNCHECKED, DerivativeOf("k"), (NumericallyZero("x", 1e-20, 1e-16),)),
     Verdict(Status.UNCHECKED, UncertainPart(0.1), (PartOfSolution(), NothingInterpolated())),
     Verdict(Status.UNCHECKED, UnknownOutputError(1e-7)),
-    Verdict(Status.TOLERANCE, None, (OutputError(1e-3, math.inf), WorstOutput("peak"))),
+    Verdict(Status.TOLERANCE, None, (OutputError(1e-3, math.inf, "peak"),)),
     Verdict(Status.SWITCHES, None, (SwitchingTerm("sign(v)", "equation 2", "v", "tanh(v/w)"),)),
 ]
 

@@ -21,7 +21,6 @@ __all__ = [
     "Cause",
     "DerivativeOf",
     "EarlyEnd",
-    "LiftedStates",
     "MeasuredError",
     "MovingFeatures",
     "Note",
@@ -41,7 +40,6 @@ __all__ = [
     "UnknownOutputError",
     "UnsettledTerms",
     "Verdict",
-    "WorstOutput",
 ]
 
 _MOST_NAMES = 4
@@ -91,20 +89,25 @@ class Status(Enum):
 class Cause(Tagged):
     """Why a solve ended, where the status does not say enough."""
 
+    text: ClassVar[str]
+    """What the message says in place of the status, with the fields of the cause in braces."""
+
     def sentence(self, status: Status) -> str:
         """What the message says in place of the status."""
-        raise NotImplementedError
+        return self.text.format(**vars(self), status=status.value)
 
 
 class Note(Tagged):
     """What else matters about how a solve ended."""
 
     lead: ClassVar[str] = "; "
-    """What stands between a note and the text before it."""
+    """What stands between the note and the text before it."""
+    text: ClassVar[str]
+    """What the message says, with the fields of the note in braces."""
 
     def sentence(self, status: Status) -> str:
         """What the message says."""
-        raise NotImplementedError
+        return self.text.format(**vars(self))
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ class Verdict:
     @property
     def remedy(self) -> str | None:
         """What to do about it."""
-        remedies = [note.text for note in self.notes if isinstance(note, Remedy)]
+        remedies = [note.advice for note in self.notes if isinstance(note, Remedy)]
         return "; ".join(remedies) or None
 
     def without_remedy(self) -> Verdict:
@@ -161,9 +164,7 @@ class TrajectoryStops(Cause):
     """A sampled trajectory that cannot be integrated to the end."""
 
     time: float
-
-    def sentence(self, status: Status) -> str:
-        return f"a trajectory cannot be integrated beyond t = {self.time:.6g}"
+    text = "a trajectory cannot be integrated beyond t = {time:.6g}"
 
 
 @dataclass(frozen=True)
@@ -174,13 +175,10 @@ class UnsettledTerms(Cause):
     start: float
     end: float
     change: float
-
-    def sentence(self, status: Status) -> str:
-        return (
-            f"the lagged terms did not settle: after {self.updates} updates on "
-            f"[{self.start:.4g}, {self.end:.4g}] the unknowns still change by "
-            f"{self.change:.1e} times their size"
-        )
+    text = (
+        "the lagged terms did not settle: after {updates} updates on [{start:.4g}, {end:.4g}] the "
+        "unknowns still change by {change:.1e} times their size"
+    )
 
 
 @dataclass(frozen=True)
@@ -234,12 +232,10 @@ class SteepParameter(Cause):
 class MovingFeatures(Cause):
     """A limit was reached where the rates are not smooth at times that depend on parameters."""
 
-    def sentence(self, status: Status) -> str:
-        return (
-            f"{status.value} (the rates switch, or are narrow, at times that depend on parameters: "
-            "with time in units of such a time, or parts of the horizon in units of their own, "
-            "they stand still)"
-        )
+    text = (
+        "{status} (the rates switch, or are narrow, at times that depend on parameters: if time, "
+        "or a part of the horizon, is measured in units of such a time, they stand still)"
+    )
 
 
 @dataclass(frozen=True)
@@ -247,10 +243,7 @@ class DerivativeOf(Cause):
     """The solution is a derivative of another one."""
 
     coordinate: str
-
-    def sentence(self, status: Status) -> str:
-        coordinate = quote(self.coordinate)
-        return f"the derivative with respect to {coordinate}: its error was not measured"
+    text = "the derivative with respect to `{coordinate}`: its error was not measured"
 
 
 @dataclass(frozen=True)
@@ -258,12 +251,10 @@ class UncertainPart(Cause):
     """A part of a solution that is not accurate at the corners of its box."""
 
     corners: float
-
-    def sentence(self, status: Status) -> str:
-        return (
-            "the error is not known: on this part of the box it may be that at the corners, "
-            f"{self.corners:.1e}"
-        )
+    text = (
+        "the error is not known: on this part of the box it may be that at the corners, "
+        "{corners:.1e}"
+    )
 
 
 @dataclass(frozen=True)
@@ -271,20 +262,18 @@ class UnknownOutputError(Cause):
     """Outputs of states, or of derivatives, whose error was not measured."""
 
     interpolation: float
-
-    def sentence(self, status: Status) -> str:
-        return (
-            f"the error is not known: {self.interpolation:.1e} of the interpolation, and that of "
-            "the solution's states or of their derivatives, which was not measured"
-        )
+    text = (
+        "the error is not known: the interpolation adds {interpolation:.1e} to an error of the "
+        "solution's states, or of their derivatives, that was not measured"
+    )
 
 
 @dataclass(frozen=True)
 class EarlyEnd(Cause):
     """Outputs of a solution that ends before its horizon.
 
-    ``horizon`` is what was asked for; ``outputs`` says how the outputs ended, ``solution`` how the
-    solution did.
+    ``horizon`` is the end that was asked for; ``outputs`` says how the outputs ended, ``solution``
+    how the solution did.
     """
 
     start: float
@@ -292,13 +281,10 @@ class EarlyEnd(Cause):
     horizon: float
     outputs: Verdict
     solution: Verdict
-
-    def sentence(self, status: Status) -> str:
-        return (
-            f"the solution ends at {self.end:.6g} instead of {self.horizon:.6g}, and so do its "
-            f"outputs, which are those of [{self.start:g}, {self.end:.6g}] ({self.outputs}); "
-            f"{self.solution}"
-        )
+    text = (
+        "the solution ends at {end:.6g} instead of {horizon:.6g}, and so do its outputs on "
+        "[{start:g}, {end:.6g}] ({outputs}); {solution}"
+    )
 
 
 # --- notes -------------------------------------------------------------------------------------
@@ -309,13 +295,15 @@ class MeasuredError(Note):
     """The error that was measured, and the tolerance.
 
     ``unknown`` names the worst of several unknowns; ``corners`` is the error at corners of the box
-    where it is larger and does not count.
+    where it is larger and does not count; ``drift`` is that of lifted states, if the error is not
+    that of the lifted system.
     """
 
     error: float
     rtol: float
     unknown: str | None = None
     corners: float | None = None
+    drift: float | None = None
 
     lead: ClassVar[str] = ""
 
@@ -328,19 +316,9 @@ class MeasuredError(Note):
             text = f": measured error {self.error:.1e}{worst}, asked {self.rtol:.1e}"
         if self.corners is not None:
             text += f" (up to {self.corners:.1e} at the corners, which count with cover='box')"
+        if self.drift is not None:
+            text += f" (of the system as it was written; lifted states drift by {self.drift:.1e})"
         return text
-
-
-@dataclass(frozen=True)
-class LiftedStates(Note):
-    """The error is that of the system as it was written; ``drift`` is that of lifted states."""
-
-    drift: float
-
-    lead: ClassVar[str] = " "
-
-    def sentence(self, status: Status) -> str:
-        return f"(of the system as it was written; lifted states drift by {self.drift:.1e})"
 
 
 @dataclass(frozen=True)
@@ -377,8 +355,7 @@ class StoppedAt(Note):
 class NothingInterpolated(Note):
     """The solution is the trajectory at the centre of the box."""
 
-    def sentence(self, status: Status) -> str:
-        return "rank 1: nothing was interpolated yet, the values are those at the centre"
+    text = "rank 1: nothing was interpolated yet, the values are those at the centre"
 
 
 @dataclass(frozen=True)
@@ -404,10 +381,8 @@ class Budget(Note):
 class Remedy(Note):
     """What to do about it."""
 
-    text: str
-
-    def sentence(self, status: Status) -> str:
-        return self.text
+    advice: str
+    text = "{advice}"
 
 
 @dataclass(frozen=True)
@@ -417,12 +392,10 @@ class NumericallyZero(Note):
     unknown: str
     rounding: float
     size: float
-
-    def sentence(self, status: Status) -> str:
-        return (
-            f"{quote(self.unknown)} is numerically zero: it stays below {self.rounding:.1e}, which "
-            f"rounding errors reach; its error counts relative to {self.size:.1e}"
-        )
+    text = (
+        "`{unknown}` is numerically zero: it stays below {rounding:.1e}, which rounding errors "
+        "reach; its error counts relative to {size:.1e}"
+    )
 
 
 @dataclass(frozen=True)
@@ -458,28 +431,20 @@ class SwitchingTerm(Note):
 class PartOfSolution(Note):
     """The solution is a part of another one, whose error was measured on the whole box."""
 
-    def sentence(self, status: Status) -> str:
-        return "it was measured on the whole box, of which this solution is a part"
+    text = "it was measured on the whole box, of which this solution is a part"
 
 
 @dataclass(frozen=True)
 class OutputError(Note):
-    """The parts of the error of outputs: their interpolation, and the solution."""
+    """The parts of the error of outputs, and the output with the largest error if it fails."""
 
     interpolation: float
     solution: float
+    worst: str | None = None
 
     lead: ClassVar[str] = ": "
 
     def sentence(self, status: Status) -> str:
-        return f"{self.interpolation:.1e} of the interpolation, {self.solution:.1e} of the solution"
-
-
-@dataclass(frozen=True)
-class WorstOutput(Note):
-    """The output with the largest error."""
-
-    output: str
-
-    def sentence(self, status: Status) -> str:
-        return f"largest for {quote(self.output)}"
+        worst = "" if self.worst is None else f"; largest for {quote(self.worst)}"
+        both = f"{self.interpolation:.1e} of the interpolation, {self.solution:.1e} of the solution"
+        return both + worst

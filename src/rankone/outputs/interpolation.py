@@ -25,7 +25,6 @@ from rankone.ir.verdict import (
     Remedy,
     Status,
     UnknownOutputError,
-    WorstOutput,
 )
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Quantities
@@ -323,12 +322,13 @@ class OutputInterpolation:
             cover="box",
         )
         status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
-        notes: list[Note] = [OutputError(float(missed.max()), float(from_solution.max()))]
+        error = OutputError(float(missed.max()), float(from_solution.max()))
+        notes: tuple[Note, ...] = (error,)
         if status is Status.TOLERANCE:
-            notes.append(WorstOutput(self.quantities.names[int(total.max(axis=1).argmax())]))
-            limited_by_solution = from_solution.max() > missed.max()
-            notes.append(_OF_SOLUTION if limited_by_solution else _OF_INTERPOLATION)
-        return Outcome(slabs, status, measured, (), notes=tuple(notes))
+            worst = self.quantities.names[int(total.max(axis=1).argmax())]
+            remedy = _OF_SOLUTION if error.solution > error.interpolation else _OF_INTERPOLATION
+            notes = (replace(error, worst=worst), remedy)
+        return Outcome(slabs, status, measured, (), notes=notes)
 
 
 class QuantityColumns:

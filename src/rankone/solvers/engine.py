@@ -12,7 +12,7 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
-from rankone.ir.verdict import LiftedStates, MeasuredError, Note, OtherEngines, Remedy, Status
+from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.attempts import Marcher, solve_in_attempts
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
@@ -179,8 +179,7 @@ def _without_lifted(
         return replace(outcome, status=Status.of_limit(out), cause=None, notes=())
     assert measured is not None
     measured, error = replace(measured, drift=drifted), measured.error
-    notes: tuple[Note, ...] = (MeasuredError(error, request.rtol),)
     if error <= request.rtol:
-        return replace(outcome, measured=measured, notes=notes)
-    notes = (*notes, LiftedStates(drifted), _AS_WRITTEN)
+        return replace(outcome, measured=measured, notes=(MeasuredError(error, request.rtol),))
+    notes = (MeasuredError(error, request.rtol, drift=drifted), _AS_WRITTEN)
     return replace(outcome, measured=measured, status=Status.TOLERANCE, notes=notes)
