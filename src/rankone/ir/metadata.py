@@ -1,4 +1,4 @@
-"""What was asked of a solve, in plain data, and units as texts."""
+"""The problem and the request behind a solution, as plain data; units as texts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ONE_WORD = re.compile(r"[^\s/*^·⋅()+-]+")
 
 
 class Role(StrEnum):
-    """What a state is there for."""
+    """The role of a state."""
 
     UNKNOWN = "unknown"
     """The user asked for it."""
@@ -28,7 +28,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SolutionMetadata:
-    """What was asked, in plain data: a solution needs neither SymPy nor the problem.
+    """The problem and the request as plain data: a solution needs neither SymPy nor the problem.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class SolutionMetadata:
     correlations : tuple of (str, str, float)
         Pairs of parameters and the correlation of their Gaussian copula; others are independent.
     fixed : tuple of (str, float)
-        Coordinates that are none any more, and their values.
+        Coordinates that ``fix`` or ``at`` has set, and their values.
     name : str
         Of the problem; empty if it has none.
     """
@@ -90,13 +90,13 @@ class SolutionMetadata:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of all that a value depends on: time, unless it is timeless, and the parameters."""
+        """Names of all coordinates: time, unless the solution is timeless, and the parameters."""
         return self.parameters if self.timeless else (self.time, *self.parameters)
 
     @property
     def statements(self) -> tuple[str, ...]:
-        """What holds, as texts: the equations, and the values of what was fixed."""
-        return *self.equations, *(f"{name} = {value!r}" for name, value in self.fixed)
+        """The equations, and the values of fixed coordinates, as texts."""
+        return *self.equations, *(f"{name} = {at!r}" for name, at in self.fixed)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -131,8 +131,7 @@ def of_derivatives(
 
     A state whose unit, or that of the coordinate, is not known has none.
     """
-    known: Mapping[str, str] = dict(units)
-    by = known.get(coordinate)
+    by = dict(units).get(coordinate)
     return tuple(
         (name, unit if name not in states or by is None else per(unit, by))
         for name, unit in units

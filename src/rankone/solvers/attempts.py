@@ -7,7 +7,7 @@ import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -246,17 +246,8 @@ def _out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> 
     notes: list[Note] = [*Budget.of(stages.work, stages.budget)]
     if switching is None:
         notes.append(Remedy(_REMEDIES[status]))
-    return Outcome(
-        (),
-        status,
-        None,
-        (),
-        stages.timings,
-        stages.work,
-        switching=switching,
-        cause=cause,
-        notes=tuple(notes),
-    )
+    ended = Outcome((), status, None, (), stages.timings, stages.work, switching=switching)
+    return replace(ended, cause=cause, notes=tuple(notes))
 
 
 def error_notes(rtol: float, measured: Measured | None, states: Sequence[str]) -> list[Note]:

@@ -14,10 +14,10 @@ __all__ = ["AUTO", "ENGINES", "engines_for"]
 
 AUTO = "auto"
 _FEW_PARAMETERS = 1
-"""Up to so many parameters train is as fast as cross, and exact for solutions of few products."""
+"""Most parameters for which train comes first: it is as fast as cross there, and more exact."""
 
 _RESOURCES = {"executor"}
-"""Options of single engines that say with what to compute, and not what."""
+"""Options about where to compute, which leave the choice of an engine open."""
 
 ENGINES: dict[str, Engine] = {
     engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)
@@ -37,7 +37,7 @@ def engines_for(
     train   separated systems    first up to one parameter, with a small part of the budget; else
                                  with what is left of it (30 %) where cross does not reach the
                                  tolerance and nothing is steep
-    greedy  separated systems    never, only when it is asked for
+    greedy  separated systems    never, only by ``method="greedy"``
     ======  ===================  ================================================================
 
     Options that only one engine knows leave the other out, but for ``executor``: with one the
@@ -59,10 +59,10 @@ def engines_for(
     elif isinstance(method, str) and method in ENGINES:
         engine = ENGINES[method]
     else:
-        known = (AUTO, *ENGINES)
+        methods = (AUTO, *ENGINES)
         raise OptionError(
-            f"method={method!r} is unknown{did_you_mean(str(method), known)}",
-            remedy=f"choose from {', '.join(known)}",
+            f"method={method!r} is unknown{did_you_mean(str(method), methods)}",
+            remedy=f"choose from {', '.join(methods)}",
         )
     for option in sorted(set(options).difference(engine.options.names())):
         owners = [f"method={e.name!r}" for e in ENGINES.values() if option in e.options.names()]
@@ -75,7 +75,7 @@ def engines_for(
 
 
 def _knows(engine: Engine, options: Collection[str]) -> tuple[int, float]:
-    """How many of the options an engine has, and how much alike to them its own are spelt."""
+    """How many of the options an engine has, and how similar its own are to the others."""
     names = engine.options.names()
-    alike = sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)
-    return len(set(options) & set(names)), alike
+    similarity = sum(max(SequenceMatcher(None, o, n).ratio() for n in names) for o in options)
+    return len(set(options) & set(names)), similarity

@@ -3,7 +3,7 @@
 ==================  ===================================================================
 module              subject
 ==================  ===================================================================
-``header``          what a file holds, whatever its container; checks on reading
+``header``          the content of a file, whatever its container; checks on reading
 ``npz``             NumPy's ``.npz``: the default, always available
 ``netcdf``          netCDF-4, ``.nc``, which xarray opens by itself
 ==================  ===================================================================
@@ -25,7 +25,7 @@ from rankone.support.files import as_path
 __all__ = ["FORMAT", "FORMAT_VERSION", "SUFFIXES", "read", "target", "write"]
 
 SUFFIXES = (".npz", netcdf.SUFFIX)
-"""How names of saved solutions end."""
+"""Suffixes of saved solutions."""
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:

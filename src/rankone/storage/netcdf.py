@@ -45,14 +45,7 @@ _SUMMARY = (
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:
-    """The path of a file that a solution can be written to.
-
-    Raises
-    ------
-    StorageError
-        If h5netcdf or h5py is not installed, the file exists and is not to be replaced, or it
-        cannot be written.
-    """
+    """The path of a file that can be written, as in :func:`rankone.storage.target`."""
     _module("h5netcdf", as_path(path, StorageError))
     _module("h5py", as_path(path, StorageError))
     return free_target(path, overwrite, StorageError)
@@ -64,10 +57,7 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write a solution to a file; errors as in :func:`target`.
-
-    The file is complete or absent, even after an interrupt.
-    """
+    """Write a solution to a file, as :func:`rankone.storage.write` does."""
     place = target(path, overwrite)
     content = BytesIO()
     with _module("h5netcdf", place).File(content, "w") as file:
@@ -79,11 +69,7 @@ def write(
 def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Read a solution from a file written by :func:`write`.
-
-    Parameters and errors are those of :func:`rankone.storage.read`; there is one more if h5py is
-    not installed.
-    """
+    """Read a solution from a file, as :func:`rankone.storage.read` does."""
     with reading(path) as place:
         content = place.read_bytes()
         if not (content.startswith(SIGNATURE) and FORMAT.encode() in content):

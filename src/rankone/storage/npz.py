@@ -28,18 +28,11 @@ _READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
-"""What reads the header of an array, by the version of its format."""
+"""Readers of the header of an array, by the version of its format."""
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:
-    """The path of a file that a solution, or a table of values, can be written to.
-
-    Raises
-    ------
-    StorageError
-        If its name does not end in ``.npz``, it exists and is not to be replaced, or it cannot be
-        written.
-    """
+    """The path of an ``.npz`` file that can be written, as in :func:`rankone.storage.target`."""
     if as_path(path, StorageError).suffix != ".npz":
         raise StorageError(
             f"`{path}` is no name for an .npz file", term=path, remedy="end the name in .npz"
@@ -53,10 +46,7 @@ def write(
     metadata: SolutionMetadata,
     overwrite: bool = False,
 ) -> Path:
-    """Write a solution to a file; paths and errors as in :func:`target`.
-
-    The file is complete or absent, even after an interrupt.
-    """
+    """Write a solution to a file, as :func:`rankone.storage.write` does."""
     place = target(path, overwrite)
     write_files({place: npz(packed(outcome, metadata))}, overwrite, StorageError)
     return place
@@ -65,10 +55,7 @@ def write(
 def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Read a solution from a file written by :func:`write`.
-
-    Parameters and errors are those of :func:`rankone.storage.read`.
-    """
+    """Read a solution from a file, as :func:`rankone.storage.read` does."""
     with reading(path) as place, place.open("rb") as stream:
         if not is_zipfile(stream):
             raise not_a_solution(place)

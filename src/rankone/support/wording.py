@@ -47,16 +47,16 @@ class HasLatex(Protocol):
 
 
 written = functools.singledispatch(str)
-"""Text of a thing in messages; what has expressions registers how they are written."""
+"""Text of an object in messages; the front end registers how expressions are written."""
 
 
-def quote(thing: object) -> str:
+def quote(subject: object) -> str:
     """Show what the user wrote between backquotes, cut in the middle when it is long."""
-    return f"`{clip(written(thing), _LONGEST_QUOTE)}`"
+    return f"`{clip(written(subject), _LONGEST_QUOTE)}`"
 
 
 def shown(value: object) -> str:
-    """Show a value as Python writes it, cut in the middle when it is long."""
+    """Show an object as Python writes it, cut in the middle when it is long."""
     try:
         return clip(repr(value), _LONGEST_QUOTE)
     except ValueError:  # Python refuses to write integers of thousands of digits
@@ -74,20 +74,20 @@ def clip(text: str, longest: int) -> str:
     return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
 
 
-def listing(things: Iterable[object]) -> str:
-    """Quote several things: ```a`, `b` and `c```."""
-    quoted = [quote(thing) for thing in things]
+def listing(subjects: Iterable[object]) -> str:
+    """Quote several objects: ```a`, `b` and `c```."""
+    quoted = [quote(subject) for subject in subjects]
     if len(quoted) < 2:
         return "".join(quoted)
     return f"{', '.join(quoted[:-1])} and {quoted[-1]}"
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean `beta`?)"`` when a known name is close, else nothing.
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Return ``" (did you mean `beta`?)"`` when one of the names is close, else nothing.
 
     Names that differ in case alone are the closest.
     """
-    lowered = {candidate.lower(): candidate for candidate in reversed(list(known))}
+    lowered = {candidate.lower(): candidate for candidate in reversed(list(names))}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
     return f" (did you mean {quote(lowered[close[0]])}?)" if close else ""
 
@@ -119,20 +119,20 @@ def is_line(value: object) -> bool:
 
 
 def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
-    """The first name that cannot be printed or is there twice, and what is wrong with it.
+    """The first name that cannot be printed or occurs twice, and the reason.
 
     Parameters
     ----------
     named : iterable of (str, str)
-        Each name, and whose it is: ``("k", "parameter `k`")``.
+        Each name and its owner: ``("k", "parameter `k`")``.
     """
-    taken: dict[str, str] = {}
-    for name, what in named:
+    owners: dict[str, str] = {}
+    for name, owner in named:
         if not is_line(name) or not name.strip():
             return name, f"the name {name!r} is no text that can be printed in one line"
-        if name in taken:
-            return name, f"the name {quote(name)} belongs both to {taken[name]} and to {what}"
-        taken[name] = what
+        if name in owners:
+            return name, f"the name {quote(name)} belongs both to {owners[name]} and to {owner}"
+        owners[name] = owner
     return None
 
 
