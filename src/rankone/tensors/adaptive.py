@@ -30,8 +30,7 @@ __all__ = [
 ]
 
 FIRST_LEFT_POINTS = 7
-"""Random left points of each bond in the first attempt; every refinement takes half as many again.
-"""
+"""Random left points of each bond in the first attempt; a refinement takes half as many again."""
 ROW_SPACE_SHARE = 0.1
 """What row spaces may miss, relative to the level of an attempt: an error there is amplified."""
 HIGHEST_MODES_SHARE = 0.1
