@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -44,17 +43,17 @@ def _decimal(number: sp.Expr) -> sp.Float | None:
 class _Decimals(Printer):  # type: ignore[misc]
     """A printer of numbers as decimals."""
 
-    def _print_Rational(self, expr: Any) -> str:
+    def _print_Rational(self, expr: sp.Rational) -> str:
         decimal = _decimal(expr)
         return str(super()._print_Rational(expr) if decimal is None else self._print(decimal))
 
     _print_Half = _print_Rational
 
-    def _print_Integer(self, expr: Any) -> str:
+    def _print_Integer(self, expr: sp.Integer) -> str:
         decimal = _decimal(expr)
         return str(expr) if decimal is None else str(self._print(decimal))
 
-    def _print_Mul(self, expr: Any) -> str:
+    def _print_Mul(self, expr: sp.Mul) -> str:
         scale, cofactor = expr.as_coeff_Mul()
         decimal = _decimal(abs(scale))
         is_half = abs(scale) == sp.S.Half  # c/2, not 0.5*c
@@ -86,7 +85,7 @@ def plain_text(expression: sp.Basic) -> str:
         return str(expression)
 
 
-def latex_text(expression: sp.Basic, **settings: Any) -> str:
+def latex_text(expression: sp.Basic, **settings: object) -> str:
     """LaTeX of an expression; settings are those of :func:`sympy.latex`."""
     return str(_Latex(settings).doprint(expression))
 

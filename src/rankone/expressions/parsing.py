@@ -16,7 +16,7 @@ import re
 import tokenize
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import sympy as sp
 
@@ -177,7 +177,7 @@ class _Translator(ast.NodeVisitor):
             remedy=remedy,
         )
 
-    def generic_visit(self, node: ast.AST) -> Any:
+    def generic_visit(self, node: ast.AST) -> NoReturn:
         shown = quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ""))
         raise self.error(
             f"{shown} is not understood",

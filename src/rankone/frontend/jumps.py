@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -72,7 +71,7 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     return {at: resets[at] for at in sorted(resets)}
 
 
-def _instant(instant: Any, time: Time) -> float:
+def _instant(instant: object, time: Time) -> float:
     """The time of a jump as a float."""
     symbols = instant.free_symbols if isinstance(instant, sp.Basic) else set()
     if symbols:

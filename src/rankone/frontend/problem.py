@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, TypeVar
 
 import sympy as sp
 
@@ -41,6 +41,8 @@ from rankone.support.wording import (
     quote,
     shown,
 )
+
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -277,7 +279,7 @@ class Problem:
         """The dimensions of the box: time, then the parameters in the order given."""
         return _coordinates(self.time, self.parameters)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[type[Problem], tuple[object, ...]]:
         texts = self.distributions
         return type(self), (
             self.equations,
@@ -345,10 +347,10 @@ def _has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
 
 
 def _jumps(jumps: object, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
-    """Jumps with formulas in place of texts; whatever is no mapping is left to the checks."""
+    """Jumps with formulas in place of texts; the checks refuse whatever is no mapping."""
     if not isinstance(jumps, Mapping):
         return jumps
-    parsed: dict[Any, Any] = {}
+    parsed: dict[object, object] = {}
     for time, reset in jumps.items():
         if not _has_names(reset):
             parsed[time] = reset
@@ -384,9 +386,9 @@ def _formula(
     )
 
 
-def _normalised(argument: str, mapping: Mapping[str, Any]) -> dict[str, Any]:
+def _normalised(argument: str, mapping: Mapping[str, Entry]) -> dict[str, Entry]:
     """The same with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
-    normal: dict[str, Any] = {}
+    normal: dict[str, Entry] = {}
     for name in mapping:
         read = unicodedata.normalize("NFKC", name)
         if read in normal:

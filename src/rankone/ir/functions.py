@@ -458,7 +458,7 @@ class first_crossing(sp.Function):  # type: ignore[misc]
     nargs = (1, 2, 3)
 
     @property
-    def parts(self) -> tuple[sp.Expr, Any]:
+    def parts(self) -> tuple[sp.Expr, sp.Expr]:
         """What crosses zero, and the direction."""
         expression, level, direction = (*self.args, sp.S.Zero, sp.S.Zero)[:3]
         return expression - level, direction
