@@ -103,7 +103,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class SafeInterval:
-    """A shorter interval of one parameter, without the trajectories seen to have an early end.
+    """A shorter interval of one parameter on which no trajectory was seen to end early.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is asked of a solve: tolerance, domain, check, limits, and the options of the engines."""
+"""The request of a solve: tolerance, domain, check, limits, and the options of the engines."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class SolveRequest:
-    """What is asked of a solve, checked.
+    """The request of a solve, with all arguments checked.
 
     Attributes
     ----------

@@ -86,7 +86,7 @@ class Attempt:
         return self.error < best.error
 
     def status(self, reference_set: ReferenceSet, rtol: float) -> Status:
-        """How the solve ended, if this attempt is what it came to."""
+        """How the solve ended if this attempt is the best."""
         limits = [status for status in _CAUSES if status in self.result.limits]
         stopped = self.result.stopped
         reference = reference_set.reference
@@ -160,9 +160,9 @@ class Marcher(Protocol):
     """The part of an engine: marches over the horizon, each finer than the one before."""
 
     reference_set: ReferenceSet
-    """Its end and its sizes; it may become stricter between two marches."""
+    """The reference trajectories; further points may join them between two marches."""
     remedies: ClassVar[Mapping[Status, str]]
-    """What to do, by how it ended."""
+    """What to do, by status."""
 
     def march(self, index: int, report: Report) -> MarchResult:
         """Solve the horizon; ``index`` counts the attempts from 0."""
@@ -171,7 +171,7 @@ class Marcher(Protocol):
         """Make the next march more accurate; False when there is nothing left to try."""
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
-        """The status, or one that says more, and why it ended so."""
+        """The status, or a more precise one, and the cause."""
         return status, None
 
 
@@ -301,7 +301,7 @@ def _attempts(
                 further = _further_points(before, attempt, rtol, index)
                 if further is not None:
                     marcher.reference_set = before.with_points(further)
-            except OutOfBudgetError as out:  # not measured where it must be
+            except OutOfBudgetError as out:  # the attempt was not measured at all points
                 result.stopped = Status.of_limit(out)
             if marcher.reference_set is not before:
                 attempt = Attempt(result, marcher.reference_set.measured(result.slabs))
@@ -324,7 +324,7 @@ def _attempts(
 
 
 def _enough(count: int, options: Options, progress: Progress) -> bool:
-    """Whether there were as many attempts as asked for, or as usual and more do not pay."""
+    """Whether the attempts reached their number, and further ones do not pay."""
     if options.max_attempts is not None:
         return count >= options.max_attempts
     return count >= options.usual_attempts and not progress.pays

@@ -1,4 +1,4 @@
-"""What every engine offers, and a solve that tries one engine after the other."""
+"""The interface of engines, and a solve that tries one engine after another."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from rankone.verification.measure import ReferenceSet, drift
 __all__ = ["Engine", "Report", "solve_with"]
 
 _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
-"""How a solve ends that no other engine is tried after."""
+"""Statuses after which no other engine is tried."""
 _TRAIN_OPERATIONS = 2e9
-"""Most operations for train where cross follows: a system that suits train needs fewer."""
+"""Most operations of train if cross follows: a system that suits train needs fewer."""
 _TRAIN_SHARE = 0.4
-"""Largest share of the budget for train where cross follows."""
+"""Largest share of the budget for train if cross follows."""
 _CROSS_SHARE = 0.7
-"""Share of the budget for cross where train follows."""
+"""Share of the budget for cross if train follows: most systems need no second engine."""
 _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 
@@ -88,7 +88,7 @@ def solve_with(
     report: Report = quiet,
     truth: System | None = None,
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Solve with one engine after the other until the error is within the tolerance.
+    """Solve with one engine after another until the error is within the tolerance.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _best_outcome(
     end = request.domain.horizon[1]
 
     def badness(attempt: tuple[Outcome, str]) -> tuple[bool, bool, float]:
-        """Final outcomes first, then those that reach the end, then the most accurate."""
+        """Sort final outcomes first, then those that reach the end, then the most accurate."""
         outcome, _ = attempt
         whole = bool(outcome.slabs) and outcome.slabs[-1].end >= end
         return outcome.status not in _FINAL, not whole, outcome.error
@@ -149,7 +149,7 @@ def _best_outcome(
 
 
 def _share(engine: Engine, last: bool) -> tuple[float, float]:
-    """Operations and seconds for an engine: train before cross gets no more than a try."""
+    """Operations and seconds for an engine: train before cross gets a short attempt."""
     work, seconds = work_left(), seconds_left()
     if last:
         return work, seconds

@@ -24,7 +24,7 @@ _HORIZON_ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Span:
-    """Where a slab lies; ``end`` is ``start + length``, or the very border that it reaches."""
+    """The interval of a slab; ``end`` is ``start + length``, or exactly the end of the horizon."""
 
     start: float
     length: float
@@ -33,7 +33,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Trial:
-    """What the solve of one slab came to, and the limits that it met.
+    """A slab that was tried, and the limits that it met.
 
     ``record.accepted`` says whether the slab is solved.
     """

@@ -27,10 +27,10 @@ ENGINES: dict[str, Engine] = {
 def engines_for(
     method: str, options: Collection[str] = (), parameters: int = 0, *, separated: bool = True
 ) -> tuple[Engine, ...]:
-    """The engines that are tried for a method, with the options given.
+    """The engines to try for a method and its options.
 
     ======  ===================  ================================================================
-    engine  takes                is tried by ``method="auto"``
+    engine  takes                when ``method="auto"`` tries it
     ======  ===================  ================================================================
     cross   any right-hand side  first from two parameters on: the fastest on all problems
                                  measured, and the only one for systems that do not separate
@@ -40,8 +40,7 @@ def engines_for(
     greedy  separated systems    never, only by ``method="greedy"``
     ======  ===================  ================================================================
 
-    Options that only one engine knows leave the other out, but for ``executor``: with one the
-    engines are the same as without.
+    An option that only one engine has leaves the other engine out; ``executor`` does not count.
 
     Raises
     ------

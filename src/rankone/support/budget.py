@@ -1,8 +1,8 @@
 """The budget of a computation: counted work, and a deadline where a user asked for one.
 
-The unit of work is about one nanosecond of one core, but it is counted, never measured: from the
-sizes of arrays and the number of calls. So the same computation ends in the same way on a busy
-machine. The clock is read only where a user gave ``max_seconds``.
+A unit of work is about one nanosecond of one core. Work is counted from the sizes of arrays and the
+number of calls, never measured, so a computation ends in the same way on a busy machine. The clock
+is read only where a user gave ``max_seconds``.
 """
 
 from __future__ import annotations
@@ -137,9 +137,11 @@ def preparing(seconds: object) -> Iterator[None]:
 
     Anything but a positive number is no limit: the solve refuses it.
     """
-    valid = isinstance(seconds, int | float) and 0.0 < seconds < 1e18
+    limit = math.inf
+    if isinstance(seconds, int | float) and 0.0 < seconds < 1e18:
+        limit = float(seconds)
     try:
-        with limited(seconds=float(seconds) if valid else math.inf):  # type: ignore[arg-type]
+        with limited(seconds=limit):
             yield
     except OutOfTimeError:
         raise ConvergenceError(

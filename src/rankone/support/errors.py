@@ -1,8 +1,8 @@
 """Errors and warnings: what was given, where, what was expected, what to do.
 
-Every error of the library derives from :class:`RankoneError` and carries, as far as they apply,
-the term (``.term``) and a way out (``.remedy``); what is wrong with a problem also the equation
-(``.equation``). All can be pickled: what they are made of beside the message is optional.
+Every error of the library derives from :class:`RankoneError`. It has its message (``.message``)
+and, as far as they apply, the term (``.term``) and what to do (``.remedy``); errors of problems
+also have the equation (``.equation``). All can be pickled.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def check_kind(function: str, argument: object, *kinds: type, remedy: str) -> No
 
 
 class EvaluationError(RankoneError, ValueError):
-    """A solution was asked for a value it does not hold (outside the box, unknown name)."""
+    """A solution does not hold the value asked for: outside the box, or an unknown name."""
 
 
 class StorageError(RankoneError, ValueError):
@@ -132,7 +132,7 @@ class ConvergenceError(RankoneError, RuntimeError):
 
 
 class BlowUpError(ConvergenceError):
-    """A trajectory leaves every bound inside the horizon, or where its rates are finite.
+    """A trajectory leaves every bound inside the horizon, or the region of finite rates.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ class BlowUpError(ConvergenceError):
 
 
 class RankoneWarning(UserWarning):
-    """Something is probably not what was meant, but the result is well defined."""
+    """Something is probably unintended, but well defined."""
 
 
 def warn(message: str) -> None:

@@ -34,7 +34,7 @@ def as_path(path: Any, error: type[RankoneError]) -> Path:
 
 
 def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneError]) -> Path:
-    """The path of a file that can be written and need not stay as it is, or an ``error``."""
+    """The path of a file that may be written or replaced, or an ``error``."""
     target = as_path(path, error)
     try:
         place = Path(os.path.realpath(target))
@@ -77,7 +77,7 @@ def write_files(files: Mapping[Path, Content], overwrite: bool, error: type[Rank
                 before = place.read_bytes() if keep else None
                 try:
                     _move(complete[path], place, overwrite)
-                except FileExistsError:  # since it was looked for
+                except FileExistsError:  # another process wrote it meanwhile
                     raise error(f"`{path}` exists", term=path, remedy=_OTHER_NAME) from None
                 moved[place] = before
     except BaseException as reason:
@@ -130,7 +130,9 @@ def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
         if not _lock(stream):
             return stream
         until_moved.callback(os.close, os.dup(stream.fileno()))
-        if Path(stream.name).exists():  # else it looked abandoned, just before it was locked
+        if Path(
+            stream.name
+        ).exists():  # else another process removed it as abandoned before the lock
             return stream
         stream.close()
 
@@ -169,7 +171,7 @@ def _move(complete: Path, place: Path, overwrite: bool) -> None:
         os.link(complete, place)  # unlike a renaming, this never replaces a file
     except FileExistsError:
         raise
-    except OSError:  # a file system without links: who creates the file may replace it
+    except OSError:  # a file system without links: the process that creates the file replaces it
         place.open("xb").close()
         try:
             complete.replace(place)

@@ -27,7 +27,7 @@ __all__ = [
 _MOST_POINT_NUMBERS = 2**28
 """Floating-point numbers of random points: 2 GiB, beyond which systems end processes."""
 _LARGEST_INTEGER = 10**9
-"""Largest integer of an option: beyond it a limit limits nothing."""
+"""Largest integer of an option: no limit above it is ever reached."""
 
 
 def checked_number(
@@ -114,12 +114,12 @@ class Options:
 
     @property
     def max_attempts(self) -> int | None:
-        """How often a solve may be tried; a field of engines that try again."""
+        """Most attempts of a solve; a field of engines that repeat it."""
         return 1
 
     @property
     def executor(self) -> Executor | int | None:
-        """Where trajectories are integrated; a field of engines that ask for many."""
+        """Where trajectories are integrated; a field of engines that sample many."""
         return None
 
     @classmethod

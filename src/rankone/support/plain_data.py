@@ -22,7 +22,7 @@ _NOT_FINITE = ("nan", "inf", "-inf")
 
 
 class Tagged:
-    """Base of dataclasses that stand for each other: plain data names the class as ``"type"``."""
+    """Base of alternative dataclasses: plain data has the class name under ``"type"``."""
 
     subclasses: ClassVar[dict[str, type[Tagged]]] = {}
 
@@ -46,7 +46,7 @@ def plain(value: Any) -> Any:
 
 
 def rebuilt(annotation: Any, content: Any) -> Any:
-    """Turn plain data into what an annotation says.
+    """Turn plain data into an object of an annotated type.
 
     Parameters
     ----------

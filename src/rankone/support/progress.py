@@ -57,7 +57,7 @@ Report = Callable[[ProgressEvent], object]
 
 
 def quiet(event: ProgressEvent, /) -> None:
-    """Take no notice."""
+    """Ignore an event."""
 
 
 @contextmanager
