@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import pytest
+import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.codegen import generate_source, load_module
+from rankone.codegen import generate_source, load_module, quadratic_system
+from rankone.codegen.pointwise import PointwiseFunction
+from rankone.codegen.rates import SeparatedWriter
 from rankone.ir.forms import SeparatedForm
 from rankone.ir.system import System
 from rankone.support.arrays import Array
@@ -110,3 +116,34 @@ def test_more_arguments_than_numpy_broadcasts_at_once() -> None:
     states = [f"s{c}" for c in range(70)]
     form = separated({state: [(1.0 + c, {}, [state])] for c, state in enumerate(states)})
     np.testing.assert_array_equal(load(form).rhs(0.0, np.ones(70), ()), 1.0 + np.arange(70))
+
+
+class ScalarPrinter:
+    """Writes functions of one point with the module math: another language than NumPy's."""
+
+    reserved = ("math", "t", "u", "p")
+
+    def expressions(self, expressions, names, temporaries):
+        local = {symbol: sp.Symbol(name) for symbol, name in names.items()}
+        return [], [sp.pycode(expression.xreplace(local)) for expression in expressions]
+
+    def function(self, function: PointwiseFunction) -> list[str]:
+        (block,) = function.statements
+        lines = [f"def {function.name}({', '.join(function.arguments)}):"]
+        for names, argument in ((function.parameters, "p"), (function.states, "u")):
+            lines += [
+                f"    {name} = {argument}[{k}]" for k, name in enumerate(names) if name != "_"
+            ]
+        lines += [f"    {name} = {text}" for name, text in block.intermediate]
+        entries = ", ".join(f"{entry.index}: {' '.join(entry.terms)}" for entry in block.entries)
+        return [*lines, f"    return {{{entries}}}"]
+
+
+def test_another_printer_writes_the_same_rates() -> None:
+    form = driven()
+    writer = SeparatedWriter(quadratic_system(form), ScalarPrinter())
+    names: dict[str, Any] = {"math": math}
+    exec("\n".join(writer.rhs(2)), names)
+    rates = names["rhs"](0.3, [0.5, 1.5], [1.2, 0.7])
+    expected = Interpreter(form).rhs(0.3, np.array([0.5, 1.5]), np.array([1.2, 0.7]))
+    np.testing.assert_allclose([rates[(0,)], rates[(1,)]], expected, RTOL)

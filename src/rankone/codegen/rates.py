@@ -9,7 +9,15 @@ from typing import Literal
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from rankone.codegen.pointwise import Entry, Index, PointwiseWriter, Scope, Shared, Statements
+from rankone.codegen.pointwise import (
+    Entry,
+    Index,
+    PointwiseWriter,
+    Printer,
+    Scope,
+    Shared,
+    Statements,
+)
 from rankone.codegen.printer import numpy_text
 from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import commented, docstring
@@ -26,8 +34,8 @@ __all__ = ["GeneralWriter", "SeparatedWriter"]
 class SeparatedWriter(PointwiseWriter):
     """Writes the rates of a system that separates, as sums of its terms."""
 
-    def __init__(self, system: QuadraticSystem) -> None:
-        super().__init__(system.coordinates, system.differential)
+    def __init__(self, system: QuadraticSystem, printer: Printer | None = None) -> None:
+        super().__init__(system.coordinates, system.differential, printer)
         self.system = system
 
     def functions(self) -> list[list[str]]:
@@ -163,8 +171,8 @@ class GeneralWriter(PointwiseWriter):
         If a function cannot be written with NumPy or SciPy.
     """
 
-    def __init__(self, system: FirstOrderSystem) -> None:
-        super().__init__(system.coordinates, system.states)
+    def __init__(self, system: FirstOrderSystem, printer: Printer | None = None) -> None:
+        super().__init__(system.coordinates, system.states, printer)
         self.system = system
         self.rates = [
             self._checked(rate, name, origin) for name, origin, rate in self.named_rates()
