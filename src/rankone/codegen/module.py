@@ -85,12 +85,9 @@ def generate_source(
         "Lifted states": _lifted(writer, system.differential, meanings),
         **_further_sections(writer, features, system.jumps, system.differential, []),
     }
-    tables = [
-        *_constants(True, system.names, len(system.differential), system.products),
-        *_domain(system.coordinates),
-        *_rhs_table(system),
-        *_initial_table(system),
-    ]
+    n, names = len(system.differential), system.names
+    tables = _tables(True, names, n, system.products, system.coordinates)
+    tables += [*_rhs_table(system), *_initial_table(system)]
     printed = [*expressions, *writer.printed]
     return _module(
         lambda scipy: header(system, writer.operations, title, scipy), tables, sections, printed
@@ -128,7 +125,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
     }
     names = [state.name for state in system.states]
-    tables = [*_constants(False, names, len(names), ()), *_domain(system.coordinates)]
+    tables = _tables(False, names, len(names), (), system.coordinates)
     printed = [*expressions, *writer.printed]
     return _module(
         lambda scipy: general_header(system, writer.operations, title, scipy),
@@ -177,22 +174,20 @@ def _module(
 # --- tables that describe the system -------------------------------------------------------------
 
 
-def _constants(
-    separated: bool, names: Iterable[str], n: int, products: Iterable[tuple[int, int]]
+def _tables(
+    separated: bool,
+    names: Iterable[str],
+    n: int,
+    products: Iterable[tuple[int, int]],
+    coordinates: Sequence[Coordinate],
 ) -> list[str]:
-    """Whether it separates, and its states."""
+    """Whether it separates, its states, its parameters and their domain."""
+    clock, *parameters = coordinates
     return [
         f"SEPARATED = {separated}",
         *table("STATES", [quoted(name) for name in names]),
         f"N_DIFFERENTIAL = {n}",
         *table("PRODUCTS", nested(products)),
-    ]
-
-
-def _domain(coordinates: Sequence[Coordinate]) -> list[str]:
-    """The parameters, the horizon and the box."""
-    clock, *parameters = coordinates
-    return [
         *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
         f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
@@ -267,27 +262,21 @@ def _features(writer: PointwiseWriter, features: SymbolicFeatures) -> list[Block
     if any(cuts.periodic for cuts in features.cuts):
         periodic = (tuple(sorted(cuts.periodic)) for cuts in features.cuts)
         tables += table("PERIODIC_CUTS", nested(periodic))
-    if features.moving_cuts:
-        tables.append(f"N_MOVING_CUTS = {len(features.moving_cuts)}")
-    if features.parameter_surfaces:
-        tables.append(f"N_PARAMETER_SURFACES = {len(features.parameter_surfaces)}")
+    moving, surfaces = features.moving_cuts, features.parameter_surfaces
+    tables += [f"N_MOVING_CUTS = {len(moving)}"] if moving else []
+    tables += [f"N_PARAMETER_SURFACES = {len(surfaces)}"] if surfaces else []
     if features.state_surfaces:
         counts = len(features.peaks), len(features.kinks), len(features.steps)
         tables.append(f"STATE_SURFACES = {counts}  # peaks, kinks, steps")
-    moving = "Times at which functions of time and of p (d, ...) switch: ({}, ...)."
-    of_parameters = "Zero where functions of p (d, ...) switch or peak: ({}, ...)."
-    of_states = f"Zero where functions of u ({n}, ...) switch or peak: ({{}}, ...)."
-    functions = (
-        ("moving_cuts", "p", moving, features.moving_cuts),
-        ("parameter_surfaces", "p", of_parameters, features.parameter_surfaces),
-        ("state_surfaces", "t, u, p", of_states, features.state_surfaces),
-    )
+    times = f"Times at which functions of time and of p (d, ...) switch: ({len(moving)}, ...)."
+    of_p = f"Zero where functions of p (d, ...) switch or peak: ({len(surfaces)}, ...)."
+    over_states = features.state_surfaces
+    of_u = f"Zero where functions of u ({n}, ...) switch or peak: ({len(over_states)}, ...)."
     return [
         tables,
-        *(
-            writer.vector(name, arguments, summary.format(len(expressions)), expressions)
-            for name, arguments, summary, expressions in functions
-        ),
+        writer.vector("moving_cuts", "p", times, moving),
+        writer.vector("parameter_surfaces", "p", of_p, surfaces),
+        writer.vector("state_surfaces", "t, u, p", of_u, over_states),
     ]
 
 
@@ -297,11 +286,7 @@ def _jump_tables(writer: PointwiseWriter, jumps: Sequence[Jump]) -> list[str]:
         return []
     kinds = list(Jump.kinds(jumps))
     rows = ((jump.time, kinds.index(jump.values)) for jump in jumps)
-    rough = (
-        index
-        for index, states_after in enumerate(kinds)
-        if not all(map(writer.is_polynomial, states_after))
-    )
+    rough = (k for k, after in enumerate(kinds) if not all(map(writer.is_polynomial, after)))
     return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
 
 
