@@ -172,6 +172,6 @@ def test_roots_are_found_in_few_evaluations():
         calls.append(1)
         return np.array([np.tanh(30 * (x[0] - 0.3)), x[1] ** 3 - 0.2, np.exp(9 * x[2]) - 40])
 
-    found = roots(functions, functions(np.zeros(3)), functions(np.ones(3)))
-    np.testing.assert_allclose(found, [0.3, 0.2 ** (1 / 3), np.log(40) / 9], atol=1e-13)
+    places = roots(functions, functions(np.zeros(3)), functions(np.ones(3)))
+    np.testing.assert_allclose(places, [0.3, 0.2 ** (1 / 3), np.log(40) / 9], atol=1e-13)
     assert len(calls) < 20

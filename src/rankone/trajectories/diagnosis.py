@@ -1,8 +1,8 @@
 """What trajectories show: why they end, and which states are numerically zero.
 
-A state is numerically zero if rounding errors of its rate are larger than it is: a difference of
-what stays constant but for rounding, and all that it drives. An integration to a part of the size
-of such a state follows rounding errors with steps that shrink without end.
+A state is numerically zero if rounding errors of its rate are larger than the state: for example
+the difference of two numbers that stay equal but for rounding, and all that it drives. An
+integration that resolves such a state follows rounding errors, with steps that shrink without end.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ _STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
 _JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)
 """Lengths of steps, in horizons, over which a jump of the rates is looked for."""
 _RUNAWAY_GROWTH = 1e6
-"""Growth in a horizon, at the last rate, that tells a blow-up from a pole or a border."""
+"""Growth over a horizon, at the last rate, from which a state blows up."""
 _LATER_STATE = 1.0001
-"""Factor on a state that gives it a little later: beside a pole its rate is another."""
+"""Factor on a state that gives a later one: beside a pole the rate differs there."""
 _SEVERAL_ROUNDINGS = 16.0
 """Relative error of computed states, in units of the last place, after many steps."""
 _TINY_STATE = 1e-6
 """Size of a state, over the largest one, up to which it may be numerically zero."""
 _RESOLVED = 1e-7
-"""Part of its size below which what is done to another state does not count."""
+"""Part of its size below which a change of a state does not count."""
 _DRAWS = 4
-"""Rounding errors drawn at each time for each trajectory: their largest effect is meant."""
+"""Random rounding errors at each time; the largest effect counts."""
 MOST_GROWTH = 5.0
-"""Growth over the horizon, as a power of e, from which small values are amplified."""
+"""Growth over the horizon, as a power of e, from which small states are amplified."""
 
 
 def switching_state(
@@ -84,8 +84,8 @@ def switching_state(
 def first_to_end(system: System, time: float, state: Array, points: Array, floor: Array) -> int:
     """The trajectory of a stack, state (n, m) at points (m, d), that ends first.
 
-    The one whose rates are the first not to be finite a little later, or the one that changes
-    fastest in its size; ``floor`` (n, 1) is a size below which states do not count.
+    The one whose rates cease to be finite first, or else the one that changes fastest relative to
+    its size; states below ``floor`` (n, 1) count as that size.
     """
     with np.errstate(all="ignore"):
         rates = system.rhs(time, state, points.T)
@@ -99,7 +99,7 @@ def first_to_end(system: System, time: float, state: Array, points: Array, floor
 
 
 def runs_away(system: System, time: float, state: Array, point: Array, horizon: float) -> bool:
-    """Whether a state grows at an enormous rate, and would a little later as well: no pole."""
+    """Whether a state grows at an enormous rate that is no pole: a little later it is the same."""
     with np.errstate(all="ignore"):
         now, later = (
             system.rhs(time, factor * state[:, None], point[:, None])
@@ -110,7 +110,7 @@ def runs_away(system: System, time: float, state: Array, point: Array, horizon: 
 
 
 def growth_rate(jacobian: Array) -> float:
-    """The fastest rate at which small values grow by a Jacobian (n, n)."""
+    """The fastest rate at which small states grow, by the Jacobian (n, n)."""
     return float(np.linalg.eigvals(jacobian).real.max())
 
 

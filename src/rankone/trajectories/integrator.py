@@ -26,9 +26,9 @@ __all__ = [
 ]
 
 LAST_GAP = 100
-"""Distance from the end, in floating-point numbers, that counts as none: SciPy steps no less."""
+"""Distance from the end, in floating-point numbers, too short for a step of SciPy."""
 _JACOBIAN_ENTRY = 10.0
-"""Operations for each entry of a stack of Jacobians that is made or read."""
+"""Operations for each entry of a stack of Jacobians."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class DenseStep(Protocol):
 
 @dataclass(frozen=True)
 class DenseTrajectories:
-    """Trajectories at all times up to where the integration came.
+    """Trajectories at all times that an integration reached.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class DenseTrajectories:
         Start, and the end of each step.
     steps : tuple of DenseStep
     state : ndarray (n, m)
-        Reached at last: n states at m points.
+        The last state: n states at m points.
     largest, early : ndarray (n, m)
         Largest absolute values after any step, and after the first few.
     avoided : float
@@ -92,12 +92,12 @@ class DenseTrajectories:
         return self.times[-1]
 
     def __call__(self, times: Array) -> Array:
-        """States at times (T,): shape (n, m, T); at the time of a jump those after it."""
+        """States at times (T,), after a jump at its time: shape (n, m, T)."""
         dense = scipy.integrate.OdeSolution(self.times, self.steps, alt_segment=True)
         return np.asarray(dense(times).reshape(*self.state.shape, -1))
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
-        """About so many times at ends of steps, and the states (n, m) there."""
+        """At least so many ends of steps, if there are as many, with the states (n, m) there."""
         steps = self.steps[:: max(1, len(self.steps) // count)]
         return [(step.t, step(step.t).reshape(self.state.shape)) for step in steps]
 
@@ -110,11 +110,11 @@ class SampledTrajectories:
     ----------
     states : ndarray (T, n, m)
     reached : int
-        Number of times up to which the integration came.
+        Number of times that the integration reached.
     end : float
         Time reached.
     state : ndarray (n, m)
-        Reached at last.
+        The last state.
     """
 
     states: Array
@@ -149,7 +149,7 @@ class Integrator(Protocol):
         tolerances: Tolerances,
         times: Array,
     ) -> SampledTrajectories:
-        """Trajectories at ascending times (T,), without what lies between them."""
+        """Trajectories at ascending times (T,) alone."""
 
 
 def jacobians(system: System, points: Array, time: float, states: Array) -> Array:

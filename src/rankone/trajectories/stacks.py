@@ -44,13 +44,13 @@ _PROBE_INTERVAL = 100
 _PROBE_REFUSALS = 10
 """Refused steps after which stability is probed as well."""
 _STIFF_PRODUCT = 3.0
-"""Step times decay rate from which stability limits DOP853; it is unstable at about 6."""
+"""Step times decay rate from which stability limits DOP853. It is unstable from about 6."""
 _RADAU_TOLERANCE = 1.7
-"""Tolerance of Radau over that of DOP853 for about the same error: its estimate is cautious."""
+"""Factor on tolerances with which Radau is as accurate as DOP853: its estimate is cautious."""
 _SMOOTH_DEGREE = 4
-"""Degree of polynomial rates up to which nothing is narrower than the unknowns change."""
+"""Degree of polynomial rates up to which nothing is narrow over the states."""
 _TINY_STEP = 1e-9
-"""Step, in horizons, that makes no progress."""
+"""Length of a step, in horizons, that makes no progress."""
 _MOST_TINY_STEPS = 1000
 """Tiny steps in a row that end a trajectory."""
 _EARLY_STEPS = 4
@@ -58,14 +58,14 @@ _EARLY_STEPS = 4
 _MATRIX_ENTRY = 10.0
 """Operations for each entry of a stack of Jacobians whose norms are taken."""
 _STAGE_COST = Cost(8e3, 5.0)
-"""Operations of an integrator for each evaluation of the rates, and for each number there."""
+"""Operations besides an evaluation of the rates: once, and for each number in the stack."""
 _STEP_COST = Cost(40e3, 5.0)
-"""Operations of an integrator for each step besides."""
+"""Operations of a step besides its stages."""
 _READ_COST = Cost(60e3, 12.0)
-"""Operations of reading states off a step, and for each number."""
+"""Operations of reading states off a step: once, and for each number."""
 
 _Method: TypeAlias = Callable[[Rates, float, Array, float], Stepper]
-"""Starts an integration with rates, from a time and state to an end."""
+"""Starts an integration of rates from a time and states to an end."""
 _Record: TypeAlias = "_DenseRecord | _SampleRecord"
 """Keeps something of each step of an integration."""
 

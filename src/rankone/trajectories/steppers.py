@@ -1,4 +1,4 @@
-"""SciPy's integrators for stacked trajectories, each step of which suits every one of them.
+"""SciPy's integrators for stacked trajectories, with steps that suit every trajectory.
 
 Steps are made again, and shorter, where their interpolant is wrong between the stages, which the
 estimate of the error does not see. Where it runs through something narrow in between, its slope
@@ -29,47 +29,49 @@ from rankone.trajectories.integrator import Tolerances
 __all__ = ["DefectControl", "Rates", "StackedDOP853", "StackedRadau", "Stepper"]
 
 _RADAU_STATE = ("h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
-"""What a step of Radau changes, but for its factorisations."""
+"""What only a step of Radau changes, except its factorisations."""
 _STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
-"""What a step of any method changes, as far as it has it."""
+"""What a step changes, and a refused one changes back."""
 _BETWEEN_NODES = (0.4, 0.85)
-"""Shares of a step, between the nodes of Radau, at which its interpolant is looked at."""
+"""Shares of a step, between the nodes of Radau, at which the interpolant is checked."""
 _MOST_INTERPOLATION_ERROR = 10.0
-"""Largest error of the interpolant of Radau, in units of the tolerance."""
+"""Largest interpolation error of Radau, in tolerances, that is accepted."""
 _LEAST_SHORTENING = 0.1
-"""A step with a larger one is made again with at least this part of its length."""
+"""Least part of a step with a larger one that is tried next."""
 _SHORTENING = 0.2
-"""Part of a step that is made again because of its defect: far enough from what was missed."""
+"""Part of a step with a large defect that is tried next: enough to stop before what was missed."""
 _MOST_CROSSING_DEFECT = 100.0
-"""Largest defect at crossings, times the step, in tolerances; without anything narrow it is 40."""
+"""Largest defect at crossings, times the step, in tolerances. Smooth rates reach 40."""
 _MOST_RANDOM_DEFECT = 300.0
-"""The same at random places, which are many."""
+"""The same at random places: the largest of many is larger."""
 _DIFFERENT_RATES = 0.5
-"""Defect over the rates from which a step does not know the rates."""
+"""Defect over the rates from which a step missed something, and is not just inaccurate."""
 _MOST_ROOT_ITERATIONS = 30
-"""Iterations for the time of a crossing; about ten suffice."""
+"""Most iterations for the time of a crossing; about ten suffice."""
 _ROOT_ACCURACY = 1e-14
-"""Accuracy of that time in steps."""
+"""Accuracy of that time, in steps: a few roundings."""
 _LEAST_PLACES = 2
-"""Random places on each trajectory, at least, in every step."""
+"""Fewest random places on each trajectory in every step."""
 _PLACES = 512
-"""Random places on all trajectories together."""
+"""Random places on all trajectories together: what one evaluation of the rates takes well."""
 _MATRIX_ENTRY = 0.5
-"""Operations for each entry of a matrix that a vector is multiplied by."""
+"""Operations of a matrix times a vector, for each entry."""
 _MATRIX = 40.0
-"""Operations for each matrix besides."""
+"""The same for each matrix."""
 _LOOK_COST = Cost(50e3, 15.0)
-"""Operations of a look at an interpolant, and for each number looked at."""
+"""Operations of evaluating an interpolant: once, and for each state."""
 
 Rates: TypeAlias = Callable[[float, Array], Array]
 """Stacked rates (n m,) at a time and a stacked state."""
 Interpolant: TypeAlias = "Callable[[Array, bool], tuple[Array, Array]]"
-"""Of some trajectories the states (n, c) at shares (c,) of a step, and, if asked for, slopes over
-the share."""
+"""Maps shares (c,) of a step, and whether slopes are needed, to the states (n, c) of c trajectories
+and their slopes over the share."""
 
 
 class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
-    """Steps of trajectories, a stacked state in the order (state, trajectory), made again if bad.
+    """Steps that are made again where they missed something.
+
+    The stacked state is in the order (state, trajectory).
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
     Attributes
     ----------
     refusals : int
-        Steps that were made again since :meth:`longest_tried` was last asked for.
+        Steps that were made again since the last call of :meth:`longest_tried`.
     """
 
     def __init__(
@@ -107,17 +109,17 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
         raise NotImplementedError
 
     def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
-        """The error that a defect (n, c), times the step, of some trajectories comes to."""
+        """The error that a defect (n, c), times the step, of some trajectories amounts to."""
         return defect
 
     def longest_tried(self) -> float:
-        """The longest of the last step and of those refused since this was last asked for."""
+        """The longest of the last step and of those refused since the last call."""
         longest = max(self.step_size, self._longest_refused)
         self.refusals, self._longest_refused = 0, 0.0
         return float(longest)
 
     def step(self) -> str | None:
-        """A step as SciPy's, made again and shorter while something in it was overlooked."""
+        """Make a step as SciPy does, again and shorter while it misses something."""
         members = self.__dict__
         before = {name: members[name] for name in _STEP_STATE if name in members}
         while True:
@@ -133,12 +135,12 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
             self._restart(h * shortening)
 
     def _shortening(self, y_before: Array) -> float:
-        """Factor on the length of the step when it is made again; one if it is good."""
+        """Part of the step to try next; one if the step is good."""
         missed = self.control is not None and self.control.missed(self, y_before)
         return _SHORTENING if missed else 1.0
 
     def _restart(self, h: float) -> None:
-        """Begin the step again with another length."""
+        """Prepare a step of another length."""
         self.h_abs = h
 
 
@@ -149,14 +151,14 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
     _weights = np.stack([scipy.integrate.DOP853.E5, scipy.integrate.DOP853.E3])
 
     def _estimate_error_norm(self, K: Array, h: float, scale: Array) -> float:
-        """As SciPy's (Hairer, Nørsett & Wanner, II.10), for each trajectory."""
+        """SciPy's norm (Hairer, Nørsett & Wanner, II.10) of each trajectory, the largest of all."""
         errors = np.square(self._weights @ K / scale)
         fifth, third = errors.reshape(2, self.trajectory_states, -1).sum(axis=1)
         below = np.sqrt((fifth + 0.01 * third) * self.trajectory_states)
         return float(abs(h) * np.max(fifth / np.where(below > 0.0, below, 1.0)))
 
     def dense_output(self) -> scipy.integrate.DenseOutput:
-        """As SciPy's, once for each step."""
+        """SciPy's dense output, made once for each step."""
         if self._dense is None or self._dense.t != self.t or self._dense.t_old != self.t_old:
             self._dense = super().dense_output()
         return self._dense
@@ -185,15 +187,15 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
 class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
 
-    With h far above a stiff time scale the estimate of the error sees the nodes only. The defect of
-    the interpolant, divided by the matrix of the Newton iteration, is its error in between.
+    If h is far above a stiff time scale, the error estimate sees the nodes only. The defect of the
+    interpolant, divided by the Newton matrix, is its error in between.
 
     Parameters
     ----------
     blocks : callable
         Jacobians (m, n, n) at a time and a stacked state.
     looks_between : bool
-        Whether the interpolant is looked at between the nodes.
+        Whether to check the interpolant between the nodes.
     """
 
     def __init__(
@@ -214,7 +216,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         self.lu, self.solve_lu = self._inverses, self._solve
 
     def _inverses(self, matrices: Array) -> Array:
-        """Inverses; those of the real matrix of the Newton iteration are kept for the check."""
+        """Inverses; keeps those of the real Newton matrices for the check of the interpolant."""
         real = np.isrealobj(matrices)
         cost = inverse(matrices.shape[-1], real)
         inverses = np.empty_like(matrices)
@@ -228,7 +230,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         return inverses
 
     def _validate_jac(self, jac: object, sparsity: object) -> tuple[object, object]:
-        """The Jacobian as a function; what stands in for its first value is not used."""
+        """The Jacobian as a function, and an empty matrix that SciPy needs and nothing uses."""
         return lambda t, y, f=None: self._blocks(t, y), scipy.sparse.csc_matrix((self.n, self.n))
 
     def _shortening(self, y_before: Array) -> float:
@@ -253,7 +255,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         return math.sqrt(square) if math.isfinite(square) else math.inf
 
     def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
-        """The defect divided by the matrix of the Newton iteration."""
+        """The defect divided by the Newton matrices."""
         right = defect.T[:, :, None] / self.sol.h
         return np.asarray(np.matmul(self._newton[columns], right)[:, :, 0].T)
 
@@ -306,7 +308,7 @@ class DefectControl:
         return self.places > 0 and self._at_random(solver) > _MOST_RANDOM_DEFECT
 
     def _at_random(self, solver: Stepper) -> float:
-        """Largest error that a defect at random places comes to, in units of the tolerance."""
+        """Largest error that a defect at random places amounts to, in tolerances."""
         m, h = self.parameters.shape[1], solver.t - solver.t_old
         columns = np.tile(np.arange(m), self.places)
         charge(self.rates_cost(columns.size) + _LOOK_COST(solver.y.size // m * columns.size))
@@ -317,12 +319,12 @@ class DefectControl:
         return _largest(error / _tolerated(solver, states))
 
     def _at_crossings(self, solver: Stepper, y_before: Array) -> float:
-        """Largest defect at the crossings of a step, times its length, in units of the tolerance.
+        """Largest defect at the crossings of state surfaces, times the step, in tolerances.
 
-        It is looked at where a state surface is crossed, and midway between two such places. In
-        peaks and pulses, where trajectories may stay longer than the step says, a defect as large
-        as the rates counts times all the time that is left. At a kink, which the estimate of the
-        error sees unless it is the kink of a peak, no smaller one counts.
+        The defect midway between two crossings counts too. Trajectories may stay in a peak or pulse
+        longer than the step says: there a defect as large as the rates counts times all the time
+        that is left. The error estimate sees a kink, unless it belongs to a peak: there a smaller
+        defect does not count.
         """
         m, before, h = self.parameters.shape[1], solver.t_old, solver.t - solver.t_old
         surfaces, n_peaks = self.features.state_surfaces, self.features.n_peaks
@@ -373,7 +375,7 @@ def _largest(errors: Array) -> float:
 
 
 def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
-    """Roots on [0, 1] of functions whose values at its ends, given, have two signs (Illinois)."""
+    """Roots in [0, 1] of functions that change sign from ``start`` to ``end`` (Illinois method)."""
     a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
     side: NDArray[np.bool_] | None = None
     for _ in range(_MOST_ROOT_ITERATIONS):

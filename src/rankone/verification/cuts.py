@@ -33,11 +33,11 @@ _NODES = 14
 _RESOLVED_ERROR = 1e-7
 """Interpolation error that counts as resolved, relative to the largest function value."""
 _SMOOTH_ERROR = 1e-3
-"""The same over that of two halves between which a jump or kink lies exactly."""
+"""Error over that one below which both halves are smooth, and the cut is between them."""
 _OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
-"""Shares of a piece beside the samples, so that small pieces are looked at too."""
+"""Shares of a piece that are sampled too, since small pieces contain no fine sample."""
 _LOOK_COST = Cost(80e3, 3.0)
-"""Operations of an interpolation on a piece, and for each sample there."""
+"""Operations of an interpolation on a piece: once, and for each sample."""
 _NARROW_PIECE = 1.0 / 64.0
 """Width of a narrow piece, relative to the interval: its ends are cuts."""
 _RARE_SHARE = 0.25
@@ -59,15 +59,15 @@ _MOST_REPEATED = 10_000
 _COINCIDENT = 1e-14
 """Cuts that are closer, relative to the largest size of the coordinate, are the same."""
 _MOST_CLOSE_PAIRS = 100
-"""Most pairs of such cuts that are looked at."""
+"""Most pairs of such cuts that are checked."""
 _PULSE_SHARE = 1e-9
-"""Share of a pulse between two such cuts, in the whole function, that counts."""
+"""Area of a pulse between two such cuts, over that of the function, from which it counts."""
 _POLE = 1e9
 """A factor that is so many times larger at a cut than at samples may have a pole there."""
 _POLE_DISTANCES = (1e-11, 1e-14)
 """Distances from a cut, in widths of the interval, between which a pole grows."""
 _POLE_GROWTH = 10.0
-"""Factor by which it does, as a narrow peak does not."""
+"""Factor by which a pole grows between them; a narrow peak does not."""
 
 
 class TooManyCuts(Exception):

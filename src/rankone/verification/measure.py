@@ -41,35 +41,35 @@ from rankone.verification.search import Climb, climbed
 __all__ = ["ReferenceSet", "drift", "times_within", "worst_points"]
 
 _REFERENCE_ACCURACY = 3e-3
-"""Tolerance of the reference over that of the solve, for the worst of its trajectories."""
+"""Tolerance of the reference over the tolerance of the solve."""
 _LEAST_ACCURACY = 3e-13
-"""Tightest tolerance of the reference: rounding errors come to more."""
+"""Tightest tolerance of the reference: rounding errors are larger."""
 _SOLVED_SHARE = 0.9
 """Part of the way to a blow-up that is still solved."""
 _SIZE_SAMPLES = 201
-"""Times at which the sizes of the states are looked at."""
+"""Evenly spaced times at which the sizes of the states are measured."""
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])
-"""Where they are looked at besides, from one jump to the next."""
+"""The same from one jump to the next, in shares of the time between."""
 _LEAST_SIZE = 1e-140
 """Size of a state below which its square is lost."""
 _COINCIDENT = 1e-13
 """Cuts this close to a jump, relative to the ends of the horizon, are that jump."""
 _MOST_CHECKED_CUTS = 16
-"""Cuts of a parameter that are checked on either side."""
+"""Most cuts of a parameter that are checked on either side."""
 _CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
 """Checked times, in slab lengths."""
 _GROWTH_STEPS = 32
 """Steps over the horizon by which the growth of errors is followed."""
 _GROWTH_TRAJECTORIES = 5
-"""Check points at which it is, the centre first."""
+"""Check points at which it is followed, the centre first."""
 _BESIDE_POLE = 0.99
-"""Factor on the rates where the Cayley transform does not exist for one of them."""
+"""Factor on the Jacobian where its Cayley transform does not exist."""
 _SAFE_QUANTILE = 0.95
-"""Part of the points that have no larger error than the quantile that is reported."""
+"""Part of the points whose errors the reported quantile bounds."""
 _DRIFT_POINTS = 24
 """Points at which lifted states are compared with what they stand for."""
 _DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])
-"""Times at which they are, in slab lengths."""
+"""Times at which they are compared, in slab lengths."""
 
 _CANDIDATES = 512
 """Points at which residuals are looked at, with up to three parameters."""
@@ -86,7 +86,7 @@ _CORNER_INTERVAL = 5
 _CORNER_POWER = 1.0 / 3.0
 """Power of the distance from the centre that draws points towards the corners."""
 _CORNER_ERROR = 5.0
-"""Factor on the error that is tolerated there, unless corners count: they are rare."""
+"""Factor on the error that is tolerated there unless corners count: few points are so near."""
 _RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])
 """Times of residuals, in slab lengths."""
 _NEGLIGIBLE = 1e-3
@@ -98,13 +98,13 @@ On smooth problems expected errors are too large and reach 1.4; where something 
 _MOST_COMPARED = 64
 """Reference trajectories whose residuals tell what a residual amounts to."""
 _JUMP_CANDIDATES = 16_384
-"""Points at which a jump is looked at that is no polynomial of the states."""
+"""Most points at which a jump is checked that is not a polynomial of the states."""
 _JUMP_ERROR = 3.0
 """Error after a jump, over the tolerance, from which a point is doubtful."""
 _CLIMBERS = 64
 """Points with the largest errors after a jump, from which larger ones are looked for."""
 _TO_KINKS = Climb(rounds=8, tries=8, first_step=0.1, shrinkage=0.4)
-"""The way to them: the last steps are as short as the kinks that a solution may miss are thin."""
+"""The way to them. The last steps are as short as the kinks are thin."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ _FEW_CORNERS = 8
 _MOST_CORNERS = 256
 """Corners where they count: all of eight parameters."""
 _BESIDE = 4e-9
-"""Distance from cuts, in widths of the interval: at a jump itself there is no one state."""
+"""Distance from cuts, in widths of the interval: at a jump itself the state is ambiguous."""
 _FACTOR_SAMPLES = 1025
 """Samples of a factor over its interval."""
 _RARE_SHARE = 0.2
@@ -46,11 +46,11 @@ _RARE_SHARE = 0.2
 _MOST_RARE_TERMS = 4
 """Rare terms that are looked at."""
 _RARE_POINTS = 48
-"""Points where they are active, of all of them."""
+"""Points at which rare terms are active, for all of them together."""
 _SURFACE_CANDIDATES = 512
 """Random points between which surfaces are looked for."""
 _SURFACE_POINTS = 32
-"""Points on all surfaces, and in cells."""
+"""Points on all surfaces together, and points in cells."""
 _LEAST_SURFACE_POINTS = 4
 """Points on each surface at least."""
 _SURFACE_HALVINGS = 50
@@ -58,7 +58,7 @@ _SURFACE_HALVINGS = 50
 _CLIMBERS = 4
 """Points from which a surface that no random point crosses is approached."""
 _TO_SURFACE = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
-"""The way there: it meets islands of a few percent of six parameters, and narrow ones of two."""
+"""The way there. It finds islands of a few percent of six parameters, and narrow ones of two."""
 _CELL_PARAMETERS = 2
 """Parameters with several cuts from which their cells are looked at."""
 _STEEP_NODES = 3.0
@@ -70,9 +70,9 @@ _MOST_ELEMENTS = 16
 _MOST_SLABS = 4
 """Slabs on which steep points are looked for."""
 _STEEP_CANDIDATES = 512
-"""Random points on each of them."""
+"""Random points among which steep ones are chosen on each slab."""
 _STEEP_POINTS = 12
-"""Points taken of those."""
+"""Points chosen on each slab."""
 _SHIFT = 2e-3
 """Change of every parameter, in widths of its interval, over which the solution is compared."""
 
@@ -80,7 +80,6 @@ _SHIFT = 2e-3
 def check_points(
     box: Array,
     count: int,
-    seed: int = 20140,
     cuts: Sequence[Sequence[float]] = (),
     every_corner: bool = False,
 ) -> Array:
@@ -96,7 +95,7 @@ def check_points(
     every_corner : bool
         Whether to take all corners, or 256 of more; else eight of them.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(20140)
     d = len(box)
     lower, width = box[:, 0], box[:, 1] - box[:, 0]
     if d == 0 or count == 0:

@@ -31,6 +31,7 @@ from rankone.trajectories.diagnosis import (
 from rankone.trajectories.integrator import (
     LAST_GAP,
     DenseTrajectories,
+    Integrator,
     Tolerances,
     jacobians,
 )
@@ -47,21 +48,21 @@ __all__ = [
 _NEGLIGIBLE = 1e-7
 """Part of a state's size at which its relative accuracy ends."""
 _LONGEST_STEP = 0.1
-"""Longest step, in horizons, where functions of time or of unknowns may hide between its stages."""
+"""Longest step, in horizons, if narrow functions may hide between its stages."""
 _BLOW_UP_GROWTH = 1e3
-"""Size of a state, over the initial ones, that tells a blow-up from a pole or a border."""
+"""Growth of a state over its size from which it blows up, and does not meet a pole or border."""
 _COINCIDENT = 1e-14
 """Times that are closer, relative to the ends of the horizon, are the same."""
 _LINGERING = 1e-3
-"""Part of its early size to which a state is resolved that stays below what usually is."""
+"""Part of its early size to which a state is resolved that stays negligible, but is amplified."""
 _SMALL_STATE = 10.0
-"""Negligible parts of its presumed size below which a state turns out to be small."""
+"""Size, in negligible parts of the presumed one, below which a state turns out to be small."""
 _SAMPLES = 8
-"""Times at which rates and the growth of small values are looked at."""
+"""Times at which rounding errors and the growth of small states are estimated."""
 _DENSE_COST = Cost(50e3, 15.0)
-"""Operations of an evaluation of dense output, and for each number that it gives."""
+"""Operations of evaluating dense output: once, and for each state."""
 _MOST_INTEGRATIONS = 4
-"""Integrations at most, where states that start from zero turn out to be small."""
+"""Most integrations: a state that starts from zero shows its size only then."""
 
 _FACE_RTOL = 1e-3
 """Relative tolerance of trajectories that only show whether they reach the end."""
@@ -181,7 +182,7 @@ def integrate_reference(
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
-    integrator = StackedIntegrator(looks_anywhere=not system.separated)
+    integrator: Integrator = StackedIntegrator(looks_anywhere=not system.separated)
     resolution = _Resolution(system, points, start, end, rtol, initial)
     for _ in range(_MOST_INTEGRATIONS):
         tolerances = Tolerances(rtol, resolution.absolute, longest)
@@ -195,7 +196,7 @@ def integrate_reference(
 
 
 class _Resolution:
-    """Down to what each state is resolved: refined once an integration has shown its size.
+    """How far down each state is resolved; an integration shows whether that was far enough.
 
     Attributes
     ----------
@@ -223,7 +224,7 @@ class _Resolution:
         return rounding_errors(*stack, samples, largest, self.rtol)
 
     def refined(self, dense: DenseTrajectories) -> bool:
-        """Take notice of trajectories; whether they are to be integrated to finer tolerances."""
+        """Adapt the tolerances to trajectories; whether to integrate again, to finer ones."""
         largest, early = (x.max(axis=1, keepdims=True) for x in (dense.largest, dense.early))
         samples = dense.samples(_SAMPLES)
         before, self.rounding = self.rounding, self._rounding(samples, largest)
@@ -242,7 +243,7 @@ class _Resolution:
         return bool(((small | lingers | coarse) & (self.absolute < coarser)).any())
 
     def _amplifies(self, samples: Sequence[tuple[float, Array]], end: float) -> bool:
-        """Whether some state may grow exponentially a lot along the first trajectory."""
+        """Whether small states may grow exponentially along the first trajectory, by much."""
         growth = 0.0
         for time, states in samples:
             block = jacobians(self.system, self.points, time, states)[0]

@@ -78,13 +78,13 @@ def climbed(
 def bisected(
     a: Array, b: Array, like_a: Callable[[Array], NDArray[np.bool_]], halvings: int
 ) -> tuple[Array, Array]:
-    """Both ends of the last halves of segments that begin as [a, b].
+    """The ends of segments [a, b] after halvings around a border between ``a`` and ``b``.
 
     Parameters
     ----------
     a, b : ndarray (m, d)
     like_a : callable
-        Tells for points (m, d) on the segments whether each belongs on the side of ``a``: (m,).
+        Whether points (m, d) on the segments are on the side of ``a``: (m,).
     halvings : int
     """
     for _ in range(halvings):

@@ -35,13 +35,13 @@ def test_where_the_equations_do_not_hold(decay):
 
     def rhs(t, u, p):
         corner = (np.asarray(p[0]) > 1.9) & (np.asarray(p[1]) > 0.9)
-        known = (np.asarray(p[0])[..., None] == reference_set.reference.points[:, 0]).any(axis=-1)
-        return system.rhs(t, u, p) + 1e-3 * (corner & ~known)
+        touched = (np.asarray(p[0])[..., None] == reference_set.reference.points[:, 0]).any(axis=-1)
+        return system.rhs(t, u, p) + 1e-3 * (corner & ~touched)
 
     wrong = replace(reference_set, system=replace(system, rhs=rhs))
-    found = worst_points(wrong, outcome.slabs, 0.5, 1e-6, 0)
-    assert len(found) >= 3
-    assert (found > [1.9, 0.9]).all()
+    points = worst_points(wrong, outcome.slabs, 0.5, 1e-6, 0)
+    assert len(points) >= 3
+    assert (points > [1.9, 0.9]).all()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,44 @@
+"""Integrators give the same trajectories at all times and at given ones."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.support.budget import OutOfBudgetError, limited
+from rankone.trajectories.integrator import Integrator, Tolerances
+from rankone.trajectories.stacks import StackedIntegrator
+
+POINTS = np.array([[0.5], [1.0], [1.5]])
+TOLERANCES = Tolerances(1e-8, np.full((1, 1), 1e-10))
+
+
+def decay(rate="-k*x"):
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1.5)}, (0, 2))
+    return ro.compile(problem).system
+
+
+@pytest.mark.parametrize("integrator", [StackedIntegrator(), StackedIntegrator(stiff=True)])
+def test_dense_and_sampled_trajectories_agree(integrator: Integrator):
+    times = np.linspace(0.1, 2.0, 7)
+    dense = integrator.run(decay(), POINTS, [0.0, 1.0, 2.0], TOLERANCES)
+    sampled = integrator.sample(decay(), POINTS, [0.0, 1.0, 2.0], TOLERANCES, times)
+    assert dense.end == sampled.end == 2.0
+    assert sampled.reached == 7
+    np.testing.assert_array_equal(sampled.states, np.moveaxis(dense(times), 2, 0))
+    np.testing.assert_allclose(dense(times)[0], np.exp(-POINTS * times), rtol=1e-6)
+    np.testing.assert_array_equal(dense.state, sampled.state)
+
+
+def test_a_blow_up_ends_all_trajectories():
+    sampled = StackedIntegrator().sample(
+        decay("k*x**2"), POINTS, [0.0, 2.0], TOLERANCES, np.array([0.3, 1.9])
+    )
+    assert sampled.reached == 1
+    assert sampled.end == pytest.approx(1 / 1.5, rel=1e-6)
+
+
+def test_a_limit_tells_how_far_an_integration_came():
+    with limited(3e6), pytest.raises(OutOfBudgetError) as out:
+        StackedIntegrator().run(decay("-100*k*(x - cos(100*t))"), POINTS, [0.0, 2.0], TOLERANCES)
+    assert 0.0 < out.value.reached.time < 2.0
+    assert out.value.reached.steps > 5
