@@ -14,7 +14,8 @@ import rankone as ro
 from rankone.codegen import quadratic_system
 from rankone.codegen.lowering import right_hand_side, vertex_cover
 from rankone.codegen.sums import extract_pairs
-from rankone.ir.forms import Role, SeparatedForm, Term
+from rankone.ir.forms import SeparatedForm, Term
+from rankone.ir.metadata import Role
 from rankone.support.errors import SeparationError
 from tests.codegen.systems import decay, driven, lotka_volterra, separated
 

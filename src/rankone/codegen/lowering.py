@@ -19,11 +19,11 @@ from rankone.ir.forms import (
     Factor,
     Group,
     QuadraticSystem,
-    Role,
     SeparatedForm,
     State,
     Term,
 )
+from rankone.ir.metadata import Role
 from rankone.support.errors import SeparationError, check_kind
 
 __all__ = ["lower", "quadratic_system", "right_hand_side", "vertex_cover"]

@@ -11,7 +11,7 @@ section 1.14), which are differentiated as such.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import sympy as sp
@@ -347,7 +347,8 @@ def _with_fractions(product: sp.Expr) -> sp.Expr:
         for term in total.args if len(total.args) <= _MOST_DENOMINATOR_TERMS else ():
             coefficient, monomial = term.as_coeff_Mul()
             below = _powers(sp.Mul.make_args(monomial)) if monomial.free_symbols else {}
-            if not below or not all(_holds(above, *pair, -exponent) for pair in below.items()):
+            ratios = [above.get(b, sp.S.Zero) / e for b, e in below.items()]
+            if not below or not all(r.is_Rational and r >= -exponent for r in ratios):
                 continue
             left = {**above, **{b: above[b] + exponent * e for b, e in below.items()}}
             remaining = sp.Mul(coefficient**exponent, *(b**e for b, e in left.items()))
@@ -362,12 +363,6 @@ def _powers(factors: Iterable[sp.Expr]) -> dict[sp.Expr, sp.Expr]:
         base, exponent = factor.as_base_exp()
         powers[base] = powers.get(base, sp.S.Zero) + exponent
     return powers
-
-
-def _holds(powers: Mapping[sp.Expr, sp.Expr], base: sp.Expr, exponent: sp.Expr, n: int) -> bool:
-    """Whether a product of powers is divided by another power n times."""
-    ratio = powers.get(base, sp.S.Zero) / exponent
-    return bool(ratio.is_Rational and ratio >= n)
 
 
 def _base_and_exponent(factor: sp.Expr) -> tuple[sp.Expr, sp.Expr]:

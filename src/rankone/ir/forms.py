@@ -35,19 +35,6 @@ from rankone.support.wording import (
 if TYPE_CHECKING:
     import sympy as sp
 
-__all__ = [
-    "Coordinate",
-    "Factor",
-    "GeneralTerm",
-    "Group",
-    "Jump",
-    "QuadraticSystem",
-    "Role",
-    "SeparatedForm",
-    "State",
-    "Term",
-]
-
 _Table = tuple[str, list[str], list[list[str]]]
 """Summary, header and rows."""
 

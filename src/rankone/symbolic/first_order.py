@@ -19,8 +19,9 @@ from rankone.expressions.numbers import exact
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.mass import MassForm
 from rankone.frontend.problem import Problem
-from rankone.ir.forms import Coordinate, Jump, Role, State
+from rankone.ir.forms import Coordinate, Jump, State
 from rankone.ir.functions import namespace_of
+from rankone.ir.metadata import Role
 from rankone.support.errors import check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
 

@@ -17,7 +17,8 @@ from sympy.core.relational import Relational
 
 from rankone.expressions.notation import text_of
 from rankone.expressions.numbers import exact
-from rankone.ir.forms import Jump, Role, State
+from rankone.ir.forms import Jump, State
+from rankone.ir.metadata import Role
 from rankone.support.budget import check_time
 from rankone.support.wording import count
 from rankone.symbolic.first_order import FirstOrderSystem
