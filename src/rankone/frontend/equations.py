@@ -25,11 +25,9 @@ def check_equations(
 
     In the residuals every derivative is one of an unknown: ``Derivative(x**2, t)`` is carried out.
     """
-    if isinstance(equations, sp.Basic) and not isinstance(equations, sp.Tuple | sp.MatrixBase):
-        message = f"equations are {quote(equations)}, not a list"
-        raise ProblemError(message, term=equations, remedy="write [...]")
+    single = isinstance(equations, sp.Basic) and not isinstance(equations, sp.Tuple | sp.MatrixBase)
     try:
-        if isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
+        if single or isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
             raise TypeError
         written: tuple[sp.Basic, ...] = tuple(equations)  # type: ignore[arg-type]
     except TypeError:

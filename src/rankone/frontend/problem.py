@@ -178,10 +178,10 @@ class Problem:
             "units": MappingProxyType(check_units(self.units, time[0], box, states)),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
-            "mass": check_mass(residuals, unknowns, _coordinates(time, box)),
         }
         for name, attribute in checked.items():
             object.__setattr__(self, name, attribute)
+        object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
 
     @classmethod
     def from_strings(
@@ -226,13 +226,8 @@ class Problem:
         t = sp.Symbol("t")
         if not isinstance(time, tuple | list) or len(time) != 2:
             raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
-        for argument, mapping in (("rhs", rhs), ("initial", initial), ("parameters", parameters)):
-            if not _has_names(mapping):
-                raise ProblemError(
-                    f"{argument} is {quote(mapping)}, not a mapping from names",
-                    term=mapping,
-                    remedy="use names (text) as keys",
-                )
+        rhs, initial = _normalised("rhs", rhs), _normalised("initial", initial)
+        parameters = _normalised("parameters", parameters)
         for state in initial:
             if state not in rhs:
                 raise ProblemError(
@@ -241,8 +236,6 @@ class Problem:
                     term=state,
                     remedy="remove it, or give its derivative in `rhs`",
                 )
-        rhs, initial = _normalised("rhs", rhs), _normalised("initial", initial)
-        parameters = _normalised("parameters", parameters)
         unknowns = {state: sp.Function(state)(t) for state in rhs}
         symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
         check_names(list(unknowns.items()), symbols.values(), t)
@@ -277,7 +270,8 @@ class Problem:
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The dimensions of the box: time, then the parameters in the order given."""
-        return _coordinates(self.time, self.parameters)
+        intervals = [self.time, *((symbol, *ends) for symbol, ends in self.parameters.items())]
+        return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
 
     def __reduce__(self) -> tuple[type[Problem], tuple[object, ...]]:
         texts = self.distributions
@@ -334,13 +328,6 @@ class Problem:
         ]
 
 
-def _coordinates(
-    time: tuple[sp.Symbol, float, float], box: Mapping[sp.Symbol, tuple[float, float]]
-) -> tuple[Coordinate, ...]:
-    intervals = [time, *((symbol, *bounds) for symbol, bounds in box.items())]
-    return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
-
-
 def _has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
     """Whether this is a mapping whose keys are texts."""
     return isinstance(mapping, Mapping) and all(isinstance(key, str) for key in mapping)
@@ -388,6 +375,12 @@ def _formula(
 
 def _normalised(argument: str, mapping: Mapping[str, Entry]) -> dict[str, Entry]:
     """The same with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
+    if not _has_names(mapping):
+        raise ProblemError(
+            f"{argument} is {quote(mapping)}, not a mapping from names",
+            term=mapping,
+            remedy="use names (text) as keys",
+        )
     normal: dict[str, Entry] = {}
     for name in mapping:
         read = unicodedata.normalize("NFKC", name)
