@@ -91,6 +91,7 @@ import importlib.util
 import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 """
 
 
