@@ -1,4 +1,4 @@
-"""What commands share: their parsers, problem files and saved solutions, summaries, exit status."""
+"""Shared by all commands: parsers, problem files and saved solutions, summaries, exit status."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def add_states(parser: argparse.ArgumentParser) -> None:
 
 
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what commands take that write a model or a page."""
+    """Add the arguments of commands that write a model or a page."""
     add_solve_rtol(parser)
     parser.add_argument("--method", help="the engine (default: auto)")
     parser.add_argument(

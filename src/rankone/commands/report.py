@@ -104,7 +104,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _check_place(folder: Path, overwrite: bool) -> None:
-    """Raise a StorageError if the directory cannot be made, or has a report that has to stay."""
+    """Raise a StorageError if the directory cannot be made, or holds a report to be kept."""
     from rankone.support.errors import StorageError
     from rankone.support.files import free_target
 
@@ -234,7 +234,7 @@ def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:
 
 
 def _standard(solution: Solution) -> dict[str, Callable[[str, Axes], object]]:
-    """Functions that draw the plots of an unknown that make sense, by the start of their names."""
+    """Functions that draw the plots that apply, by the first word of their file names."""
     from rankone import plotting
 
     plots: dict[str, Callable[[str, Axes], object]] = {}
@@ -258,7 +258,7 @@ def _standard(solution: Solution) -> dict[str, Callable[[str, Axes], object]]:
 
 
 def _can_plot() -> bool:
-    """Whether Matplotlib is there; if not it says what to install."""
+    """Whether Matplotlib is installed; if not, say what to install."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:

@@ -1,4 +1,4 @@
-"""``rankone solve FILE`` and ``rankone show FILE``: what a problem file leads to."""
+"""``rankone solve FILE`` and ``rankone show FILE``: solve a problem, or print its stages."""
 
 from __future__ import annotations
 

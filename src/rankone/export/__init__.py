@@ -1,4 +1,4 @@
-"""Export: what was compiled or solved, as files that need neither rankone nor SymPy.
+"""Export: solvers and solved models as files that need neither rankone nor SymPy.
 
 ==================  ===================================================================
 module              subject
@@ -12,9 +12,9 @@ module              subject
 ``model_c``         the solved model in C99
 ``model_js``        the solved model in JavaScript
 ``explorer``        the page with sliders and curves
-``model_fmu``       the solved model as an FMU: the one in C99 behind the functions of FMI
-``fmu_description`` what an FMU says about itself, as XML
-``templates``       templates in C99, JavaScript and HTML; comments and strings of those languages
+``model_fmu``       the solved model as an FMU: the model in C99 behind the functions of FMI
+``fmu_description`` the XML files that describe an FMU
+``templates``       templates, comments and strings in C99, JavaScript and HTML
 ==================  ===================================================================
 """
 
@@ -77,19 +77,10 @@ def export_solver(
     engine, *_ = engines_for(
         method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
     )
-    _check_exportable(compiled, engine.name)
-    metadata = compiled.metadata(method=engine.name)
-    text = standalone_source(compiled.problem.name, compiled.form_for(engine.name).source, metadata)
-    write_files({target: text}, overwrite, ExportError)
-    return target
-
-
-def _check_exportable(compiled: Any, method: str) -> None:
-    """Raise an ExportError unless a solver by that method can be written."""
-    reason = compiled.methods[method]
+    reason = compiled.methods[engine.name]
     if reason is not None:
         raise ExportError(
-            f"a solver by method={method!r} cannot be exported: {reason}",
+            f"a solver by method={engine.name!r} cannot be exported: {reason}",
             remedy="export with method='cross'",
         )
     if compiled.user_functions:
@@ -99,6 +90,10 @@ def _check_exportable(compiled: Any, method: str) -> None:
             term=name,
             remedy="give it as a formula or a table (rankone.table)",
         )
+    metadata = compiled.metadata(method=engine.name)
+    text = standalone_source(compiled.problem.name, compiled.form_for(engine.name).source, metadata)
+    write_files({target: text}, overwrite, ExportError)
+    return target
 
 
 def solver_target(path: str | PathLike[str], overwrite: bool = False) -> Path:
@@ -151,7 +146,7 @@ def export_model(
 
 
 def check_options(target: Path, *, rtol: float | None = None, fmi: FMI | None = None) -> None:
-    """Raise an OptionError if a model cannot be written so."""
+    """Raise an OptionError if these options do not apply to a target."""
     from rankone.export.model_fmu import checked_fmi
 
     checked_rtol(rtol)

@@ -1,16 +1,15 @@
 """The bundler: whole modules of the library inside one readable file.
 
-A bundled module is a function without arguments, named ``solvers__task`` after ``solvers.task``,
-and its body is the text of the module. Its first statement declares every name of the module
-global; :func:`module` then runs the function once, with the namespace of a new module as its
-globals. So each module keeps a namespace of its own, classes and functions keep their plain names
-(dataclasses and pickle look them up), and nothing is compiled from a string: tracebacks, debuggers,
-linters and cached bytecode work on the lines that a person reads.
+A bundled module is a function without arguments: ``tensors__train`` holds the text of
+``tensors.train``. It begins by declaring every name of the module global. :func:`module` runs it
+once, with the namespace of a new module as its globals. So each module keeps its own namespace, and
+classes and functions keep the plain names that dataclasses and pickle look up. Nothing is compiled
+from a string: tracebacks, debuggers, linters and cached bytecode refer to the lines that a person
+reads.
 
-The text is changed in three places only: imports from the library become relative, ``from
-__future__`` is said once for the whole file, and annotated module constants lose the annotation,
-which Python forbids for a global name. Imports for type checkers and inside functions do not count
-as needed.
+Three things change in the text. Imports from the library become relative, the file has one ``from
+__future__`` line for all modules, and module constants lose their annotations, which Python forbids
+for global names. Imports inside functions or for type checkers add no module.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _INTERNAL = re.compile(rf"^(\s*)from {_PACKAGE}\.", re.MULTILINE)
 
 
 def module(body: Callable[[], None]) -> types.ModuleType:
-    """Run the body of a bundled module: ``solvers__task`` becomes ``solvers.task`` of this file."""
+    """Run the body of a bundled module: ``tensors__train`` becomes ``tensors.train``."""
     name = f"{__name__}.{body.__name__.replace('__', '.')}"
     namespace = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, None))
     vars(namespace).update(__file__=__file__, __doc__=body.__doc__, __builtins__=__builtins__)
@@ -50,13 +49,7 @@ def module(body: Callable[[], None]) -> types.ModuleType:
 
 
 def bundle(roots: Iterable[str]) -> list[str]:
-    """The text that runs the roots and all modules they need, each after what it imports.
-
-    Raises
-    ------
-    ExportError
-        If the source of a module is not at hand.
-    """
+    """The blocks of text that run the roots and all modules they need, in order of import."""
     blocks = [inspect.getsource(module).rstrip()]
     return blocks + [_block(name) for name in needed_modules(roots)]
 
@@ -89,7 +82,7 @@ def needed_modules(roots: Iterable[str]) -> list[str]:
 
 @cache
 def source_text(name: str) -> str:
-    """Source of a module, found without running it."""
+    """Source of a module, found without running it, or an ExportError."""
     spec = importlib.util.find_spec(name)
     if spec is None or not isinstance(spec.loader, importlib.machinery.SourceFileLoader):
         raise ExportError(f"the source of `{name}` is not at hand", term=name)

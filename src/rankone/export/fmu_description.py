@@ -1,4 +1,4 @@
-"""What an FMU says about itself: ``modelDescription.xml`` and ``buildDescription.xml``."""
+"""The files that describe an FMU: ``modelDescription.xml`` and ``buildDescription.xml``."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _add_variable(parent: Element, about: Description, reference: int) -> None:
 
 
 def _add_structure(root: Element, about: Description) -> None:
-    """Every output is computed, from the beginning, of all that is known."""
+    """Outputs and their initial values; each depends on all inputs."""
     structure = SubElement(root, "ModelStructure")
     references = range(len(about.model.intervals), len(about.names))
     if about.fmi == "3.0":
@@ -162,12 +162,12 @@ def _text(text: str) -> str:
 
 
 def _line(text: str) -> str:
-    """The same on one line, as names have to be."""
+    """Text on one line, as names have to be."""
     return re.sub(r"[\t\n\r]", "_", _text(text))
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """Names as FMI allows them, made different by underscores; those that can stay do so."""
+    """Names that FMI allows, made distinct by underscores; valid names stay."""
     words = [_line(name) or "_" for name in names]
     kept = set(names).intersection(words)
     distinct: list[str] = []

@@ -1,23 +1,22 @@
 """The solved model in C99: one source file and its header, without any dependency.
 
 A core is contracted block by block: eight rows of the left rank together, padded with zeros. The
-coefficients are laid out in the order in which they are used, and the zeros of a core are left out:
-for each polynomial a block goes on along the right rank only as far as it has other entries. Cores
-that several slabs share are there once.
+coefficients stand in the order in which they are used. For each polynomial a block stores the right
+rank up to its last entry that is not zero. Cores that several slabs share are stored once.
 """
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rankone.export.packing import PackedModel
-from rankone.export.templates import LINE, TERMS, c_comment, c_string, comment, filled, wrapped
+from rankone.export.templates import TERMS, c_comment, c_string, comment, filled, wrapped
 from rankone.support import __version__
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
@@ -135,14 +134,14 @@ def _tables(model: PackedModel) -> dict[str, str]:
     shapes = [core.tensor.shape for core in cores]
     return {
         "slabs": str(len(model.slabs)),
-        "starts": _wrapped(map(_number, model.starts)),
+        "starts": wrapped(map(_number, model.starts)),
         "cores": "\n".join(f"    {{{rows[k]}}}," for slab in positions for k in slab),
         "equal": "" if unequal else "yes",
         "unequal": "yes" if unequal else "",
-        "places": _wrapped(f"{{{place}}}" for place in places),
-        "pieces": _wrapped(f"{{{piece}}}" for piece in pieces),
-        "runs": _wrapped(map(str, runs)),
-        "coefficients": _wrapped(map(repr, coefficients or [0.0])),
+        "places": wrapped(f"{{{place}}}" for place in places),
+        "pieces": wrapped(f"{{{piece}}}" for piece in pieces),
+        "runs": wrapped(map(str, runs)),
+        "coefficients": wrapped(map(repr, coefficients or [0.0])),
         "most_rows": str(max(_padded(max(left, right), _BLOCK) for _, left, _, right in shapes)),
         "most_polynomials": str(max(degree for _, _, degree, _ in shapes)),
         "most_products": str(max(degree * _padded(right, _LANES) for *_, degree, right in shapes)),
@@ -154,7 +153,7 @@ def _padded(count: int, multiple: int) -> int:
 
 
 def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
-    """For each block of rows and each polynomial, how far to go and the coefficients on the way.
+    """For each block of rows and each polynomial the length of its run, and the coefficients.
 
     ``tensor`` is (left, degree, right); the coefficients are in the order (right, row).
     """
@@ -166,7 +165,3 @@ def _runs(tensor: NDArray[np.float64]) -> Iterator[tuple[int, list[float]]]:
             used = np.flatnonzero(polynomial.any(axis=1))
             run = _padded(int(used[-1]) + 1, _PAIR) if used.size else 0
             yield run, polynomial[:run].ravel().tolist()
-
-
-def _wrapped(items: Iterable[str]) -> str:
-    return "\n".join(wrapped(items, LINE))

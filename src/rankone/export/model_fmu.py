@@ -104,7 +104,7 @@ def fmu_model(
 
 
 def _wrapper(about: Description, token: str) -> dict[str, str]:
-    """The functions of FMI in C99, their text by the names of the files."""
+    """The functions of FMI in C99: the text of each file by its name."""
     parameters = about.model.coordinates[1:]
     longest = max((len(name.encode()) for name in parameters), default=0)
     prefix = f"{about.identifier}_model"
@@ -132,7 +132,7 @@ def _wrapper(about: Description, token: str) -> dict[str, str]:
 
 
 def _fingerprint(description: bytes, *sources: dict[str, str]) -> str:
-    """What tells the importer that description and binary belong together."""
+    """The token by which an importer sees that description and binary belong together."""
     digest = hashlib.sha256(description)
     for files in sources:
         for text in files.values():
@@ -172,7 +172,7 @@ def _archive(files: dict[str, bytes]) -> bytes:
 
 
 class CannotCompile(Exception):
-    """Why there is no library."""
+    """The reason why there is no library."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def this_platform() -> Platform:
 
 
 def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str) -> bytes:
-    """Compile C sources, some of the files by name, to a shared library of a name.
+    """Compile C sources to a shared library: ``files`` are texts by name, ``sources`` are compiled.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def _run_compiler(command: Sequence[str], library: Path) -> bytes:
 
 
 def _compiler() -> list[str]:
-    """What the variable CC names, or else a compiler that is found."""
+    """The compiler that the variable CC names, or else the first one on the path."""
     asked = shlex.split(os.environ.get("CC", ""))
     for command in (asked, ["cc"], ["gcc"], ["clang"]):
         if command and shutil.which(command[0]):

@@ -1,8 +1,8 @@
 """The solved model in JavaScript: one ES module without dependencies, and its declarations.
 
-A core is contracted with a column, eight rows together. In each such block of rows the
-coefficients of a column go on only as far as there are others than zero, and cores that several
-time slabs share are there once.
+A core is contracted with a column, eight rows together. In each such block of rows a column stores
+its coefficients up to the last one that is not zero. Cores that several time slabs share are stored
+once.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
 
 
 def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
-    """Of one element how many polynomials each column of a block has, and their coefficients.
+    """How many polynomials each column of a block of one element has, and their coefficients.
 
     ``tensor`` is (left, degree, right). The columns are in the order (block of rows, right), the
     coefficients in the order (block of rows, right, degree, row).

@@ -27,12 +27,7 @@ Place = float | tuple[float, ...]
 class Model:
     """The unknowns and their derivatives as functions of time and of all parameters.
 
-    Attributes
-    ----------
-    unknowns, coordinates : tuple of str
-        Names; the coordinates are time and the parameters.
-    intervals : tuple of (float, float)
-        The interval of each coordinate. Values outside of it are errors.
+    The ``coordinates`` are time and the parameters; a value outside of its interval is an error.
     """
 
     def __init__(

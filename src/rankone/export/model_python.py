@@ -40,7 +40,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     if len(text) <= _LONGEST_DATA:
         imports = _IMPORTS.format("import base64\n", "")
         rows = textwrap.wrap(text, WIDTH)
-        data = ['DATA = """', *rows, '"""', "", *_LOAD_TEXT]
+        data = ['DATA = """', *rows, '"""', "", _LOAD_TEXT]
     else:
         imports = _IMPORTS.format("", "from pathlib import Path\n")
         files[path.with_suffix(".npz")] = npz({"coefficients": coefficients.astype("<f8")})
@@ -49,13 +49,12 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "\n".join([*docstring(_head(model, path), indent=""), imports, *_tables(model)]),
         f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
         getsource(round_off).strip(),
-        source_text("rankone.export.model_program").partition(_END_OF_IMPORTS)[2].strip(),
+        source_text("rankone.export.model_program").partition('__all__ = ["Model"]')[2].strip(),
         "\n".join([banner("Coefficients"), "", *data, "", *_END]),
     ]
     return {path: "\n\n\n".join(blocks) + "\n", **files}
 
 
-_END_OF_IMPORTS = '__all__ = ["Model"]\n'
 _IMPORTS = """
 from __future__ import annotations
 
@@ -65,7 +64,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 """
-_LOAD_TEXT = ['COEFFICIENTS = np.frombuffer(base64.b64decode(DATA), dtype="<f8")']
+_LOAD_TEXT = 'COEFFICIENTS = np.frombuffer(base64.b64decode(DATA), dtype="<f8")'
 _LOAD_FILE = [
     'with np.load(Path(__file__).with_suffix(".npz"), allow_pickle=False) as file:',
     '    COEFFICIENTS = file["coefficients"]',

@@ -1,4 +1,4 @@
-"""A solution as plain tables: what the solved models evaluate.
+"""A solution as plain tables, which the solved models evaluate.
 
 Every core of every slab is kept as Chebyshev coefficients on its elements, whatever the basis of
 the solve was, so that a model needs one recurrence and one contraction.
@@ -81,25 +81,19 @@ class PackedCore:
 
 @dataclass(frozen=True)
 class PackedModel:
-    """Everything a model needs, in plain data.
+    """A model in plain data.
 
     Attributes
     ----------
-    unknowns : tuple of str
-        What is evaluated.
-    coordinates : tuple of str
+    coordinates, intervals : tuple
         Time, then the parameters.
-    intervals : tuple of (float, float)
-        The interval of each coordinate.
-    starts : tuple of float
-        Where each slab begins.
-    slabs : tuple of tuple of PackedCore
-        For each slab the cores of time and of each parameter.
+    starts, slabs : tuple
+        Where each slab begins, and its cores: of time, then of each parameter.
     summary : tuple of str
         The equations, the box and the measured error, as lines of text.
     errors : tuple of float
-        Measured error of each unknown relative to its size; NaN if unchecked. Where the model was
-        made smaller, what that changed is added.
+        Measured error of each unknown relative to its size, and the difference from the solution
+        where the model was made smaller; NaN if unchecked.
     units : tuple of (str, str)
         Names of unknowns and coordinates with their units.
     """
@@ -115,7 +109,7 @@ class PackedModel:
 
     @cached_property
     def distinct(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
-        """The cores, those that are equal to the bit once, and for each slab which it has."""
+        """The different cores, and for each slab the positions of its cores among them."""
         cores: dict[Hashable, PackedCore] = {}
         keys: list[list[Hashable]] = []
         for slab in self.slabs:
@@ -129,7 +123,7 @@ class PackedModel:
 
     @property
     def size(self) -> int:
-        """Number of coefficients, those of equal cores once."""
+        """Number of coefficients of the different cores."""
         return sum(core.tensor.size for core in self.distinct[0])
 
 
@@ -158,7 +152,7 @@ def pack(
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))
-    slabs = [_with_states(slab, list(rows)) for slab in solution.outcome.slabs]
+    slabs = [slab.with_first(slab.cores[0][list(rows)]) for slab in solution.outcome.slabs]
     errors = [solution.errors[solution.states[row]] for row in rows]
     summary = _summary(solution, names)
     if rtol is not None:
@@ -195,15 +189,10 @@ def check_states(states: States) -> None:
 
 
 def checked_rtol(rtol: float | None) -> float | None:
-    """By how much a model may differ from the solution, or an OptionError."""
+    """The difference from the solution that a model may have, or an OptionError."""
     return (
         None if rtol is None else checked_number("rtol", rtol, _SMALLEST_RTOL, _LARGEST_RTOL, float)
     )
-
-
-def _with_states(slab: SlabTrain, rows: list[int]) -> SlabTrain:
-    """A slab of some of the states."""
-    return slab.with_first(slab.cores[0][rows])
 
 
 def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ...]:
@@ -229,17 +218,10 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
 
 @dataclass(frozen=True)
 class Rounding:
-    """Rounded trains, and how far they are from those before.
+    """Rounded trains; slabs that shared the cores of their parameters go on sharing them.
 
-    Attributes
-    ----------
-    slabs : tuple of SlabTrain
-        Slabs that shared the cores of their parameters go on sharing them.
-    differences : tuple of float
-        For each state the largest difference at the points and by climbing from the worst of
-        them, relative to its size: its largest value at the points.
-    points : int
-        Number of points.
+    ``differences`` are the largest ones of each state at ``points`` random points and by climbing
+    from the worst of them, relative to its largest value at the points.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -304,7 +286,7 @@ def _differences(
 
 
 def _next(low: float, high: float) -> float:
-    """A tolerance between one that is small enough and one that is not, 0 if it is not known."""
+    """A tolerance between one that is small enough and one that is not; 0 stands for none yet."""
     if low and high:
         return math.sqrt(low * high)
     return 2.0 * low if low else 0.3 * high
@@ -330,7 +312,7 @@ def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]
 
 
 def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[SlabTrain]:
-    """Slabs that share the cores of their parameters, within a tolerance in the mean square.
+    """Smaller slabs that share the cores of their parameters, within a tolerance in mean square.
 
     They are one train, whose first core has the polynomials of all of them.
     """

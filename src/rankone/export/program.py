@@ -35,8 +35,8 @@ _PAIR_FORM = "NAME=VALUE"
 """How a number for a name is written on the command line."""
 _RANGE_FORM = "NAME=LOWER:UPPER"
 """How a range of a parameter is written on the command line."""
-T = TypeVar("T")
 _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
+Parsed = TypeVar("Parsed")
 
 
 def solve_system(
@@ -63,7 +63,7 @@ def load_solution(
 
 
 def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore], about: str) -> int:
-    """Run the command line of a solver with these functions; ``--help`` says ``about`` first.
+    """Run the command line of a solver with these functions; ``about`` begins its help.
 
     Returns the exit status: 0, 1 (tolerance not reached) or 2 (bad input).
     """
@@ -154,10 +154,10 @@ def options_of(texts: Sequence[str] | None, reserved: Sequence[str]) -> dict[str
 
 
 def pairs_of(
-    option: str, texts: Sequence[str] | None, read: Callable[[str], T], form: str = _PAIR_FORM
-) -> dict[str, T]:
-    """What ``read`` makes of each text behind an equals sign, by the name before it."""
-    pairs: dict[str, T] = {}
+    option: str, texts: Sequence[str] | None, read: Callable[[str], Parsed], form: str = _PAIR_FORM
+) -> dict[str, Parsed]:
+    """Pairs ``NAME=...`` as a dictionary; ``read`` converts the text after the equals sign."""
+    pairs: dict[str, Parsed] = {}
     for text in texts or ():
         name, _, right = text.rpartition("=")
         if name in pairs:
@@ -202,7 +202,7 @@ def _names(solution: SolutionCore, arguments: argparse.Namespace) -> tuple[str, 
 
 
 def _grid(solution: SolutionCore, count: int, names: Sequence[str]) -> dict[str, Array]:
-    """Axes and states on a tensor grid, by name."""
+    """Axes and states on a tensor grid by name."""
     intervals = {solution.metadata.time: solution.time, **solution.parameters}
     if count < 1 or count ** len(intervals) * len(names) > _LARGEST_GRID:
         raise OptionError(f"--grid {count}: from 1 on, at most {_LARGEST_GRID:,} values in all")

@@ -1,8 +1,8 @@
 """The standalone solver: one file that needs only NumPy and SciPy.
 
-Its front is for people: what the file is, the equations, ``solve``, ``load``, the command line and
-the generated system. Below it stand the modules of the library that it needs, whole
-(:mod:`rankone.export.bundler`), and a short end that makes the objects of the front.
+People read its front: the equations, ``solve``, ``load``, the command line, the generated system.
+Below stand the modules of the library that it needs (:mod:`rankone.export.bundler`) and a short end
+that makes the objects of the front.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def standalone_source(title: str | None, source: str, metadata: SolutionMetadata
 
 
 def _generated(source: str) -> tuple[list[str], list[str], str]:
-    """Lines of the docstring and of the imports of a generated module, and what follows them."""
+    """Docstring and imports of a generated module, line by line, and the text below them."""
     tree, lines = ast.parse(source), source.splitlines()
     imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
     about = (ast.get_docstring(tree) or "").splitlines()
@@ -84,7 +84,7 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # more only slow small products down
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # more threads slow small products down
 
 import importlib.machinery
 import importlib.util
@@ -192,7 +192,7 @@ _RUNTIME = f"""
 
 
 def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
-    """The objects that the front uses, and the classes that its users do."""
+    """The objects that the front uses, and the classes that its callers use."""
     written = dataclasses.replace(metadata, source=None)
     entries = [
         line

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from rankone.codegen.text import one_line, paragraph
@@ -52,15 +52,14 @@ def comment(paragraphs: Iterable[str], escaped: Callable[[str], str]) -> str:
     return "\n".join(f" * {escaped(line)}".rstrip() for line in lines)
 
 
-def wrapped(items: Iterable[str], width: int, indent: int = 4) -> Iterator[str]:
+def wrapped(items: Iterable[str]) -> str:
     """Lines of items separated by commas, as many in a line as fit."""
-    line = " " * (indent - 1)
+    lines = ["   "]
     for item in items:
-        if len(line) + len(item) + 2 > width:
-            yield line
-            line = " " * (indent - 1)
-        line += f" {item},"
-    yield line
+        if len(lines[-1]) + len(item) + 2 > LINE:
+            lines.append("   ")
+        lines[-1] += f" {item},"
+    return "\n".join(lines)
 
 
 def c_comment(text: str) -> str:

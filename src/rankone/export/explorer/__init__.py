@@ -1,4 +1,4 @@
-"""A page in which a solution is explored: one HTML file, without a server or a network.
+"""The page that explores a solution: one HTML file, without a server or a network.
 
 ==============  =======================================================================
 file            subject
@@ -16,12 +16,12 @@ file            subject
 ``state.js``    everything that changes
 ``drawing.js``, ``actions.js``
                 what is drawn and when; what happens
-``main.js``     the page is set up
+``main.js``     sets up the page
 ==============  =======================================================================
 
-The plots are by uPlot, in ``export/vendor`` with its licence. Scripts are written as modules that
-import each other. A page from a disk cannot import, so they are joined here: the model as one
-object, the others one after the other.
+uPlot draws the curves; it is in ``export/vendor`` with its licence. The scripts are modules that
+import each other. A page from a disk cannot import, so the modules are joined here: the model as
+one object, the rest one after the other.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rankone.export.explorer.content import (
     content,
@@ -131,7 +130,10 @@ def _page(
         "bands": spread(data),
         "message": html.escape(sentences[0]),
         "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in sentences),
-        "errors": "\n".join(map(_error_row, data["unknowns"])),
+        "errors": "\n".join(
+            f"<tr><th scope='row'>{u['symbol']}</th><td>{_scientific(u['error'])}</td></tr>"
+            for u in data["unknowns"]
+        ),
         "equations": "\n".join(
             "\n".join(["<ul>", *(f"<li>{line}</li>" for line in group), "</ul>"])
             for group in notation.equations()
@@ -169,18 +171,14 @@ def _as_object(model: PackedModel) -> str:
 
 
 def _as_plain_script(name: str) -> str:
-    """A script of the page without what makes it a module."""
+    """A script of the page without its imports and exports."""
     return _EXPORT.sub("", _IMPORT.sub("", _read(_FOLDER / f"{name}.js")))
 
 
-def _error_row(unknown: Mapping[str, Any]) -> str:
-    error = unknown["error"]
-    shown = "not measured" if error is None else _scientific(error)
-    return f"<tr><th scope='row'>{unknown['symbol']}</th><td>{shown}</td></tr>"
-
-
-def _scientific(error: float) -> str:
-    """A small number in HTML: ``6.9 · 10<sup>−4</sup>``."""
+def _scientific(error: float | None) -> str:
+    """A small number in HTML: ``6.9 · 10<sup>−4</sup>``; None was not measured."""
+    if error is None:
+        return "not measured"
     digits, power = f"{error:.1e}".split("e")
     return f"{digits} · 10<sup>{int(power)}</sup>".replace("-", "−") if error else "0"
 

@@ -1,4 +1,4 @@
-"""What a page shows of a solution, in plain data, and what it says of it in sentences."""
+"""The data of the page, and its sentences about the solution."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def curve_times(solution: DistributionOverBox) -> Array:
 
 
 def _with_both_sides(solution: DistributionOverBox, times: Array) -> Array:
-    """Times with the beginnings of slabs and the last times before those, ascending."""
+    """Times, the beginnings of slabs and the last times before them, ascending."""
     start, end = solution.time
     inner = [slab.start for slab in itertools.islice(solution.outcome.slabs, 1, None)]
     merged = np.unique(np.concatenate([times, inner, np.nextafter(inner, start)]))
@@ -220,10 +220,7 @@ def place(solution: DistributionOverBox) -> str:
 
 
 def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
-    """How good a solution is and what its success covers, in sentences.
-
-    The first says how the solve ended.
-    """
+    """How the solve ended, how good the solution is and what its success covers, in sentences."""
     end = solution.time[1]
     horizon_end = solution.metadata.horizon[1]
     time = solution.metadata.time
@@ -258,5 +255,5 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         for line in model.summary
         if line.startswith("Made smaller")
     ]
-    # a minus sign, at which lines are not broken
+    # lines break at a hyphen, but not at a minus sign
     return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]

@@ -1,8 +1,7 @@
 """Equations as people write them, typeset as MathML.
 
-The texts of a solution's equations are formulas in Python's arithmetic, so that :mod:`ast` reads
-them; nothing is evaluated, and the order of the terms stays as it was written. What is no such
-formula is shown as it is.
+The equations of a solution are texts in Python's arithmetic, which :mod:`ast` reads. Nothing is
+evaluated, and terms keep their order. Text that is no such formula is shown as it is.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ _LOGIC: dict[type[ast.operator], str] = {ast.BitAnd: "and", ast.BitOr: "or"}
 
 
 class _Binding(IntEnum):
-    """How strongly a formula holds together, from the loosest to the tightest."""
+    """How tightly a formula binds, from the loosest to the tightest."""
 
     CASES = 0
     SUM = 1
@@ -64,10 +63,6 @@ class Notation:
 
     ``theta0`` is θ with a subscript, ``C_D`` is C with one, a derivative that is a state
     (``theta_t``) is θ′. Names that would look the same (``theta0``, ``theta_0``) stay as they are.
-
-    Parameters
-    ----------
-    metadata : SolutionMetadata
     """
 
     def __init__(self, metadata: SolutionMetadata) -> None:
@@ -108,7 +103,7 @@ class Notation:
             letter = f"<msub>{letter}{index}</msub>"
         if not order + further:
             return letter
-        # no superscript: most fonts have the prime raised already
+        # no superscript: in most fonts the prime is raised already
         primes = f"<mo lspace='0' rspace='0'>{_PRIME * (order + further)}</mo>"
         return f"<mrow>{letter}{primes}</mrow>"
 
@@ -117,7 +112,7 @@ class Notation:
         return f"<math>{self.name(name)}</math>"
 
     def equations(self) -> list[list[str]]:
-        """Equations, initial values, what was fixed, as elements of a page; only what is known.
+        """Groups of equations, initial values and fixed values, as elements of a page.
 
         Lines that say only what a derivative is called are left out.
         """
@@ -176,7 +171,7 @@ class Notation:
         tree = ast.parse(_WORD.sub(_protected, text.strip()), mode="eval")
         return self._written(tree.body)[0]
 
-    # --- nodes: MathML and how strongly it holds together ----------------------------------------
+    # --- nodes: MathML and how strongly it binds -------------------------------------------------
 
     def _written(self, node: ast.expr) -> tuple[str, _Binding]:
         match node:
@@ -211,11 +206,11 @@ class Notation:
         raise _NoFormulaError
 
     def _term(self, node: ast.expr) -> str:
-        """What follows a sign: in parentheses if it is a sum or has a sign of its own."""
+        """A formula after a sign: in parentheses if it is a sum or begins with a sign."""
         return self._held(node, _Binding.PRODUCT if _without_sign(node) is None else _Binding.ATOM)
 
     def _held(self, node: ast.expr, least: _Binding) -> str:
-        """A part of a formula, in parentheses if it holds together less than its place needs."""
+        """A formula, in parentheses if it binds less tightly than its place needs."""
         text, strength = self._written(node)
         fits = strength >= least
         return f"<mrow>{text}</mrow>" if fits else f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"
@@ -227,7 +222,7 @@ class Notation:
             case (
                 ast.Call(func=ast.Name(id=name), args=arguments),
                 ast.Constant(value=int()),
-            ) if name not in plain:  # only these: sin to the power of -1 would be the arcsine
+            ) if name not in plain:  # sin to the power of -1 would be read as the arcsine
                 head = f"<msup><mi>{html.escape(name)}</mi>{above}</msup>"
                 return f"{head}{self._arguments(arguments)}"
         return f"<msup>{self._held(base, _Binding.ATOM)}{above}</msup>"
@@ -276,7 +271,7 @@ class Notation:
 
 
 def _begins_with_number(node: ast.expr) -> bool:
-    """Whether digits come first, that would run into those before."""
+    """Whether a formula begins with digits, which would run into digits before it."""
     match node:
         case ast.Constant():
             return True
@@ -297,7 +292,7 @@ def _without_sign(node: ast.expr) -> ast.expr | None:
 
 
 def _derivatives(metadata: SolutionMetadata) -> Mapping[str, tuple[str, int]]:
-    """For each derivative that is a state the unknown and its order."""
+    """The unknown and the order of each derivative that is a state."""
     derivatives = {}
     for name, role in zip(metadata.states, metadata.roles, strict=True):
         base, _, suffix = name.rpartition("_")
