@@ -1,5 +1,7 @@
 """What is wrong with data, parameters and options is said."""
 
+import inspect
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,15 @@ def test_of_a_fit():
         fit.interval(method="exact")
     with pytest.raises(OptionError, match="no free parameter"):
         fit.profile("u")
+
+
+def test_signatures_can_be_inspected():
+    names = {
+        "fit": "times data observe sigma weights fixed start bounds starts effort level missing",
+        "posterior": "times data observe sigma prior fixed bounds weights missing seed steps",
+        "minimize": "objective t sense fixed start bounds constraints starts effort",
+    }
+    for method, wanted in names.items():
+        parameters = inspect.signature(getattr(decay(), method)).parameters
+        assert list(parameters) == wanted.split()
+    assert inspect.signature(decay().fit).parameters["level"].default == 0.95

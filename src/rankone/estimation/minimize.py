@@ -65,7 +65,8 @@ _TOLERANCES = (1e-12, 1e-9, 1e-7)
 """Tolerances of the scaled objective, one after the other."""
 _MOST_ITERATIONS = 300
 """Most iterations of one search with one tolerance."""
-_LOCAL = "which may be a local one; remedy: raise effort, or narrow the bounds"
+_GLOBAL = "; it is the best of the box as far as it was sampled"
+_LOCAL = "; it may be a local one; remedy: raise effort, or narrow the bounds"
 
 
 @dataclass(frozen=True)
@@ -276,9 +277,9 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
         extremum = "minimum" if goal.sign > 0 else "maximum"
         ends = [f"{quote(name)} at its {end} bound" for name, end in free.at_bounds(best.z).items()]
         message = (
-            f"{agreeing} of {count(len(minima), 'search', 'searches')} ended at this {extremum}, "
-            + ("the best of the box as far as it was sampled" if is_global else _LOCAL)
+            f"{agreeing} of {count(len(minima), 'search', 'searches')} ended at this {extremum}"
             + (f", with {' and '.join(ends)}" if ends else "")
+            + (_GLOBAL if is_global else _LOCAL)
         )
     return Optimum(
         x=x,
