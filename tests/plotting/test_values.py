@@ -201,7 +201,7 @@ def test_surfaces_of_one_time():
         ({"x": "t", "y": "x0", "y0": 5, "points": 1}, ro.OptionError, "points=1"),
         ({"x": "t", "y": "x0", "y0": 5, "unknown": "z"}, ro.EvaluationError, "no unknown `z`"),
         ({"x": "t", "y": "x0", "y0": 5, "unknown": None}, ro.EvaluationError, "2 unknowns: x, y"),
-        ({"x": "t", "y": "x0", "y0": 5, "unknown": ["x", "y"]}, ro.OptionError, "are several"),
+        ({"x": "t", "y": "x0", "y0": 5, "unknown": ["x", "y"]}, ro.OptionError, "names several"),
     ],
 )
 def test_surfaces_that_are_refused(options, error, message):

@@ -86,20 +86,12 @@ def unknowns_of(solution: Solution, given: object) -> list[str]:
 
 def unknown_of(solution: Solution, given: object) -> str:
     """The name of one unknown; the first for None."""
-    if isinstance(given, list | tuple):
-        raise OptionError(
-            f"unknown={shown(given)} are several", term=given, remedy="one unknown for each plot"
-        )
-    return unknowns_of(solution, given)[0]
+    return unknowns_of(solution, _one(given))[0]
 
 
 def state_of(solution: Solution, given: object, function: str) -> str:
     """The name of one unknown, or derivative that is a state; the only unknown for None."""
-    if isinstance(given, list | tuple):
-        raise OptionError(
-            f"unknown={shown(given)} are several", term=given, remedy="plot one after another"
-        )
-    if given is not None:
+    if _one(given) is not None:
         return states_of(solution, given)[0]
     if len(solution.unknowns) > 1:
         raise EvaluationError(
@@ -107,6 +99,15 @@ def state_of(solution: Solution, given: object, function: str) -> str:
             remedy=f"choose one: {function}(solution, unknown)",
         )
     return solution.unknowns[0]
+
+
+def _one(given: object) -> object:
+    """The given unknown, or an OptionError if there are several."""
+    if isinstance(given, list | tuple):
+        raise OptionError(
+            f"unknown={shown(given)} names several", term=given, remedy="plot one after another"
+        )
+    return given
 
 
 # --- times ---------------------------------------------------------------------------------------
@@ -152,12 +153,7 @@ def sometimes_of(solution: Solution, t: ArrayLike | None, count: int) -> Array |
     """The same as :func:`times_of`; None if nothing depends on time."""
     if not solution.metadata.timeless:
         return times_of(solution, t, count)
-    if t is not None:
-        raise EvaluationError(
-            f"t={shown(t)} is given, but the values do not depend on time",
-            term=t,
-            remedy="leave t out",
-        )
+    solution._times(t)  # raises if a time is given
     return None
 
 

@@ -27,6 +27,7 @@ from rankone.statistics.solution_statistics import (
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
+from rankone.support.wording import shown
 
 __all__ = ["StatisticsOverBox", "Times", "checked_probabilities"]
 
@@ -350,7 +351,7 @@ class StatisticsOverBox(SolutionCore):
             raise EvaluationError("no times were given", remedy="give t, a number or several")
         if t is not None and self.metadata.timeless:
             raise EvaluationError(
-                f"t={t!r} is given, but the values do not depend on time",
+                f"t={shown(t)} is given, but the values do not depend on time",
                 term=t,
                 remedy="leave t out",
             )
