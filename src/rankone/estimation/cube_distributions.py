@@ -10,7 +10,6 @@ Markov chain with snooker updater", 2008), by emcee: ``pip install emcee``.
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ import scipy.stats
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
 from rankone.support.arrays import Array
-from rankone.support.errors import RankoneError
+from rankone.support.errors import optional_module
 
 __all__ = ["Cells", "Chain", "CubeDistribution", "Density", "adapted", "chain"]
 
@@ -346,13 +345,11 @@ def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
     RankoneError
         If emcee is not installed.
     """
-    try:
-        emcee = importlib.import_module("emcee")
-    except ImportError:
-        raise RankoneError(
-            "posteriors of more than three parameters need emcee",
-            remedy="pip install emcee, or fix parameters",
-        ) from None
+    emcee = optional_module(
+        "emcee",
+        "posteriors of more than three parameters need emcee",
+        "pip install emcee, or fix parameters",
+    )
     n = likely.shape[1]
     count = max(_LEAST_WALKERS, _WALKERS_EACH * n)
     generator = np.random.default_rng(seed)

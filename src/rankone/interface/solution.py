@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from functools import cached_property, partial
 from os import PathLike
@@ -22,7 +21,7 @@ from rankone.statistics.distributions import from_text
 from rankone.statistics.joint_distribution import copula_of
 from rankone.storage import read, write
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError, RankoneError, StorageError
+from rankone.support.errors import EvaluationError, OptionError, StorageError, optional_module
 from rankone.tensors.canonical import CanonicalForms, canonical_form
 
 if TYPE_CHECKING:
@@ -220,24 +219,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         options = {"overwrite": overwrite, "allow_failed": allow_failed}
         return export_model(self, path, states=states, rtol=rtol, fmi=fmi, **options)
 
-    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the solution to a file in an open format, without pickle.
-
-        Parameters
-        ----------
-        path : path-like
-            Ends in ``.npz``, or in ``.nc`` for netCDF, which needs h5netcdf and h5py.
-        overwrite : bool
-            Whether to replace an existing file.
-
-        Raises
-        ------
-        StorageError
-            If the name has another suffix, the file exists and is not to be replaced, it cannot be
-            written, or a package that it needs is not installed. A file is either complete or not
-            there, also after an interrupt.
-        """
-        return write(path, self.outcome, self.metadata, overwrite)
+    _write = staticmethod(write)
 
     # --- derivatives and smaller solutions -----------------------------------------------------
 
@@ -330,8 +312,13 @@ class Solution(DistributionOverBox, EstimationFromData):
             If SymPy is not installed.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
-        asked = _expressions().quantities_of(quantities, self.metadata, self.time, samples_of(self))
-        return Solution(*with_outputs(self, asked, rtol, effort, max_seconds, units or {}))
+        expressions = optional_module(
+            "rankone.codegen.output_expressions",
+            "outputs are given as expressions of SymPy",
+            "pip install sympy",
+        )
+        outputs = expressions.quantities_of(quantities, self.metadata, self.time, samples_of(self))
+        return Solution(*with_outputs(self, outputs, rtol, effort, max_seconds, units or {}))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.
@@ -457,14 +444,3 @@ def load(path: str | PathLike[str]) -> Solution:
     except OptionError as error:
         raise StorageError(f"`{path}` is damaged: {error}", term=path) from error
     return Solution(outcome, metadata)
-
-
-def _expressions() -> Any:
-    """The translation of expressions: the one part of solutions that needs SymPy."""
-    try:
-        return importlib.import_module("rankone.codegen.output_expressions")
-    except ImportError:
-        raise RankoneError(
-            "outputs are given as SymPy expressions, and SymPy is not installed",
-            remedy="pip install sympy",
-        ) from None

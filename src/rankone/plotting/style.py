@@ -11,7 +11,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, RankoneError
+from rankone.support.errors import OptionError, optional_module
 from rankone.support.wording import shown
 
 if TYPE_CHECKING:
@@ -153,13 +153,10 @@ def _dressed(ax: Axes) -> Axes:
 
 
 def _pyplot() -> ModuleType:
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise RankoneError(
-            "plots need Matplotlib, which is not installed", remedy="pip install matplotlib"
-        ) from error
-    return plt
+    pyplot: ModuleType = optional_module(
+        "matplotlib.pyplot", "plots need Matplotlib", "pip install matplotlib"
+    )
+    return pyplot
 
 
 # --- colours and legends -------------------------------------------------------------------------

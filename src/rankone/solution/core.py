@@ -244,17 +244,21 @@ class SolutionCore:
         Parameters
         ----------
         path : path-like
-            Ends in ``.npz``.
+            Ends in ``.npz``; in the library also in ``.nc`` for netCDF, which needs h5netcdf and
+            h5py.
         overwrite : bool
             Whether to replace an existing file.
 
         Raises
         ------
         StorageError
-            If the name has another suffix, or the file exists and is not to be replaced, or cannot
-            be written. A file is either complete or not there, also after an interrupt.
+            If the name has another suffix, the file exists and must not be replaced, it cannot be
+            written, or a package that it needs is not installed. The file is complete or absent,
+            even after an interrupt.
         """
-        return write(path, self.outcome, self.metadata, overwrite)
+        return self._write(path, self.outcome, self.metadata, overwrite)
+
+    _write = staticmethod(write)
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.outcome, self.metadata)

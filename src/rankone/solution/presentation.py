@@ -7,7 +7,6 @@ project.
 from __future__ import annotations
 
 import html
-import importlib
 import textwrap
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike
 from rankone.discretization.coordinates import name_of
 from rankone.ir.metadata import with_unit
 from rankone.solution.core import SolutionCore
-from rankone.support.errors import RankoneError
+from rankone.support.errors import optional_module
 from rankone.support.wording import count, listing
 
 if TYPE_CHECKING:
@@ -131,12 +130,7 @@ def dataset(solution: SolutionCore, coordinates: Mapping[Any, ArrayLike]) -> xar
     coordinates : mapping
         For coordinates, by names, a number or one-dimensional values.
     """
-    try:
-        module: Any = importlib.import_module("xarray")
-    except ImportError:
-        raise RankoneError(
-            "labelled values need xarray, which is not installed", remedy="pip install xarray"
-        ) from None
+    module = optional_module("xarray", "labelled values need xarray", "pip install xarray")
     start, end = solution.time
     points = {name_of(key): at for key, at in coordinates.items()}
     if not solution.metadata.timeless:

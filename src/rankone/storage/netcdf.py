@@ -11,7 +11,6 @@ it is refused before the HDF5 library sees it, which a damaged file can keep bus
 from __future__ import annotations
 
 import hashlib
-import importlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
@@ -25,7 +24,7 @@ from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.verdict import Status
 from rankone.storage.header import FORMAT, not_a_solution, packed, reading, unpacked
 from rankone.support.arrays import Array
-from rankone.support.errors import StorageError
+from rankone.support.errors import StorageError, optional_module
 from rankone.support.files import as_path, free_target, write_files
 from rankone.support.wording import clip
 
@@ -97,14 +96,10 @@ def _unsealed(content: bytes) -> bytes:
 
 
 def _module(name: str, path: Path) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise StorageError(
-            f"`{path}` is a netCDF file, which needs {name}, which is not installed",
-            term=path,
-            remedy="pip install h5netcdf h5py; .npz files need neither",
-        ) from None
+    remedy = "pip install h5netcdf h5py; .npz files need neither"
+    return optional_module(
+        name, f"`{path}` is a netCDF file, which needs {name}", remedy, StorageError
+    )
 
 
 # --- writing -----------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ also have the equation (``.equation``). All can be pickled.
 
 from __future__ import annotations
 
+import importlib
 import math
 import sys
 import warnings
@@ -27,6 +28,7 @@ __all__ = [
     "StorageError",
     "bounded_depth",
     "check_kind",
+    "optional_module",
     "warn",
 ]
 
@@ -175,6 +177,16 @@ class BlowUpError(ConvergenceError):
     def __reduce__(self) -> tuple[object, ...]:
         state = {**self.__dict__, "_solve_part": None}
         return type(self), self.args, state
+
+
+def optional_module(
+    name: str, purpose: str, remedy: str, error: type[RankoneError] = RankoneError
+) -> Any:
+    """An optional package, or an error that says what needs it and how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise error(f"{purpose}, which is not installed", remedy=remedy) from None
 
 
 class RankoneWarning(UserWarning):
