@@ -145,14 +145,14 @@ def _start(
 ) -> Array:
     """The start in the unit cube; the middle for parameters without one."""
     z = dict.fromkeys(box, 0.5)
-    for name, given in by_name("start", start, tuple(solution.parameters)).items():
+    for name, entry in by_name("start", start, tuple(solution.parameters)).items():
         if name in held:
             raise OptionError(f"{quote(name)} is fixed, and has a start", term=name)
-        x, (lower, upper) = _in_box(solution, name, given), box[name]
+        x, (lower, upper) = _in_box(solution, name, entry), box[name]
         if not lower <= x <= upper:
             raise OptionError(
                 f"the start {quote(name)} = {x:g} is outside of its bounds [{lower:g}, {upper:g}]",
-                term=given,
+                term=entry,
                 remedy="start inside",
             )
         z[name] = (x - lower) / (upper - lower)
