@@ -159,7 +159,7 @@ class CompiledProblem:
         return self.lifted
 
     @property
-    def user_functions(self) -> Mapping[str, Callable[..., Any]]:
+    def user_functions(self) -> Mapping[str, Callable[..., object]]:
         """The functions of the user that the source calls, by the names it calls them by."""
         return self.first_order.user_functions
 
@@ -180,7 +180,7 @@ class CompiledProblem:
         tried = engines_for(AUTO, parameters=parameters, separated=separated)
         return tuple(engine.name for engine in tried)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         rebuilt = ("system", "_lifting")
         return {name: stage for name, stage in self.__dict__.items() if name not in rebuilt}
 
@@ -201,7 +201,7 @@ class CompiledProblem:
     def solve(
         self,
         rtol: float = 1e-6,
-        *arguments: Any,
+        *arguments: object,
         method: Literal["auto", "cross", "train", "greedy"] = "auto",
         parameters: Mapping[Any, Sequence[float]] | None = None,
         t_final: float | None = None,
@@ -210,7 +210,7 @@ class CompiledProblem:
         cover: Literal["interior", "box"] | None = None,
         effort: str | float = "normal",
         max_seconds: float | None = None,
-        unknowns: Sequence[Any] | None = None,
+        unknowns: Sequence[object] | None = None,
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
     ) -> Solution:
@@ -344,7 +344,7 @@ class CompiledProblem:
     def export(
         self,
         path: str | PathLike[str],
-        *arguments: Any,
+        *arguments: object,
         method: str = "auto",
         overwrite: bool = False,
     ) -> Path:
@@ -489,7 +489,7 @@ def _not_separated(compiled: CompiledProblem, error: DisagreementError) -> Compi
 
 
 def solve_problem(
-    problem: Problem, rtol: float = 1e-6, *arguments: Any, **options: Any
+    problem: Problem, rtol: float = 1e-6, *arguments: object, **options: Any
 ) -> Solution:
     """Compile and solve a problem; the same as ``rankone.compile(problem).solve(rtol, ...)``.
 

@@ -128,7 +128,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         """The canonical form of each unknown to 1e-3, for plots; see :meth:`to_canonical`."""
         return self.to_canonical(1e-3)
 
-    def to_xarray(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> xr.Dataset:
+    def to_xarray(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> xr.Dataset:
         """The unknowns on the grid of all combinations of values, with labels.
 
         Parameters
@@ -223,7 +223,7 @@ class Solution(DistributionOverBox, EstimationFromData):
 
     # --- derivatives and smaller solutions -----------------------------------------------------
 
-    def diff(self, coordinate: Any) -> Solution:
+    def diff(self, coordinate: object) -> Solution:
         """The derivatives of all unknowns with respect to a parameter or to time, as a solution.
 
         Exact for the trains: they are polynomials on elements. The error is not measured, so that
@@ -242,7 +242,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         self._evaluator  # noqa: B018 - raises if nothing was solved
         return Solution(*derived(self.outcome, self.metadata, coordinate))
 
-    def gradient(self, *at: Any, **named: Any) -> Array:
+    def gradient(self, *at: object, **named: object) -> Array:
         """Derivatives of all unknowns with respect to all parameters, at times and values.
 
         Arguments and errors are those of a call.
@@ -320,7 +320,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         outputs = expressions.quantities_of(quantities, self.metadata, self.time, samples_of(self))
         return Solution(*with_outputs(self, outputs, rtol, effort, max_seconds, units or {}))
 
-    def fix(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
+    def fix(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:
         """The solution for given values of some parameters, as a solution of the others.
 
         Nothing is sampled. ``errors`` are those measured on the whole box, relative to the sizes
@@ -352,7 +352,7 @@ class Solution(DistributionOverBox, EstimationFromData):
             )
         return Solution(*at_time(self.outcome, self.metadata, float(time)))
 
-    def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Solution:
+    def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:
         """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.
 
         Nothing is sampled. ``errors`` are as for :meth:`fix`.

@@ -82,7 +82,7 @@ class SolutionCore:
 
     # --- evaluation ----------------------------------------------------------------------------
 
-    def __call__(self, *at: Any, **named: Any) -> Array:
+    def __call__(self, *at: object, **named: object) -> Array:
         """Evaluate all unknowns.
 
         Parameters
@@ -104,7 +104,7 @@ class SolutionCore:
         """
         return self._evaluate(self._coordinates.gather(at, named), self._unknowns)
 
-    def grid(self, *at: Any, **named: Any) -> Array:
+    def grid(self, *at: object, **named: object) -> Array:
         """Evaluate all unknowns for every combination of values, one axis per coordinate.
 
         Arguments and errors are those of a call; each value is a number or one-dimensional.
@@ -282,12 +282,12 @@ class UnknownView:
         """Position among the states."""
         return self.solution.states.index(self.name)
 
-    def __call__(self, *at: Any, **named: Any) -> Any:
+    def __call__(self, *at: object, **named: object) -> Any:
         """Evaluate: arguments and errors as for a solution, shape of the result as broadcast."""
         gathered = self.solution._coordinates.gather(at, named)
         return self.solution._evaluate(gathered, _rows([self.row]))[0]
 
-    def grid(self, *at: Any, **named: Any) -> Array:
+    def grid(self, *at: object, **named: object) -> Array:
         """Evaluate for every combination of values: shape (times, values of parameter 1, ...)."""
         gathered = self.solution._coordinates.gather(at, named)
         on_grid: Array = self.solution._evaluate_grid(gathered, _rows([self.row]))[0]

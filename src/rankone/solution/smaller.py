@@ -110,7 +110,7 @@ def with_restricted(
     return _part(outcome, metadata.rtol), metadata
 
 
-def merged(by_symbol: object, named: Mapping[str, Any]) -> dict[str, Any]:
+def merged(by_symbol: object, named: Mapping[str, object]) -> dict[str, Any]:
     """Arguments given by symbols and by keywords, all by name.
 
     Raises
@@ -124,7 +124,7 @@ def merged(by_symbol: object, named: Mapping[str, Any]) -> dict[str, Any]:
             term=by_symbol,
             remedy="give {name: value}, or keywords",
         )
-    by_name = dict(named)
+    by_name: dict[str, Any] = dict(named)
     for key, argument in (by_symbol or {}).items():
         name = name_of(key)
         if name in by_name:

@@ -55,17 +55,17 @@ def quote(subject: object) -> str:
     return f"`{clip(written(subject), _LONGEST_QUOTE)}`"
 
 
-def shown(value: object) -> str:
+def shown(subject: object) -> str:
     """Show an object as Python writes it, cut in the middle when it is long."""
     try:
-        return clip(repr(value), _LONGEST_QUOTE)
+        return clip(repr(subject), _LONGEST_QUOTE)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return "a number of thousands of digits"
 
 
-def is_text(value: object) -> bool:
-    """Whether a value is text that can be written to a file: no half of a surrogate pair."""
-    return isinstance(value, str) and not any("\ud800" <= letter <= "\udfff" for letter in value)
+def is_text(text: object) -> bool:
+    """Whether an object is text that can be written to a file: no half of a surrogate pair."""
+    return isinstance(text, str) and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 def clip(text: str, longest: int) -> str:
@@ -113,9 +113,9 @@ def number(value: Fraction | float) -> str:
 # --- names -------------------------------------------------------------------------------------
 
 
-def is_line(value: object) -> bool:
-    """Whether a value is text that can be printed in one line and written to a file."""
-    return is_text(value) and str.isprintable(str(value))
+def is_line(text: object) -> bool:
+    """Whether an object is text that can be printed in one line and written to a file."""
+    return is_text(text) and str.isprintable(str(text))
 
 
 def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
