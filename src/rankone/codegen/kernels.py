@@ -128,17 +128,17 @@ class KernelWriter:
             for term in group.quadratic
         ]
         index = group.index
-        self.linear_part = Combination(
+        self.linear_combination = Combination(
             f"LINEAR_MATRIX_{index}", rates, states, linear, time_factors
         )
-        self.quadratic_part = Combination(
+        self.quadratic_combination = Combination(
             f"QUADRATIC_MATRIX_{index}", rates, self.monomials, quadratic, time_factors
         )
 
     @property
     def combinations(self) -> tuple[Combination, Combination]:
         """The linear and the quadratic one."""
-        return self.linear_part, self.quadratic_part
+        return self.linear_combination, self.quadratic_combination
 
     def tables(self) -> list[str]:
         """Coefficient matrices of the kernels."""
@@ -175,13 +175,13 @@ class KernelWriter:
     def linear(self) -> list[str]:
         return [
             *self.head("linear", "phi, x", "Linear terms", len(self.group.linear)),
-            *self.linear_part.statements("y", "x.shape", "x", final=True),
+            *self.linear_combination.statements("y", "x.shape", "x", final=True),
         ]
 
     def linear_adjoint(self) -> list[str]:
         return [
             *self.head("linear_adjoint", "phi, w", "Adjoint of the linear terms"),
-            *self.linear_part.statements("v", "w.shape", "w", adjoint=True, final=True),
+            *self.linear_combination.statements("v", "w.shape", "w", adjoint=True, final=True),
         ]
 
     def quadratic(self) -> list[str]:
@@ -193,7 +193,7 @@ class KernelWriter:
             f"    q = np.empty(({n}, z.shape[1], z.shape[3]))",
             *self.blocks("_contract(x[{rows}], z[{k}], q[{products}])"),
             "    # Output",
-            *self.quadratic_part.statements("y", shape, "q", final=True),
+            *self.quadratic_combination.statements("y", shape, "q", final=True),
         ]
 
     def quadratic_adjoint(self) -> list[str]:
@@ -203,7 +203,7 @@ class KernelWriter:
         return [
             *self.head("quadratic_adjoint", "phi, x, w", "Adjoint of the quadratic terms"),
             f"    # Intermediate terms ({n})",
-            *self.quadratic_part.statements("q", shape, "w", adjoint=True),
+            *self.quadratic_combination.statements("q", shape, "w", adjoint=True),
             "    # Output",
             f"    v = np.empty(({m}, *x.shape[1:], w.shape[2]))",
             *self.blocks("_expand(x[{rows}], q[{products}], v[{k}])"),

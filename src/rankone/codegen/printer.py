@@ -74,6 +74,7 @@ RECIPROCALS = {
     sp.csch: sp.sinh,
     sp.coth: sp.tanh,
 }
+"""Functions that NumPy lacks, and those that they are the reciprocals of."""
 
 
 class NumPyText(Printer):  # type: ignore[misc]

@@ -249,11 +249,13 @@ def _arc(y: float, function: Callable[[float], float]) -> list[float]:
 
 
 _PIECEWISE_CONSTANT = ("Heaviside", "sign", "floor", "ceiling")
+"""Functions that take a level on whole intervals or never."""
 _PERIODIC: dict[str, tuple[Callable[[float], list[float]], float]] = {
     "sin": (lambda y: [a for v in _arc(y, math.asin) for a in (v, math.pi - v)], 2.0 * math.pi),
     "cos": (lambda y: [a for v in _arc(y, math.acos) for a in (v, -v)], 2.0 * math.pi),
     "tan": (lambda y: [math.atan(y)], math.pi),
 }
+"""Periodic functions: where they take a level, and their period."""
 _INVERSES: dict[str, Callable[[float], float]] = {
     "log": math.exp,
     "sinh": math.asinh,
@@ -262,6 +264,7 @@ _INVERSES: dict[str, Callable[[float], float]] = {
     "atan": lambda y: math.tan(y) if abs(y) < 0.5 * math.pi else math.log(-1.0),
     "erf": lambda y: float(scipy.special.erfinv(y)) if abs(y) < 1.0 else math.log(-1.0),
 }
+"""Inverses of monotone functions; they raise a ValueError for levels that are never taken."""
 
 
 def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:

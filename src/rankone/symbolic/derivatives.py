@@ -16,8 +16,11 @@ from rankone.support.wording import quote
 __all__ = ["Differentiator", "slope"]
 
 _STEPS = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling)
+"""Functions that are constant between their jumps."""
 _JUMPING = (*_STEPS, sp.Mod, sp.frac, sp.Piecewise)
-_LEFT_OVER = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
+"""Functions that may jump."""
+_UNEVALUATED = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
+"""What SymPy leaves in a derivative that it does not know."""
 
 
 def slope(expression: sp.Expr, variable: sp.Expr) -> sp.Expr:
@@ -120,7 +123,7 @@ class Differentiator:
                 partial = expression.fdiff(k + 1)
             except (ArgumentIndexError, AttributeError, NotImplementedError):
                 partial = None
-            if partial is None or partial.has(*_LEFT_OVER):
+            if partial is None or partial.has(*_UNEVALUATED):
                 raise ProblemError(
                     f"the derivative of {quote(expression.func.__name__)} in {quote(expression)} "
                     f"with respect to its argument {quote(arg)} is not known",
