@@ -520,12 +520,20 @@ def test_tracebacks_and_pickles_name_the_modules_of_the_file(folder):
 
 
 def test_two_solvers_in_one_process_keep_apart(folder):
-    (folder / "second.py").write_bytes((folder / "solver.py").read_bytes())
+    """Also one in a package, and one that is not registered as a module."""
+    (folder / "package").mkdir()
+    (folder / "package" / "second.py").write_bytes((folder / "solver.py").read_bytes())
     script = ALONE + (
-        "import second\n"
-        "assert solver.OptionError is not second.OptionError\n"
-        "a, b = (each.solve(rtol=1e-3)(t=1, x0=9, y0=5) for each in (solver, second))\n"
-        "assert np.array_equal(a, b)"
+        "import importlib.util\n"
+        "import package.second as second\n"
+        "spec = importlib.util.spec_from_file_location('third', 'solver.py')\n"
+        "third = importlib.util.module_from_spec(spec)\n"
+        "spec.loader.exec_module(third)\n"
+        "assert 'third' not in sys.modules\n"
+        "solvers = solver, second, third\n"
+        "assert len({each.OptionError for each in solvers}) == 3\n"
+        "a, b, c = (each.solve(rtol=1e-3)(t=1, x0=9, y0=5) for each in solvers)\n"
+        "assert np.array_equal(a, b) and np.array_equal(a, c)"
     )
     run = alone(folder, script=script)
     assert run.returncode == 0, run.stderr

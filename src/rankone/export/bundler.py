@@ -42,8 +42,8 @@ def module(body: Callable[[], None]) -> types.ModuleType:
     namespace = importlib.util.module_from_spec(importlib.machinery.ModuleSpec(name, None))
     vars(namespace).update(__file__=__file__, __doc__=body.__doc__, __builtins__=__builtins__)
     sys.modules[name] = namespace
-    while (name := name.rpartition(".")[0]) and name not in sys.modules:
-        sys.modules[name] = types.ModuleType(name)
+    while (name := name.rpartition(".")[0]) != __name__:
+        sys.modules.setdefault(name, types.ModuleType(name))
     types.FunctionType(body.__code__, vars(namespace))()
     return namespace
 
