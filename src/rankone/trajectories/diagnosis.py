@@ -53,12 +53,7 @@ def switching_state(
     """The state whose rate jumps most where a trajectory is pushed back, and the trajectory.
 
     A trajectory chatters if a short step takes it across a state surface, and a step with the rates
-    found there takes it back.
-
-    Parameters
-    ----------
-    states : ndarray (n, m)
-        At the parameter points (m, d).
+    there takes it back. The states are (n, m), the points (m, d).
     """
     if not system.features.n_state_surfaces:
         return None
@@ -145,15 +140,8 @@ def rounding_errors(
     numerically zero. Its errors are errors of the states that it drives, which may be so too. One
     that changes another state by more than a part ``rtol`` of it, at the time, is not.
 
-    Parameters
-    ----------
-    points : ndarray (m, d)
-    samples : sequence of (float, ndarray (n, m))
-        Times, and the states of all trajectories then.
-    largest : ndarray (n, 1)
-        Largest absolute value of each state.
-    rtol : float
-        Relative tolerance of the integration.
+    The samples are times with the states (n, m) of all trajectories, at points (m, d); ``largest``
+    (n, 1) is the largest absolute value of each state.
     """
     tiny = (largest <= _TINY_STATE * largest.max(initial=0.0)) & (largest > 0.0)
     zero, errors = np.zeros_like(tiny), np.zeros_like(largest)

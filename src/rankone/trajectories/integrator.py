@@ -16,6 +16,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 
 __all__ = [
+    "JACOBIAN_ENTRY",
     "LAST_GAP",
     "DenseStep",
     "DenseTrajectories",
@@ -27,8 +28,8 @@ __all__ = [
 
 LAST_GAP = 100
 """Distance from the end, in floating-point numbers, too short for a step of SciPy."""
-_JACOBIAN_ENTRY = 10.0
-"""Operations for each entry of a stack of Jacobians."""
+JACOBIAN_ENTRY = 10.0
+"""Operations for each entry of a stack of Jacobians that is made or read."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,6 @@ class Integrator(Protocol):
 def jacobians(system: System, points: Array, time: float, states: Array) -> Array:
     """Jacobians of the rates at points (m, d) and states (n, m) or (n m,): shape (m, n, n)."""
     n, m = system.n_differential, len(points)
-    charge(function_cost(system.jacobian, system.user_functions)(m) + _JACOBIAN_ENTRY * n * n * m)
+    charge(function_cost(system.jacobian, system.user_functions)(m) + JACOBIAN_ENTRY * n * n * m)
     jacobian = system.jacobian(time, states.reshape(n, m), points.T)
     return np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)

@@ -20,6 +20,7 @@ from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost, eigenvalues, function_cost, in_pieces
 from rankone.trajectories.diagnosis import switching_state
 from rankone.trajectories.integrator import (
+    JACOBIAN_ENTRY,
     LAST_GAP,
     DenseStep,
     DenseTrajectories,
@@ -55,8 +56,6 @@ _MOST_TINY_STEPS = 1000
 """Tiny steps in a row that end a trajectory."""
 _EARLY_STEPS = 4
 """Steps after which states that start from zero show their size."""
-_MATRIX_ENTRY = 10.0
-"""Operations for each entry of a stack of Jacobians whose norms are taken."""
 _STAGE_COST = Cost(8e3, 5.0)
 """Operations besides an evaluation of the rates: once, and for each number in the stack."""
 _STEP_COST = Cost(40e3, 5.0)
@@ -312,7 +311,7 @@ def _decays_faster(blocks: Array, rate: float) -> bool:
     """Whether some matrix (n, n) of a stack has an eigenvalue with a real part below ``-rate``."""
     cost = eigenvalues(blocks.shape[-1])
     for matrices in in_pieces(blocks, cost):
-        charge(_MATRIX_ENTRY * matrices.size)
+        charge(JACOBIAN_ENTRY * matrices.size)
         bounds = np.abs(matrices).sum(axis=2).max(axis=1)  # no eigenvalue is larger
         suspicious = matrices[bounds > rate]
         charge(cost * len(suspicious))

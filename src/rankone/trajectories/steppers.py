@@ -36,8 +36,6 @@ _BETWEEN_NODES = (0.4, 0.85)
 """Shares of a step, between the nodes of Radau, at which the interpolant is checked."""
 _MOST_INTERPOLATION_ERROR = 10.0
 """Largest interpolation error of Radau, in tolerances, that is accepted."""
-_LEAST_SHORTENING = 0.1
-"""Least part of a step with a larger one that is tried next."""
 _SHORTENING = 0.2
 """Part of a step with a large defect that is tried next: enough to stop before what was missed."""
 _MOST_CROSSING_DEFECT = 100.0
@@ -54,10 +52,8 @@ _LEAST_PLACES = 2
 """Fewest random places on each trajectory in every step."""
 _PLACES = 512
 """Random places on all trajectories together: what one evaluation of the rates takes well."""
-_MATRIX_ENTRY = 0.5
-"""Operations of a matrix times a vector, for each entry."""
-_MATRIX = 40.0
-"""The same for each matrix."""
+_PRODUCT_COST = Cost(40.0, 0.5)
+"""Operations of a matrix times a vector: once, and for each entry."""
 _LOOK_COST = Cost(50e3, 15.0)
 """Operations of evaluating an interpolant: once, and for each state."""
 
@@ -71,22 +67,8 @@ and their slopes over the share."""
 class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
     """Steps that are made again where they missed something.
 
-    The stacked state is in the order (state, trajectory).
-
-    Parameters
-    ----------
-    rates : callable
-    start, end : float
-    states : ndarray (n, m)
-        At the start.
-    tolerances : Tolerances
-    control : DefectControl, optional
-        Looks for what the stages of a step do not see.
-
-    Attributes
-    ----------
-    refusals : int
-        Steps that were made again since the last call of :meth:`longest_tried`.
+    The stacked state is in the order (state, trajectory); ``states`` (n, m) are those at the start.
+    ``refusals`` counts the steps made again since the last call of :meth:`longest_tried`.
     """
 
     def __init__(
@@ -188,14 +170,8 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
 
     If h is far above a stiff time scale, the error estimate sees the nodes only. The defect of the
-    interpolant, divided by the Newton matrix, is its error in between.
-
-    Parameters
-    ----------
-    blocks : callable
-        Jacobians (m, n, n) at a time and a stacked state.
-    looks_between : bool
-        Whether to check the interpolant between the nodes.
+    interpolant, divided by the Newton matrix, is its error in between: ``looks_between`` says
+    whether to check it. ``blocks`` maps a time and a stacked state to Jacobians (m, n, n).
     """
 
     def __init__(
@@ -237,7 +213,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         error = max(map(self._interpolation_error, self._shares), default=0.0)
         if error > _MOST_INTERPOLATION_ERROR:
             factor = 0.8 * (_MOST_INTERPOLATION_ERROR / error) ** 0.25
-            return float(max(_LEAST_SHORTENING, factor))
+            return float(max(0.1, factor))
         return super()._shortening(y_before)
 
     def _restart(self, h: float) -> None:
@@ -275,7 +251,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     @staticmethod
     def _solve(inverses: Array, right: Array) -> Array:
         m, n, _ = inverses.shape
-        charge(5.0 * CALL + m * (_MATRIX_ENTRY * n * n + _MATRIX))
+        charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
         solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
         return np.ascontiguousarray(solved.T).ravel()
 
@@ -283,12 +259,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 class DefectControl:
     """Looks for peaks and pulses of the rates over the states between the stages of a step.
 
-    Parameters
-    ----------
-    system : System
-    points : ndarray (m, d)
-    anywhere : bool
-        Whether to look at random places too.
+    It looks where trajectories cross state surfaces and, with ``anywhere``, at random places too.
     """
 
     def __init__(self, system: System, points: Array, anywhere: bool) -> None:

@@ -174,19 +174,10 @@ def _repeated(factors: KnownFactors, periodic: Sequence[tuple[float, float]]) ->
 def located_cuts(
     function: Callable[[Array], Array], lower: float, upper: float, derived: Sequence[float] = ()
 ) -> Cuts:
-    """Points at which an interval is best cut for a vector of functions.
+    """Points at which an interval is best cut for functions, points (N,) -> (rows, N).
 
-    Jumps and kinks are located by bisection. There are none for functions that are smooth on the
-    scale of the interval.
-
-    Parameters
-    ----------
-    function : callable
-        Maps points (N,) to function values (rows, N).
-    lower, upper : float
-        The interval.
-    derived : sequence of float
-        Points that are among them if they are inside.
+    Jumps and kinks are located by bisection. Functions that are smooth on the scale of the interval
+    have no cuts but those ``derived`` before that are inside.
     """
     finder = _Finder(function, lower, upper)
     derived = _inside(derived, lower, upper)
@@ -243,17 +234,8 @@ def resolving_pieces(
 ) -> list[tuple[float, float]]:
     """Pieces of an interval on each of which so many Chebyshev nodes resolve functions.
 
-    Parameters
-    ----------
-    function : callable
-        Maps points (N,) to function values (rows, N).
-    lower, upper : float
-        The interval.
-    borders : sequence of float
-        Points inside of it, ascending, that no piece crosses.
-    nodes : int
-    tolerance : float
-        Largest error, relative to the largest function value of each row.
+    The functions map points (N,) to (rows, N). No piece crosses a border; the borders ascend inside
+    of the interval. The tolerance is relative to the largest value of each row.
     """
     finder = _Finder(function, lower, upper, nodes, tolerance)
     edges = itertools.pairwise([lower, *borders, upper])

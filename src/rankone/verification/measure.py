@@ -370,15 +370,7 @@ def worst_points(
 ) -> Array | None:
     """Points (m, d) where the error is expected to be above the tolerance; None if there are none.
 
-    Parameters
-    ----------
-    reference_set : ReferenceSet
-    slabs : sequence of SlabTrain
-    error : float
-        Measured error over the tolerance.
-    rtol : float
-    attempt : int
-        Its number: each has points of its own.
+    ``error`` is the measured one over the tolerance. Each attempt has points of its own.
     """
     if not reference_set.domain.box or not slabs or not reference_set.checked:
         return None

@@ -83,17 +83,10 @@ def check_points(
     cuts: Sequence[Sequence[float]] = (),
     every_corner: bool = False,
 ) -> Array:
-    """The centre of the box, corners, and interior points that are spread evenly, shape (m, d).
+    """The centre of a box (d, 2), corners, and ``count`` evenly spread interior points: (m, d).
 
-    Parameters
-    ----------
-    box : ndarray (d, 2)
-    count : int
-        Number of interior points; without any there are no corners either.
-    cuts : sequence of sequences of float
-        For each parameter places inside of its interval that are checked on either side.
-    every_corner : bool
-        Whether to take all corners, or 256 of more; else eight of them.
+    Points on either side of the cuts of each parameter follow. Corners are all, at most 256, or
+    eight of them; there are none without interior points.
     """
     rng = np.random.default_rng(20140)
     d = len(box)
@@ -265,15 +258,8 @@ def candidate_points(
     steep, on several slabs; with so many parameters that their corners do not decide, where it
     changes on the last slab; None otherwise.
 
-    Parameters
-    ----------
-    slabs : sequence of SlabTrain
-    sizes : ndarray (n,)
-        Sizes of the states.
-    number : int
-        Of the attempt: each has points of its own.
-    rtol : float
-        Tells how many nodes a smooth solution needs.
+    ``sizes`` (n,) are those of the states, and ``number`` counts the attempts: each has points of
+    its own. The tolerance tells how many nodes a smooth solution needs.
     """
     factor = _STEEP_NODES if slabs and len(slabs[-1].bases) > 1 else _STEEP_NODES_ALONE
     many = factor * (4.0 - 1.4 * math.log10(rtol))

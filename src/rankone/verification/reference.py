@@ -161,15 +161,8 @@ def integrate_reference(
 ) -> Reference:
     """Integrate the system from ``start`` to ``end`` at all points (m, d).
 
-    Parameters
-    ----------
-    points : ndarray (m, d)
-    start, end : float
-    rtol : float
-        Relative tolerance of the integrator.
-    cuts : sequence of float
-        Times, ascending, at which the integration is begun anew: where the time factors jump,
-        kink or are narrow.
+    The integration begins anew at the cuts: ascending times at which the time factors jump, kink or
+    are narrow.
 
     Raises
     ------
@@ -198,14 +191,8 @@ def integrate_reference(
 class _Resolution:
     """How far down each state is resolved; an integration shows whether that was far enough.
 
-    Attributes
-    ----------
-    size : ndarray (n, 1)
-        Size that each state is presumed to have.
-    floor : ndarray (n, 1)
-        As that of :class:`Reference`.
-    absolute : ndarray (n, 1)
-        Absolute tolerances.
+    For each state, (n, 1): the size that it is presumed to have, the floor of a :class:`Reference`,
+    and the absolute tolerance.
     """
 
     def __init__(
@@ -324,20 +311,10 @@ def safe_intervals(
 ) -> tuple[SafeInterval, ...]:
     """Intervals of single parameters whose faces have trajectories that reach the end.
 
-    From each end of a parameter's interval, if all trajectories on that face of the box reach the
-    end, towards ``point``, whose trajectory does not, by bisection. Only a solve on the smaller box
-    shows whether all of it is safe.
-
-    Parameters
-    ----------
-    cuts : sequence of float
-        Times at which integrations begin anew.
-    point : ndarray (d,)
-
-    Returns
-    -------
-    tuple of SafeInterval
-        At most two for a parameter; the one that keeps most of the box first.
+    By bisection from each end of a parameter's interval, if all trajectories on that face of the
+    box reach the end, towards ``point`` (d,), whose trajectory does not. Integrations begin anew at
+    the cuts. Only a solve on the smaller box shows whether all of it is safe. A parameter has at
+    most two intervals; the one that keeps most of the box is first.
     """
     intervals: list[SafeInterval] = []
     try:

@@ -42,21 +42,9 @@ class Climb:
 def climbed(
     height: Callable[[Array], Array], points: Array, heights: Array, bounds: Array, climb: Climb
 ) -> tuple[Array, Array]:
-    """Points of a box to which climbers come from given ones, and the heights there.
+    """Points (m, d) of a box (d, 2) to which climbers come from given ones, and the heights there.
 
-    Parameters
-    ----------
-    height : callable
-        Maps points (N, d) to heights (N,), none of them NaN.
-    points, heights : ndarray (m, d), (m,)
-        Where each climber begins.
-    bounds : ndarray (d, 2)
-        The box.
-    climb : Climb
-
-    Returns
-    -------
-    points, heights : ndarray (m, d), (m,)
+    ``height`` maps points (N, d) to heights (N,), none of them NaN.
     """
     lower, upper = bounds.T
     generator = np.random.default_rng(climb.seed)
@@ -80,12 +68,7 @@ def bisected(
 ) -> tuple[Array, Array]:
     """The ends of segments [a, b] after halvings around a border between ``a`` and ``b``.
 
-    Parameters
-    ----------
-    a, b : ndarray (m, d)
-    like_a : callable
-        Whether points (m, d) on the segments are on the side of ``a``: (m,).
-    halvings : int
+    ``like_a`` tells for points (m, d), one on each segment, whether they are on the side of ``a``.
     """
     for _ in range(halvings):
         middle = 0.5 * (a + b)
