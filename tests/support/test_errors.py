@@ -1,0 +1,38 @@
+"""Errors keep message and remedy apart, also in copies."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+import rankone as ro
+from rankone.support.errors import OptionError, ProblemError, optional_module
+from tests.problems import REFERENCE
+
+
+def test_str_joins_message_and_remedy() -> None:
+    error = ProblemError("`x` is missing", equation=2, term="x", remedy="give its equation")
+    assert error.message == "equation 2: `x` is missing"
+    assert str(error) == "equation 2: `x` is missing; remedy: give its equation"
+    assert str(OptionError("no such option")) == "no such option"
+
+
+def test_copies_are_equal() -> None:
+    error = ProblemError("`x` is missing", equation=2, term="x", remedy="give its equation")
+    copy = pickle.loads(pickle.dumps(error))
+    assert (str(copy), copy.message) == (str(error), error.message)
+    assert (copy.equation, copy.term, copy.remedy) == (2, "x", "give its equation")
+
+
+def test_a_failure_has_its_remedy_as_data() -> None:
+    with pytest.raises(ro.ConvergenceError) as caught:
+        ro.solve(REFERENCE["decay"](), rtol=1e-9, method="cross", effort=1e-5, on_failure="raise")
+    assert caught.value.remedy == "raise effort"
+    assert "raise effort" not in caught.value.message
+    assert caught.value.message in caught.value.solution.message
+
+
+def test_a_missing_package_is_named() -> None:
+    with pytest.raises(OptionError, match="tea needs leaves, which is not installed; remedy: pick"):
+        optional_module("no_such_package", "tea needs leaves", "pick some", OptionError)
