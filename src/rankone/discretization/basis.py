@@ -45,13 +45,13 @@ def legendre_values(xi: Array, count: int) -> Array:
     ndarray (N, count)
         ``sqrt(2 m + 1) P_m(xi)``, by the three-term recurrence (DLMF 18.9.1).
     """
-    values = np.empty((count, xi.size))
-    values[0] = 1.0
-    values[1:2] = xi
+    rows = np.empty((count, xi.size))
+    rows[0] = 1.0
+    rows[1:2] = xi
     for m in range(1, count - 1):
-        values[m + 1] = ((2 * m + 1) * xi * values[m] - m * values[m - 1]) / (m + 1)
-    values *= np.sqrt(2.0 * np.arange(count) + 1.0)[:, None]
-    return values.T
+        rows[m + 1] = ((2 * m + 1) * xi * rows[m] - m * rows[m - 1]) / (m + 1)
+    rows *= np.sqrt(2.0 * np.arange(count) + 1.0)[:, None]
+    return rows.T
 
 
 @lru_cache(maxsize=32)
@@ -71,14 +71,14 @@ def chebyshev_values(xi: Array, count: int) -> Array:
 
     Shapes as in :func:`legendre_values`; ``sqrt(2) T_m(xi)`` for m > 0.
     """
-    values = np.empty((count, xi.size))
-    values[0] = 1.0
-    values[1:2] = xi
+    rows = np.empty((count, xi.size))
+    rows[0] = 1.0
+    rows[1:2] = xi
     for m in range(1, count - 1):
-        np.multiply(2.0 * xi, values[m], out=values[m + 1])
-        values[m + 1] -= values[m - 1]
-    values[1:] *= np.sqrt(2.0)
-    return values.T
+        np.multiply(2.0 * xi, rows[m], out=rows[m + 1])
+        rows[m + 1] -= rows[m - 1]
+    rows[1:] *= np.sqrt(2.0)
+    return rows.T
 
 
 def chebyshev_derivative(count: int) -> Array:
@@ -227,20 +227,19 @@ class Basis1D(ABC):
         """The basis on a part of the interval, with the ends of elements that are inside of it."""
         near = 1e-12 * (self.upper - self.lower)
         inside = [float(e) for e in self.edges if lower + near < e < upper - near]
-        kind = type(self)
-        return kind(lower, upper, self.degree, len(inside) + 1, tuple(inside))
+        return type(self)(lower, upper, self.degree, len(inside) + 1, tuple(inside))
 
     def _spread(self, local: Array, element: NDArray[np.intp]) -> Array:
         """Values of the modes (N, size) from those of one element for each point."""
         count = len(local)
-        values = np.zeros((count, self.elements, self.degree))
-        values[np.arange(count), element] = local
-        return values.reshape(count, self.size)
+        spread = np.zeros((count, self.elements, self.degree))
+        spread[np.arange(count), element] = local
+        return spread.reshape(count, self.size)
 
     def transfer(self, other: Basis1D) -> Array:
         """Map scaled values on this basis to those on another, (other.size, size)."""
-        values = self.modal_values(other.nodes) @ self.to_modal
-        return np.asarray(np.sqrt(other.weights)[:, None] * values)
+        at_nodes = self.modal_values(other.nodes) @ self.to_modal
+        return np.asarray(np.sqrt(other.weights)[:, None] * at_nodes)
 
     def tail(self, spectrum: Array) -> float:
         """Norm of the two highest modes of each element in a spectrum of mode norms (size,)."""
@@ -260,8 +259,8 @@ class Basis1D(ABC):
         ``least`` is the smallest degree taken.
         """
         by_degree = np.linalg.norm(spectrum.reshape(self.elements, self.degree), axis=0)
-        rest = np.sqrt(np.cumsum(by_degree[::-1] ** 2))[::-1]
-        needed = int(np.count_nonzero(rest > tolerance)) + 2
+        tails = np.sqrt(np.cumsum(by_degree[::-1] ** 2))[::-1]
+        needed = int(np.count_nonzero(tails > tolerance)) + 2
         return replace(self, degree=min(max(needed, least), self.degree))
 
     def refined(self, largest_degree: int) -> Self:

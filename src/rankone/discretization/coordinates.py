@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from keyword import iskeyword
-from typing import Any
 
 import numpy as np
 
@@ -117,7 +116,7 @@ class Coordinates:
         self._known = [self.intervals[0][0]] if timeless else []
         self._index = {name: i for i, name in enumerate(self.names) if name in self.asked}
 
-    def gather(self, at: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
+    def gather(self, at: Sequence[object], named: Mapping[str, object]) -> list[object]:
         """Put what was given in order: one entry for each coordinate.
 
         Positional arguments ``at`` are times, or a mapping from names or symbols to values, or both
@@ -134,7 +133,7 @@ class Coordinates:
                 return [*self._known, *(named[name] for name in self.asked)]
             except KeyError:
                 pass
-        found: list[Any] = [*self._known, *(_MISSING for _ in self.asked)]
+        gathered: list[object] = [*self._known, *(_MISSING for _ in self.asked)]
         for key, value in self._pairs(at, named):
             name = name_of(key, self.names[0])
             index = self._index.get(name)
@@ -150,54 +149,58 @@ class Coordinates:
                     f"the coordinates are {listing(self.asked)}",
                     term=name,
                 )
-            if found[index] is not _MISSING:
+            if gathered[index] is not _MISSING:
                 raise EvaluationError(f"`{name}` is given twice", term=name, remedy="give it once")
-            found[index] = value
-        missing = [name for name, value in zip(self.names, found, strict=True) if value is _MISSING]
+            gathered[index] = value
+        missing = [
+            name for name, value in zip(self.names, gathered, strict=True) if value is _MISSING
+        ]
         if missing:
             raise EvaluationError(
                 f"no value for {listing(missing)}; the coordinates are {listing(self.asked)}",
                 term=missing,
                 remedy="give a value for each coordinate",
             )
-        return found
+        return gathered
 
-    def _pairs(self, at: Sequence[Any], named: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
+    def _pairs(
+        self, at: Sequence[object], named: Mapping[str, object]
+    ) -> Iterator[tuple[object, object]]:
         if len(at) > 2:
             raise EvaluationError(
                 f"{len(at)} arguments were given by position; these can be times and a mapping",
                 remedy=f"give parameters by name: {self._example()}",
             )
-        for position, given in enumerate(at):
-            if isinstance(given, Mapping):
-                yield from given.items()
-            elif given is not None and position == 0:
-                yield self.names[0], given
-            elif given is not None:
+        for position, argument in enumerate(at):
+            if isinstance(argument, Mapping):
+                yield from argument.items()
+            elif argument is not None and position == 0:
+                yield self.names[0], argument
+            elif argument is not None:
                 raise EvaluationError(
-                    f"the second argument is {given!r}, not a mapping from parameters to values",
-                    term=given,
+                    f"the second argument is {argument!r}, not a mapping from parameters to values",
+                    term=argument,
                     remedy=f"give parameters by name: {self._example()}",
                 )
         yield from named.items()
 
     def _example(self) -> str:
         middle = [f"{0.5 * (lower + upper):g}" for lower, upper in self.intervals]
-        values = zip(self.asked, middle[-len(self.asked) :], strict=False)
+        pairs = zip(self.asked, middle[-len(self.asked) :], strict=False)
         if all(name.isidentifier() and not iskeyword(name) for name in self.asked):
-            return f"solution({', '.join(f'{name}={value}' for name, value in values)})"
-        return f"solution({{{', '.join(f'{name!r}: {value}' for name, value in values)}}})"
+            return f"solution({', '.join(f'{name}={at}' for name, at in pairs)})"
+        return f"solution({{{', '.join(f'{name!r}: {at}' for name, at in pairs)}}})"
 
-    def numbers(self, given: Sequence[Any]) -> list[float] | None:
+    def numbers(self, gathered: Sequence[object]) -> list[float] | None:
         """Return plain numbers inside the intervals, or None if the slower way has to decide."""
         numbers = []
-        for value, (lower, upper) in zip(given, self.intervals, strict=True):
+        for value, (lower, upper) in zip(gathered, self.intervals, strict=True):
             if not isinstance(value, float | int) or not lower <= value <= upper:
                 return None
             numbers.append(float(value))
         return numbers
 
-    def arrays(self, given: Sequence[Any]) -> list[Array]:
+    def arrays(self, gathered: Sequence[object]) -> list[Array]:
         """Return each value as an array of numbers inside its interval.
 
         Values outside by round-off are moved to the end of the interval.
@@ -207,9 +210,9 @@ class Coordinates:
         EvaluationError
             If a value is not real, is NaN or lies outside the interval.
         """
-        return [self.checked(index, value) for index, value in enumerate(given)]
+        return [self.checked(index, value) for index, value in enumerate(gathered)]
 
-    def checked(self, index: int, value: Any) -> Array:
+    def checked(self, index: int, value: object) -> Array:
         """The values of one coordinate as an array of numbers inside its interval."""
         name, (lower, upper) = self.names[index], self.intervals[index]
         array = self._real(name, value)
@@ -236,7 +239,7 @@ class Coordinates:
         )
 
     @staticmethod
-    def _real(name: str, value: Any) -> Array:
+    def _real(name: str, value: object) -> Array:
         if np.ma.is_masked(value):
             raise EvaluationError(
                 f"`{name}` has values that are masked",
@@ -313,7 +316,7 @@ class Coordinates:
                 remedy="use equal shapes, or `grid` for every combination of values",
             ) from None
 
-    def axes(self, given: Sequence[Any]) -> list[Array]:
+    def axes(self, gathered: Sequence[object]) -> list[Array]:
         """Return each value as a one-dimensional axis of a tensor grid; numbers have length one.
 
         Raises
@@ -321,7 +324,7 @@ class Coordinates:
         EvaluationError
             As for :meth:`arrays`, and if a value has more than one dimension.
         """
-        axes = [np.atleast_1d(array) for array in self.arrays(given)]
+        axes = [np.atleast_1d(array) for array in self.arrays(gathered)]
         for name, axis in zip(self.names, axes, strict=True):
             if axis.ndim > 1:
                 raise EvaluationError(

@@ -111,13 +111,13 @@ class LagrangeElements:
         xi, weights = self._rule
         count = xi.size
         coefficients = np.linalg.inv(npl.legvander(xi, count - 1))
-        integrals = np.stack([npl.legint(row, lbnd=-1) for row in np.eye(count)])
-        local = 0.5 * self.width * (npl.legval(xi, integrals.T).T @ coefficients)
+        primitives = np.stack([npl.legint(row, lbnd=-1) for row in np.eye(count)])
+        local = 0.5 * self.width * (npl.legval(xi, primitives.T).T @ coefficients)
         pieces = values.reshape(self.elements, count, -1)
-        result = np.matmul(local, pieces)
+        integrals = np.matmul(local, pieces)
         whole = np.tensordot(0.5 * self.width * weights, pieces, axes=([0], [1]))
-        result[1:] += np.cumsum(whole[:-1], axis=0)[:, None]
-        return np.asarray(result.reshape(values.shape))
+        integrals[1:] += np.cumsum(whole[:-1], axis=0)[:, None]
+        return np.asarray(integrals.reshape(values.shape))
 
     # --- modes ---------------------------------------------------------------------------------
 

@@ -12,13 +12,15 @@ from rankone.support.arrays import Array
 
 __all__ = ["RadauCollocation", "inset"]
 
-_INSET, _UNITS = 1e-9, 8.0
-"""Part of a slab or segment by which times stay inside, and least number of units of rounding."""
+_INSET = 1e-9
+"""Distance of times from the ends of a slab or segment, relative to its length."""
+_INSET_SPACINGS = 8.0
+"""The same in spacings of floating-point numbers, at least."""
 
 
 def inset(start: float, end: float) -> float:
     """How far times stay inside a slab or segment: factors may jump at its ends."""
-    rounding = _UNITS * float(np.spacing(max(abs(start), abs(end))))
+    rounding = _INSET_SPACINGS * float(np.spacing(max(abs(start), abs(end))))
     return min(max(_INSET * (end - start), rounding), 0.25 * (end - start))
 
 

@@ -42,8 +42,10 @@ _ROUNDING_SHARE = 0.1
 """Share of the tolerance spent on rounding the train of the horizon."""
 _LEAST_SQUARES_LIMIT = 1e-9
 """Normal equations square the condition: below this tolerance they are not worth trying."""
-_MOST_SWEEPS, _TERM_SWEEPS = 400, 20_000
-"""Most sweeps of least squares, and most sweeps times terms."""
+_MAX_SWEEPS = 400
+"""Most sweeps of least squares: slower convergence is not worth the time."""
+_MAX_TERM_SWEEPS = 20_000
+"""Most sweeps times terms: a sweep costs in proportion to the terms."""
 
 
 @dataclass(frozen=True)
@@ -88,15 +90,15 @@ class Axis:
         """Interpolate values at the nodes, (N, R), to points (M,): shape (M, R)."""
         element = np.searchsorted(self.breaks[1:-1], points, side="right")
         offsets = np.concatenate([[0], np.cumsum(self.degrees)])
-        result = np.empty((points.size, values.shape[1]))
+        interpolated = np.empty((points.size, values.shape[1]))
         for e in np.unique(element):
             a, b, count = self.breaks[e], self.breaks[e + 1], self.degrees[e]
             xi, weights = leggauss(count)
             to_modal = legendre_values(xi, count).T * (0.5 * weights)
             here = np.flatnonzero(element == e)
             local = legendre_values((2.0 * points[here] - (a + b)) / (b - a), count)
-            result[here] = local @ (to_modal @ values[offsets[e] : offsets[e + 1]])
-        return result
+            interpolated[here] = local @ (to_modal @ values[offsets[e] : offsets[e + 1]])
+        return interpolated
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,8 +154,8 @@ class CanonicalForm:
         """Evaluate as a solution does: the result has the broadcast shape of the values."""
         intervals = [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes]
         coordinates = Coordinates([axis.name for axis in self.axes], intervals)
-        given = coordinates.gather(at, named)
-        points, shape = coordinates.broadcast(coordinates.arrays(given))
+        gathered = coordinates.gather(at, named)
+        points, shape = coordinates.broadcast(coordinates.arrays(gathered))
         products = np.ones((points.shape[1], self.rank))
         for axis, row in zip(self.axes, points, strict=True):
             products *= axis.interpolate(self.factors[axis.name], row)
@@ -161,11 +163,11 @@ class CanonicalForm:
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{amplitude:.3g}" for amplitude in self.amplitudes[:5])
-        more = ", ..." if self.rank > 5 else ""
+        ellipsis = ", ..." if self.rank > 5 else ""
         over = ", ".join(f"{axis.name} ({axis.nodes.size} nodes)" for axis in self.axes)
         return (
             f"CanonicalForm of {self.name}: {self.rank} terms over {over}, "
-            f"error {self.error:.2g}, amplitudes {shown}{more}"
+            f"error {self.error:.2g}, amplitudes {shown}{ellipsis}"
         )
 
 
@@ -335,11 +337,11 @@ def _slab_train(slab: SlabTrain, state: int, axes: Sequence[Axis]) -> Train:
     first = slab.cores[0][state]
     xi, weights = leggauss(len(first))
     width = (slab.end - slab.start) / (axes[0].breaks[-1] - axes[0].breaks[0])
-    values = legendre_values(xi, len(first)) * np.sqrt(0.5 * width * weights)[:, None]
-    cores = [(values @ first)[None]]
+    modes = legendre_values(xi, len(first)) * np.sqrt(0.5 * width * weights)[:, None]
+    cores = [(modes @ first)[None]]
     for core, basis, axis in zip(slab.cores[1:], slab.bases, axes[1:], strict=True):
-        values = basis.modal_values(axis.nodes) * np.sqrt(axis.weights)[:, None]
-        cores.append(np.matmul(values, core))
+        modes = basis.modal_values(axis.nodes) * np.sqrt(axis.weights)[:, None]
+        cores.append(np.matmul(modes, core))
     return Train(tuple(cores))
 
 
@@ -389,15 +391,15 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
     heap: list[tuple[float, int, tuple[Array, ...], Array]] = [
         (-math.sqrt(total), next(ticket), (), np.ones(1))
     ]
-    rest = total
-    found: list[tuple[float, tuple[Array, ...]]] = []
-    while heap and len(found) < most:
+    remainder = total
+    products: list[tuple[float, tuple[Array, ...]]] = []
+    while heap and len(products) < most:
         negative, _, modes, vector = heapq.heappop(heap)
         if len(modes) == len(train.cores):
-            found.append((-negative, modes))
-            rest -= negative**2
+            products.append((-negative, modes))
+            remainder -= negative**2
             # the running difference loses digits, the sum of what is left does not
-            nearly = rest <= tolerance**2 + 1e-12 * total
+            nearly = remainder <= tolerance**2 + 1e-12 * total
             if nearly and math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
                 break
             continue
@@ -407,9 +409,9 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
         for k in range(s.size):
             if s[k] > 0.0:
                 heapq.heappush(heap, (-scale * s[k], next(ticket), (*modes, u[:, k]), vt[k]))
-    amplitudes = np.array([amplitude for amplitude, _ in found])
+    amplitudes = np.array([amplitude for amplitude, _ in products])
     return amplitudes, [
-        np.stack([modes[j] for _, modes in found], axis=1) for j in range(len(train.cores))
+        np.stack([modes[j] for _, modes in products], axis=1) for j in range(len(train.cores))
     ]
 
 
@@ -447,7 +449,7 @@ def _least_squares(
     dimensions = range(len(train.cores))
     grams = [mode.T @ mode for mode in modes]
     previous = math.inf
-    most = max(min(_MOST_SWEEPS, _TERM_SWEEPS // len(amplitudes)), 10)
+    most = max(min(_MAX_SWEEPS, _MAX_TERM_SWEEPS // len(amplitudes)), 10)
     for sweep in range(most):
         rights = [np.ones((1, len(amplitudes)))]
         for j in reversed(dimensions[1:]):
@@ -460,9 +462,9 @@ def _least_squares(
             for k in dimensions:
                 if k != j:
                     gram *= grams[k]
-            values, vectors = np.linalg.eigh(gram)
-            kept = values > 1e-14 * values[-1]
-            inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+            eigenvalues, vectors = np.linalg.eigh(gram)
+            kept = eigenvalues > 1e-14 * eigenvalues[-1]
+            inverse = (vectors[:, kept] / eigenvalues[kept]) @ vectors[:, kept].T
             scaled = target @ inverse
             amplitudes = np.linalg.norm(scaled, axis=0)
             modes[j] = scaled / np.where(amplitudes > 0.0, amplitudes, 1.0)

@@ -43,18 +43,18 @@ def chebyshev_polynomials(xi: Array, count: int) -> Array:
     By ``T_{k+i} = 2 T_k T_i - T_{k-i}``, which doubles the number of known rows in three
     vectorised operations (DLMF 18.18.21).
     """
-    values = np.empty((count, xi.size))
-    values[0] = 1.0
+    rows = np.empty((count, xi.size))
+    rows[0] = 1.0
     if count > 1:
-        values[1] = xi
-    known = 1
-    while known < count - 1:
-        more = min(known, count - 1 - known)
-        new = values[known + 1 : known + 1 + more]
-        np.multiply(values[1 : 1 + more], 2.0 * values[known], out=new)
-        new -= values[known - more : known][::-1]
-        known += more
-    return values
+        rows[1] = xi
+    done = 1
+    while done < count - 1:
+        extra = min(done, count - 1 - done)
+        block = rows[done + 1 : done + 1 + extra]
+        np.multiply(rows[1 : 1 + extra], 2.0 * rows[done], out=block)
+        block -= rows[done - extra : done][::-1]
+        done += extra
+    return rows
 
 
 def _to_chebyshev(basis: Basis1D) -> Array:
@@ -103,19 +103,19 @@ class _Dimension:
     def contract(self, points: Array, carry: Array | None, rows: Rows | None = None) -> Array:
         """Multiply the core, at points (N,), with the carry (right, N): shape (left, N)."""
         xi, element = self.locate(points)
-        values = chebyshev_polynomials(xi, self.degree)
+        polynomials = chebyshev_polynomials(xi, self.degree)
         occupied = _occupied(element)
         matrices = [self.matrices[e] for e in occupied]
         if rows is not None:
             matrices = [matrix[rows] for matrix in matrices]
         if len(occupied) == 1:
-            return np.asarray(matrices[0] @ _columnwise_kronecker(values, carry))
-        result = np.empty((len(matrices[0]), xi.size))
+            return np.asarray(matrices[0] @ _columnwise_kronecker(polynomials, carry))
+        contracted = np.empty((len(matrices[0]), xi.size))
         for e, matrix in zip(occupied, matrices, strict=True):
             here = np.flatnonzero(element == e)
-            part = None if carry is None else carry.take(here, 1)
-            result[:, here] = matrix @ _columnwise_kronecker(values.take(here, 1), part)
-        return result
+            columns = None if carry is None else carry.take(here, 1)
+            contracted[:, here] = matrix @ _columnwise_kronecker(polynomials.take(here, 1), columns)
+        return contracted
 
     def spread(self, points: Array, carry: Array, of: NDArray[np.intp], rows: Rows) -> Array:
         """Multiply the core, at points (N,), with the columns ``of`` the carry (right, M).
@@ -123,13 +123,13 @@ class _Dimension:
         The columns (N,) repeat, so that these products come first. The shape is (left, N).
         """
         xi, element = self.locate(points)
-        values = chebyshev_polynomials(xi, self.degree)
-        result = np.empty((len(self.matrices[0][rows]), xi.size))
+        polynomials = chebyshev_polynomials(xi, self.degree)
+        contracted = np.empty((len(self.matrices[0][rows]), xi.size))
         for e in _occupied(element):
             here = slice(None) if element is None else np.flatnonzero(element == e)
             products = (self.tensor[e, rows] @ carry).take(of[here], 2)
-            result[:, here] = np.einsum("lnN,nN->lN", products, values[:, here])
-        return result
+            contracted[:, here] = np.einsum("lnN,nN->lN", products, polynomials[:, here])
+        return contracted
 
     def outer(self, points: Array, carry: Array, rows: Rows | None = None) -> Array:
         """Multiply the core, at points (N,), with all columns of the carry (right, M).
@@ -137,16 +137,16 @@ class _Dimension:
         The shape is (left, N, M).
         """
         xi, element = self.locate(points)
-        values = chebyshev_polynomials(xi, self.degree).T
+        polynomials = chebyshev_polynomials(xi, self.degree).T
         tensor = self.tensor if rows is None else self.tensor[:, rows]
         occupied = _occupied(element)
         if len(occupied) == 1:
-            return _multiplied(values, tensor[occupied[0]], carry)
-        result = np.empty((tensor.shape[1], xi.size, carry.shape[1]))
+            return _multiplied(polynomials, tensor[occupied[0]], carry)
+        contracted = np.empty((tensor.shape[1], xi.size, carry.shape[1]))
         for e in occupied:
             here = np.flatnonzero(element == e)
-            result[:, here] = _multiplied(values[here], tensor[e], carry)
-        return result
+            contracted[:, here] = _multiplied(polynomials[here], tensor[e], carry)
+        return contracted
 
 
 class _UnequalDimension(_Dimension):
@@ -173,21 +173,21 @@ def _occupied(element: NDArray[np.intp] | None) -> list[int]:
     return [0] if element is None else np.flatnonzero(np.bincount(element)).tolist() or [0]
 
 
-def _multiplied(values: Array, core: Array, carry: Array) -> Array:
+def _multiplied(polynomials: Array, core: Array, carry: Array) -> Array:
     """Values (N, n) by a core (left, n, right) by a carry (right, M): shape (left, N, M)."""
-    (count, degree), (right, columns) = values.shape, carry.shape
+    (count, degree), (right, columns) = polynomials.shape, carry.shape
     from_left = right * count * (degree + columns)
     from_right = degree * columns * (right + count)
     if from_left < from_right:
-        return np.asarray((values @ core) @ carry)
-    return np.asarray(values @ (core @ carry))
+        return np.asarray((polynomials @ core) @ carry)
+    return np.asarray(polynomials @ (core @ carry))
 
 
-def _columnwise_kronecker(values: Array, carry: Array | None) -> Array:
+def _columnwise_kronecker(polynomials: Array, carry: Array | None) -> Array:
     """Kronecker products of the columns of (n, N) and (r, N): shape (n * r, N)."""
     if carry is None:
-        return values
-    return np.multiply(values[:, None], carry).reshape(-1, values.shape[1])
+        return polynomials
+    return np.multiply(polynomials[:, None], carry).reshape(-1, polynomials.shape[1])
 
 
 class _Train:
@@ -215,8 +215,8 @@ class _Train:
     def over_parameters(self, points: Array) -> Array:
         """Product of the cores of the parameters at points (d, N): shape (right of time, N)."""
         carry = None
-        for dimension, values in zip(self.dimensions[:0:-1], points[::-1], strict=True):
-            carry = dimension.contract(values, carry)
+        for dimension, coordinates in zip(self.dimensions[:0:-1], points[::-1], strict=True):
+            carry = dimension.contract(coordinates, carry)
         return np.ones((1, points.shape[1])) if carry is None else carry
 
     def over_grid(self, axes: Sequence[Array]) -> Array:
@@ -229,18 +229,20 @@ class _Train:
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """Values at one point, given as 1 + d numbers: shape (rows,)."""
         located = [
-            dimension.locate_one(value)
-            for dimension, value in zip(self.dimensions, point, strict=True)
+            dimension.locate_one(coordinate)
+            for dimension, coordinate in zip(self.dimensions, point, strict=True)
         ]
         table = chebyshev_polynomials(np.array([xi for xi, _ in located]), self.degree).T
         carry: Array | None = None
         for k in range(len(self.dimensions) - 1, -1, -1):
             dimension = self.dimensions[k]
-            values = table[k, : dimension.degree]
+            polynomials = table[k, : dimension.degree]
             matrix = dimension.matrices[located[k][1]]
             if k == 0:
                 matrix = matrix[rows]
-            carry = matrix @ (values if carry is None else np.multiply.outer(values, carry).ravel())
+            carry = matrix @ (
+                polynomials if carry is None else np.multiply.outer(polynomials, carry).ravel()
+            )
         assert carry is not None
         return carry
 
@@ -286,14 +288,14 @@ class TrainEvaluator:
 
         ``points`` (1 + d, N) are times, then the values of each parameter; the shape is (rows, N).
         """
-        result = np.empty((self._count(rows), points.shape[1]))
+        states = np.empty((self._count(rows), points.shape[1]))
         # points in the order of the slabs: those of a chunk have few slabs
         for train, owned in self._owned(points[0], self._slab_breaks):
             for here in _chunks(owned, train.chunk):
-                part = points.take(here, 1)
-                carry = train.over_parameters(part[1:])
-                result[:, here] = train.time.contract(part[0], carry, rows)
-        return result
+                chunk = points.take(here, 1)
+                carry = train.over_parameters(chunk[1:])
+                states[:, here] = train.time.contract(chunk[0], carry, rows)
+        return states
 
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
         """Evaluate at several times for each point of the parameters.
@@ -314,13 +316,13 @@ class TrainEvaluator:
         if several == 1:
             return self.many(np.concatenate([times, points]), rows)[:, None]
         paired = times.T.ravel()
-        result = np.empty((self._count(rows), paired.size))
+        states = np.empty((self._count(rows), paired.size))
         for train, owned in self._owned(paired, self._breaks):
             for here in _chunks(owned, train.chunk):
                 columns, back = np.unique(here // several, return_inverse=True)
                 carry = train.over_parameters(points.take(columns, 1))
-                result[:, here] = train.time.spread(paired[here], carry, back, rows)
-        return result.reshape(len(result), count, several).swapaxes(1, 2)
+                states[:, here] = train.time.spread(paired[here], carry, back, rows)
+        return states.reshape(len(states), count, several).swapaxes(1, 2)
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid.
@@ -333,8 +335,8 @@ class TrainEvaluator:
         def carries(train: _Train) -> Iterator[tuple[slice, Array]]:
             yield slice(None), train.over_grid(axes[1:])
 
-        values = self._at_all(axes[0], math.prod(sizes[1:]), carries, rows)
-        return values.reshape(len(values), *sizes)
+        states = self._at_all(axes[0], math.prod(sizes[1:]), carries, rows)
+        return states.reshape(len(states), *sizes)
 
     def _at_all(
         self,
@@ -347,13 +349,13 @@ class TrainEvaluator:
 
         ``carries`` gives for a train some of the N columns and what belongs there.
         """
-        result = np.empty((self._count(rows), times.size, count))
+        states = np.empty((self._count(rows), times.size, count))
         for train, owned in self._owned(times, self._breaks):
             for columns, carry in carries(train):
                 size = max(_BUFFER // max(carry.shape), _TIMES)
                 for here in _chunks(owned, size):
-                    result[:, here, columns] = train.time.outer(times[here], carry, rows)
-        return result
+                    states[:, here, columns] = train.time.outer(times[here], carry, rows)
+        return states
 
     def _owned(self, times: Array, breaks: Array) -> Iterator[tuple[_Train, NDArray[np.intp]]]:
         """The trains that have some of the times (N,), and which, ordered by the breaks."""

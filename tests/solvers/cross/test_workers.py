@@ -93,7 +93,7 @@ def processes_have_ended():
 @pytest.fixture(scope="module", autouse=True)
 def _many_chunks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rankone.solvers.cross.trajectories.STACK_STATES", 2000)
+        patch.setattr("rankone.solvers.cross.constants.STACK_STATES", 2000)
         yield
 
 

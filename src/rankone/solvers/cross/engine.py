@@ -14,24 +14,7 @@ from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import Cause, MovingFeatures, Status, TrajectoryStops
 from rankone.solvers.attempts import Attempt, Progress
-from rankone.solvers.cross.constants import (
-    CHEAP_TRAJECTORIES,
-    FAR_ERROR_RATIO,
-    FAST_ERROR_RATIO,
-    FIRST_TIGHTNESS,
-    HIGHEST_TIME_MODES_SHARE,
-    INTEGRATION_SHARE,
-    KNOWN_FUNCTIONS_SHARE,
-    KNOWN_NODE_RATIOS,
-    LEAST_NODES,
-    LINES_FRACTION,
-    MAX_COSTLY_STALLS,
-    MAX_STALLS,
-    REPORTED_FRACTION,
-    TIGHTENING,
-    TIGHTEST_TIME_TOLERANCE,
-    UNTIGHTENED_RATIO,
-)
+from rankone.solvers.cross import constants
 from rankone.solvers.cross.options import CrossOptions, CrossRecord
 from rankone.solvers.cross.steep import steepest_front
 from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
@@ -73,12 +56,12 @@ class Pace:
 
     def __init__(self, report: Report, event: ProgressEvent) -> None:
         self.report, self.event = report, event
-        self._stage = 0.0, LINES_FRACTION
+        self._stage = 0.0, constants.LINES_FRACTION
 
     def bond(self, done: int, total: int, rank: int) -> None:
         """A sweep begins a bond after ``done`` of them; ``rank`` is the largest so far."""
-        width = (1.0 - LINES_FRACTION) / total
-        begin = LINES_FRACTION + done * width
+        width = (1.0 - constants.LINES_FRACTION) / total
+        begin = constants.LINES_FRACTION + done * width
         self._stage = begin, begin + width
         self.event = replace(self.event, rank=max(rank, self.event.rank))
         self.batch(0.0)
@@ -87,7 +70,7 @@ class Pace:
         """A share of the trajectories that are being integrated is done."""
         begin, end = self._stage
         fraction = begin + share * (end - begin)
-        if fraction >= self.event.fraction + REPORTED_FRACTION:
+        if fraction >= self.event.fraction + constants.REPORTED_FRACTION:
             self.event = replace(self.event, fraction=fraction)
             self.report(self.event)
 
@@ -113,11 +96,11 @@ class CrossMarcher:
         self.reference_set = reference_set
         options, box = self.options, reference_set.domain.box
         limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
-        self.adaptive = AdaptiveInterpolation(box, limits, self.rtol, TIGHTENING)
+        self.adaptive = AdaptiveInterpolation(box, limits, self.rtol, constants.TIGHTENING)
         self.breaks: set[float] = set()
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
-        self.tightness = FIRST_TIGHTNESS
+        self.tightness = constants.FIRST_TIGHTNESS
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
@@ -129,7 +112,7 @@ class CrossMarcher:
         self.trajectories = trajectories = Trajectories(
             self.reference_set,
             grid,
-            INTEGRATION_SHARE * level,
+            constants.INTEGRATION_SHARE * level,
             self.tightness,
             self.options.max_trajectories - self.integrated,
             self.workers,
@@ -174,8 +157,11 @@ class CrossMarcher:
 
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""
-        reference_set, kind = self.reference_set, BASES[self.options.basis]
-        bases = tuple(kind(lower, upper, LEAST_NODES) for lower, upper in reference_set.domain.box)
+        reference_set, basis_type = self.reference_set, BASES[self.options.basis]
+        bases = tuple(
+            basis_type(lower, upper, constants.LEAST_NODES)
+            for lower, upper in reference_set.domain.box
+        )
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
             centre = reference_set.reference(grid.times)[:, 0, :, None]
@@ -190,7 +176,9 @@ class CrossMarcher:
         edges = [start, *sorted(cut for cut in between if cut < end), end]
         units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
-        tolerance = max(HIGHEST_TIME_MODES_SHARE * level, TIGHTEST_TIME_TOLERANCE)
+        tolerance = max(
+            constants.HIGHEST_TIME_MODES_SHARE * level, constants.TIGHTEST_TIME_TOLERANCE
+        )
 
         def in_units(times: Array) -> Array:
             return reference_set.reference(times) / units
@@ -200,7 +188,10 @@ class CrossMarcher:
 
     def _known_elements(self, nodes: int) -> list[KnownElements]:
         """Elements, of so many nodes, that resolve the known functions of each parameter."""
-        reference_set, tolerance = self.reference_set, KNOWN_FUNCTIONS_SHARE * self.adaptive.level
+        reference_set, tolerance = (
+            self.reference_set,
+            constants.KNOWN_FUNCTIONS_SHARE * self.adaptive.level,
+        )
         known_elements = []
         for j, interval in enumerate(reference_set.domain.box):
             cuts = reference_set.parameter_cuts[j] if reference_set.parameter_cuts else Cuts()
@@ -208,7 +199,7 @@ class CrossMarcher:
                 known_elements.append(KnownElements(cuts.points))
                 continue
             factors = partial(reference_set.system.parameter_factors, j)
-            for count in (nodes, *(round(ratio * nodes) for ratio in KNOWN_NODE_RATIOS)):
+            for count in (nodes, *(round(ratio * nodes) for ratio in constants.KNOWN_NODE_RATIOS)):
                 pieces = resolving_pieces(factors, *interval, cuts.points, count, tolerance)
                 if count == nodes:
                     borders = [a for a, _ in pieces[1:]]
@@ -236,25 +227,30 @@ class CrossMarcher:
         self.error = attempt.error
         if not patient:
             return False
-        close = attempt.error < FAR_ERROR_RATIO * self.rtol
+        close = attempt.error < constants.FAR_ERROR_RATIO * self.rtol
         adaptive.refine(attempt.error, tighten=close or (progress.stalls > 0 and not grows))
         return True
 
     def _patient(self, attempt: Attempt, stalls: int, grows: bool) -> bool:
         """Whether another attempt may be worth its cost; ``grows``: it has more elements."""
-        if self.integrated < CHEAP_TRAJECTORIES:
-            return grows or stalls < MAX_STALLS
+        if self.integrated < constants.CHEAP_TRAJECTORIES:
+            return grows or stalls < constants.MAX_STALLS
         untightened = self.adaptive.share == 1.0
-        if untightened and self.integrated < UNTIGHTENED_RATIO * CHEAP_TRAJECTORIES:
+        if (
+            untightened
+            and self.integrated < constants.UNTIGHTENED_RATIO * constants.CHEAP_TRAJECTORIES
+        ):
             return True
-        fast_enough = max(FAR_ERROR_RATIO * self.rtol, FAST_ERROR_RATIO * self.error)
-        return stalls < MAX_COSTLY_STALLS and attempt.error < fast_enough
+        fast_enough = max(
+            constants.FAR_ERROR_RATIO * self.rtol, constants.FAST_ERROR_RATIO * self.error
+        )
+        return stalls < constants.MAX_COSTLY_STALLS and attempt.error < fast_enough
 
     def _halve_slabs(self) -> None:
         """Halve the slabs on which some trajectory varies more than those of the reference."""
         assert self.trajectories is not None
         breaks = np.array(self.trajectories.grid.breaks)
-        tolerance = HIGHEST_TIME_MODES_SHARE * self.adaptive.share * self.rtol
+        tolerance = constants.HIGHEST_TIME_MODES_SHARE * self.adaptive.share * self.rtol
         rough = self.trajectories.highest_modes > tolerance
         self.breaks |= {*(0.5 * (breaks[:-1] + breaks[1:])[rough]).tolist()}
 
@@ -268,17 +264,17 @@ class CrossMarcher:
         cause = MovingFeatures() if moves else None
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
-        trajectories.allowed_error = INTEGRATION_SHARE * self.rtol  # later attempts cost more
+        trajectories.allowed_error = (
+            constants.INTEGRATION_SHARE * self.rtol
+        )  # later attempts cost more
         lines = [domain.bounds.mean(axis=1)]
         try:
             if attempt.result.slabs:
                 lines.append(steepest_point(attempt.result.slabs[-1], trajectories.sizes))
-            front = steepest_front(trajectories.uncounted, domain, lines)
+            front = steepest_front(trajectories.uncounted, system, domain, lines)
         except (OutOfBudgetError, TrajectoryEnds):
             front = None
-        if front is None:
-            return status, cause
-        return Status.STEEP, front.cause(system.states, system.parameters)
+        return (status, cause) if front is None else (Status.STEEP, front)
 
 
 ENGINE = Engine("cross", CrossOptions, CrossRecord, CrossMarcher)

@@ -4,103 +4,61 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
 from rankone.ir.domain import Domain
+from rankone.ir.system import System
 from rankone.ir.verdict import SteepParameter
-from rankone.solvers.cross.constants import (
-    FRONT_CHANGE,
-    FRONT_WIDTH,
-    JUMP_WIDTH,
-    KEPT_CHANGE,
-    LINE_PLACES,
-    MAX_ZOOMS,
-    ZOOM_PLACES,
-)
+from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
 
-__all__ = ["Front", "steepest_front"]
-
-
-@dataclass(frozen=True)
-class Front:
-    """A short piece of a line along one parameter over which the trajectory changes.
-
-    Attributes
-    ----------
-    parameter, state : int
-        The parameter, and the state that changes most.
-    lower, upper : float
-        The piece.
-    share : float
-        Its width over that of the interval.
-    change : float
-        Change of the state in units of its size.
-    at_end : bool
-        Whether the states at the end of the horizon differ as well.
-    point : ndarray (d,)
-        A point of the line.
-    """
-
-    parameter: int
-    state: int
-    lower: float
-    upper: float
-    share: float
-    change: float
-    at_end: bool
-    point: Array
-
-    def cause(self, states: Sequence[str], parameters: Sequence[str]) -> SteepParameter:
-        """The front by the names of states and parameters."""
-        fixed = tuple(
-            (name, float(at))
-            for j, (name, at) in enumerate(zip(parameters, self.point, strict=True))
-            if j != self.parameter
-        )
-        return SteepParameter(
-            parameters[self.parameter],
-            states[self.state],
-            float(self.lower),
-            float(self.upper),
-            self.change,
-            bool(self.share <= JUMP_WIDTH),
-            bool(self.at_end),
-            fixed,
-        )
+__all__ = ["steepest_front"]
 
 
 def steepest_front(
-    trajectories: Callable[[Array], Array], domain: Domain, points: Sequence[Array]
-) -> Front | None:
+    trajectories: Callable[[Array], Array],
+    system: System,
+    domain: Domain,
+    points: Sequence[Array],
+) -> SteepParameter | None:
     """The narrowest front on lines through points of the box; None if there is none.
 
     Parameters
     ----------
     trajectories : callable
         Trajectories at points (m, d) in units of the states' sizes: shape (n, T, m).
+    system : System
+    domain : Domain
     points : sequence of ndarray (d,)
         Through each goes one line for each parameter.
     """
-    fronts: list[Front] = []
-    lines = ((point, j) for point in points for j in range(len(domain.box)))
+    fronts: list[tuple[float, SteepParameter]] = []
     with suppress(OutOfBudgetError):  # the fronts so far say it as well
-        for point, j in lines:
-            for front in _on_line(trajectories, domain.box[j], point, j):
-                fronts.append(front)
-    return min(
-        fronts, key=lambda front: (front.share, not front.at_end, -front.change), default=None
+        for point in points:
+            for j in range(len(domain.box)):
+                fronts.extend(_on_line(trajectories, system, domain.box[j], point, j))
+    narrowest = min(
+        fronts, key=lambda pair: (pair[0], not pair[1].at_end, -pair[1].change), default=None
     )
+    return narrowest and narrowest[1]
 
 
 def _on_line(
-    trajectories: Callable[[Array], Array], interval: tuple[float, float], point: Array, j: int
-) -> Iterator[Front]:
-    """Fronts on the line through a point along parameter j, at the end and at any time."""
+    trajectories: Callable[[Array], Array],
+    system: System,
+    interval: tuple[float, float],
+    point: Array,
+    j: int,
+) -> Iterator[tuple[float, SteepParameter]]:
+    """Relative widths and fronts on the line through a point along parameter j.
+
+    First fronts that differ at the end of the horizon, then those that differ at any time.
+    """
     width = interval[1] - interval[0]
+    pairs = list(zip(system.parameters, point.tolist(), strict=True))
+    fixed = (*pairs[:j], *pairs[j + 1 :])
 
     def changes(a: float, b: float, count: int) -> tuple[Array, Array]:
         """Places, and changes (n, T, count - 1) between them."""
@@ -109,18 +67,29 @@ def _on_line(
         line[:, j] = places
         return places, np.abs(np.diff(trajectories(line), axis=2))
 
-    places, coarse = changes(*interval, LINE_PLACES)
+    places, coarse = changes(*interval, constants.LINE_PLACES)
     for times in (slice(-1, None), slice(None)):
-        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[:MAX_ZOOMS]:
+        for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[: constants.MAX_ZOOMS]:
             a, b, change = places[i], places[i + 1], coarse[:, times, i]
-            if not change.max() >= FRONT_CHANGE:
+            if not change.max() >= constants.FRONT_CHANGE:
                 break
-            while b - a > JUMP_WIDTH * width:
-                closer, fine = changes(a, b, ZOOM_PLACES)
+            while b - a > constants.JUMP_WIDTH * width:
+                closer, fine = changes(a, b, constants.ZOOM_PLACES)
                 k = int(fine[:, times].max(axis=(0, 1)).argmax())
-                if not fine[:, times, k].max() >= KEPT_CHANGE * change.max():
+                if not fine[:, times, k].max() >= constants.KEPT_CHANGE * change.max():
                     break
                 a, b, change = closer[k], closer[k + 1], fine[:, times, k]
-            if b - a < FRONT_WIDTH * width:
-                state, at_end = int(change.max(axis=1).argmax()), change.shape[1] == 1
-                yield Front(j, state, a, b, (b - a) / width, float(change.max()), at_end, point)
+            if b - a < constants.FRONT_WIDTH * width:
+                yield (
+                    (b - a) / width,
+                    SteepParameter(
+                        parameter=system.parameters[j],
+                        unknown=system.states[int(change.max(axis=1).argmax())],
+                        lower=float(a),
+                        upper=float(b),
+                        change=float(change.max()),
+                        jump=bool((b - a) / width <= constants.JUMP_WIDTH),
+                        at_end=change.shape[1] == 1,
+                        others=fixed,
+                    ),
+                )

@@ -9,24 +9,7 @@ import numpy as np
 
 from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.system import System
-from rankone.solvers.cross.constants import (
-    ABSOLUTE_TOLERANCE_RATIO,
-    AIMED_ERROR_RATIO,
-    CALIBRATION_POINTS,
-    EXPLICIT_STEP_LIMIT,
-    LARGEST_TIGHTNESS_FACTOR,
-    LEAST_ERROR_RATIO,
-    MAX_CALIBRATIONS,
-    MAX_STACK,
-    MAX_STIFF_STACK,
-    MAX_USER_STACK,
-    MIN_STACK,
-    REFERENCE_ERROR_RATIO,
-    SMALLEST_TIGHTNESS_FACTOR,
-    STACK_STATES,
-    STIFF_TIGHTNESS,
-    TIGHTEST_TOLERANCE,
-)
+from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
 from rankone.support.budget import work_done
 from rankone.tensors.cross import GrowingBasis
@@ -94,8 +77,10 @@ class Trajectories:
         self.workers, self.report = workers or Workers(reference_set.system), report
         self.reference_set, self.grid, self.most = reference_set, grid, most
         self.allowed_error = allowed_error
-        self.stiff = self.calibrated = reference_set.reference.avoided > EXPLICIT_STEP_LIMIT
-        self.tightness = STIFF_TIGHTNESS if self.stiff else tightness
+        self.stiff = self.calibrated = (
+            reference_set.reference.avoided > constants.EXPLICIT_STEP_LIMIT
+        )
+        self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
         self.count, self.work = 0, 0.0
         self.units = reference_set.states * np.sqrt(grid.times.size)
         self.basis = GrowingBasis(self.units.size * grid.times.size)
@@ -110,7 +95,7 @@ class Trajectories:
         highest_modes = self.grid.highest_modes(self._in_sizes(columns))
         self.highest_modes = np.maximum(self.highest_modes, highest_modes)
         # steps may be more accurate than their tolerance, the basis must not be less
-        lost = max(min(self.tightness, 1.0) * self.allowed_error, TIGHTEST_TOLERANCE)
+        lost = max(min(self.tightness, 1.0) * self.allowed_error, constants.TIGHTEST_TOLERANCE)
         return self.basis.coefficients(columns, lost)
 
     @property
@@ -132,26 +117,31 @@ class Trajectories:
         """The first trajectories, at a tolerance that brings the allowed error."""
         self.calibrated = True
         reference = self.reference_set.reference
-        exact_points = reference.points[:CALIBRATION_POINTS]
+        exact_points = reference.points[: constants.CALIBRATION_POINTS]
         exact = reference(self.grid.times)[:, : len(exact_points)] / self.sizes[:, None, None]
         before, ratio, used = math.inf, math.inf, self.tightness
-        for calibration in range(MAX_CALIBRATIONS):
+        for calibration in range(constants.MAX_CALIBRATIONS):
             columns = self._integrated(np.concatenate([exact_points, points]))
             self.count += len(exact_points) + (len(points) if calibration else 0)
             ours, columns = np.split(columns, [len(exact_points)], axis=1)
             errors = exact.swapaxes(1, 2) - self._in_sizes(ours)
             ratio = float(np.abs(errors).max()) / self.allowed_error
-            if ratio > REFERENCE_ERROR_RATIO * before:  # the error is that of the reference
+            if (
+                ratio > constants.REFERENCE_ERROR_RATIO * before
+            ):  # the error is that of the reference
                 self.tightness = used
                 break
             before, used = ratio, self.tightness
-            if not LEAST_ERROR_RATIO <= ratio <= 1.0:
-                factor = max(AIMED_ERROR_RATIO / max(ratio, 1e-300), SMALLEST_TIGHTNESS_FACTOR)
-                self.tightness *= min(factor, LARGEST_TIGHTNESS_FACTOR)
+            if not constants.LEAST_ERROR_RATIO <= ratio <= 1.0:
+                factor = max(
+                    constants.AIMED_ERROR_RATIO / max(ratio, 1e-300),
+                    constants.SMALLEST_TIGHTNESS_FACTOR,
+                )
+                self.tightness *= min(factor, constants.LARGEST_TIGHTNESS_FACTOR)
             if ratio <= 1.0:
                 break
         if ratio > 1.0 and reference.stiff:  # explicit steps do not come to the accuracy
-            self.stiff, self.tightness = True, STIFF_TIGHTNESS
+            self.stiff, self.tightness = True, constants.STIFF_TIGHTNESS
             columns = self._integrated(points)
         return columns
 
@@ -169,11 +159,11 @@ class Trajectories:
         reference_set, end = self.reference_set, self.grid.breaks[-1]
         cuts = [cut for cut in reference_set.cuts if cut < end]
         edges = [reference_set.domain.horizon[0], *cuts, end]
-        tolerance = max(self.tightness * self.allowed_error, TIGHTEST_TOLERANCE)
-        least_sizes = ABSOLUTE_TOLERANCE_RATIO * reference_set.states
+        tolerance = max(self.tightness * self.allowed_error, constants.TIGHTEST_TOLERANCE)
+        least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.states
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         absolute = np.maximum(tolerance * floor, reference_set.reference.rounded)
-        integrator = StackedIntegrator(self.stiff, EXPLICIT_STEP_LIMIT)
+        integrator = StackedIntegrator(self.stiff, constants.EXPLICIT_STEP_LIMIT)
         tolerances = Tolerances(tolerance, absolute[:, None])
         common = integrator, edges, tolerances, self.grid.times, reference_set.states
         chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
@@ -188,9 +178,9 @@ class Trajectories:
     def _chunk_size(self) -> int:
         """Largest number of trajectories in a chunk."""
         if self.reference_set.system.user_functions:
-            return MAX_USER_STACK
-        most = MAX_STIFF_STACK if self.stiff else MAX_STACK
-        return min(max(STACK_STATES // int(self.units.size), MIN_STACK), most)
+            return constants.MAX_USER_STACK
+        most = constants.MAX_STIFF_STACK if self.stiff else constants.MAX_STACK
+        return min(max(constants.STACK_STATES // int(self.units.size), constants.MIN_STACK), most)
 
 
 def _integrated(
