@@ -1,4 +1,15 @@
-"""One-dimensional discretisations: nodal bases, finite elements, Radau collocation for time."""
+"""One-dimensional discretisations of parameters and of time.
+
+===================  ==================================================================
+module               subject, in the order to read
+===================  ==================================================================
+``basis``            nodal bases of a parameter, in one element or several
+``finite_elements``  continuous shape functions of the classic method
+``radau``            collocation on one slab, for the train engine
+``time_grid``        nodes and piecewise polynomials on consecutive slabs
+``coordinates``      arguments of a solution as checked coordinates
+===================  ==================================================================
+"""
 
 from rankone.discretization.basis import (
     BASES,

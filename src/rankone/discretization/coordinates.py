@@ -1,4 +1,4 @@
-"""What was asked of a solution: names and values turned into checked coordinates.
+"""Arguments of a solution: names and values turned into checked coordinates.
 
 Symbols are recognised by what they offer (a name, a function, a derivative), so that solutions
 work without SymPy.
@@ -100,7 +100,7 @@ class Coordinates:
     names : sequence of str
     intervals : sequence of (float, float)
     timeless : bool
-        Whether nothing depends on time: it is not asked for, and its start stands for all.
+        Whether nothing depends on time: calls give no time, and the start stands for all times.
     """
 
     def __init__(
@@ -117,10 +117,10 @@ class Coordinates:
         self._index = {name: i for i, name in enumerate(self.names) if name in self.asked}
 
     def gather(self, at: Sequence[object], named: Mapping[str, object]) -> list[object]:
-        """Put what was given in order: one entry for each coordinate.
+        """Put the arguments of a call in order: one for each coordinate.
 
         Positional arguments ``at`` are times, or a mapping from names or symbols to values, or both
-        in this order; None counts as not given. ``named`` are keyword arguments.
+        in this order; None is ignored. ``named`` are keyword arguments.
 
         Raises
         ------
@@ -192,7 +192,7 @@ class Coordinates:
         return f"solution({{{', '.join(f'{name!r}: {at}' for name, at in pairs)}}})"
 
     def numbers(self, gathered: Sequence[object]) -> list[float] | None:
-        """Return plain numbers inside the intervals, or None if the slower way has to decide."""
+        """Return plain numbers inside the intervals; None where :meth:`arrays` must decide."""
         numbers = []
         for value, (lower, upper) in zip(gathered, self.intervals, strict=True):
             if not isinstance(value, float | int) or not lower <= value <= upper:

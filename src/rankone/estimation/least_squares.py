@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rankone.estimation.free_parameters import FreeParameters
 from rankone.estimation.observations import Observations
 from rankone.support.arrays import Array
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, slab_positions
 
 __all__ = ["LeastSquares", "Minima", "TrainModel"]
 
@@ -56,7 +56,7 @@ class TrainModel:
 
     def __init__(self, slabs: Sequence[SlabTrain], rows: NDArray[np.intp], times: Array) -> None:
         self.size = times.size
-        owner = np.searchsorted([slab.start for slab in slabs[1:]], times, side="right")
+        owner = slab_positions(slabs, times)
         self._groups: list[tuple[SlabTrain, list[tuple[NDArray[np.intp], Array]]]] = []
         for k in np.unique(owner):
             here = np.flatnonzero(owner == k)

@@ -14,7 +14,7 @@ from rankone.ir.domain import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.support.arrays import Array, corners, spread
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, slab_positions
 from rankone.verification.search import Climb, bisected, climbed
 
 __all__ = ["Check", "CheckPoints", "critical_points", "split", "spread_over"]
@@ -78,7 +78,7 @@ class Check:
             interpolated = slabs[0].on_grid(np.array([slabs[0].start]), columns)
         else:
             times = sampler.grid.times
-            owner = np.searchsorted([slab.start for slab in slabs[1:]], times, side="right")
+            owner = slab_positions(slabs, times)
             interpolated = np.concatenate(
                 [slab.on_grid(times[owner == k], columns) for k, slab in enumerate(slabs)], axis=2
             )

@@ -1,4 +1,4 @@
-"""What is asked for, as functions of arrays: no symbols any more."""
+"""Quantities of interest as functions of arrays, without symbols."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Kind", "Quantities", "Reduction", "Source"]
 
 
 class Kind(Enum):
-    """What is made of a function of time."""
+    """How a function of time is reduced."""
 
     INTEGRAL = "integral"
     RUNNING = "running integral"
@@ -24,19 +24,19 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Reduction:
-    """What is made of an integrand, a function of time.
+    """A reduction of an integrand, a function of time.
 
     Attributes
     ----------
     kind : Kind
     integrand : int
-        Which of the integrands.
+        Position of the integrand.
     start, end : float
-        Limits of an integral; of the horizon otherwise. A running integral has no end.
+        Limits of an integral; otherwise those of the horizon. A running integral has no end.
     direction : int
-        Of a crossing of zero: 1 upwards, -1 downwards, 0 either.
+        Direction of a crossing of zero: 1 upwards, -1 downwards, 0 either.
     text : str
-        For messages.
+        The reduction in messages.
     """
 
     kind: Kind
@@ -49,7 +49,7 @@ class Reduction:
 
 @dataclass(frozen=True)
 class Source:
-    """What is needed of a solution: a state, or its time derivative of some order."""
+    """A state of the solution, or its time derivative of some order."""
 
     row: int
     order: int = 0
@@ -62,19 +62,19 @@ class Quantities:
     Attributes
     ----------
     names, texts : tuple of str
-        Of each quantity, and what it is.
+        The name of each quantity, and its definition as text.
     timeless : bool
-        Whether none depends on time.
+        Whether no quantity depends on time.
     sources : tuple of Source
     integrands : callable
         From times (T, 1), the sources (k, T, m), parameters (d, m) to a sequence of arrays that
         broadcast to (T, m).
     reductions : tuple of Reduction
     state_surfaces : callable
-        From the same to functions that vanish where something narrow is largest or steepest.
+        From the same to functions that vanish where a narrow feature is largest or steepest.
     parameter_surfaces : callable
-        From parameters (d, m) alone to functions of several of them that vanish where something
-        narrow is largest or steepest.
+        From parameters (d, m) alone to functions of several of them that vanish where a narrow
+        feature is largest or steepest.
     cuts : tuple of tuple of float
         For time and each parameter where functions of it alone are narrow, kink or jump.
     values : callable
@@ -82,9 +82,9 @@ class Quantities:
         to a sequence of arrays that broadcast to (T, m).
     gaps : callable
         From times, sources and parameters to functions that are one where a piecewise function of
-        the states has no branch, and else zero.
+        the states has no branch, and zero elsewhere.
     gap_texts : tuple of str
-        What to say of each of them.
+        The message of each gap.
     """
 
     names: tuple[str, ...]

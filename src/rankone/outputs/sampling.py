@@ -12,7 +12,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, slab_positions
 
 __all__ = ["Sampler"]
 
@@ -169,7 +169,7 @@ class Sampler:
 
     def _paired(self, times: Array, points: Array) -> Array:
         """Sources at pairs of times (N,) and points (N, d): shape (sources, N)."""
-        owner = np.searchsorted([slab.start for slab in self.slabs[1:]], times, side="right")
+        owner = slab_positions(self.slabs, times)
         sources = np.empty((len(self.quantities.sources), times.size))
         for k in np.unique(owner):
             owned = owner == k
@@ -266,8 +266,7 @@ class Sampler:
         ranks = sum(max(slab.ranks, default=1) for slab in self.slabs) / len(self.slabs)
         each = _FUNCTION_COST + len(self.quantities.sources) * _RANK_COST * ranks
         charge(len(self.slabs) * 20.0 * CALL + size * each)
-        starts = np.array([slab.start for slab in self.slabs[1:]])
-        owner = np.searchsorted(starts, times, side="right")
+        owner = slab_positions(self.slabs, times)
         sources = np.empty((len(self.quantities.sources), times.size, len(points)))
         columns, previous = np.empty(0), None
         for k in np.unique(owner):

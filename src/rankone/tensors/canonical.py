@@ -120,7 +120,7 @@ class CanonicalForm:
         Root of the mean square error over box and horizon against the solution, relative to the
         root of the unknown's mean square.
     rtol : float
-        What was asked of ``error``.
+        Largest ``error`` allowed.
     """
 
     name: str
@@ -174,9 +174,9 @@ class CanonicalForm:
 class CanonicalForms(Mapping[str, CanonicalForm]):
     """The canonical form of each unknown, by name or symbol, in the order of the unknowns.
 
-    Forms of other states, such as ``forms["x_t"]``, are computed when they are asked for; they
-    are not ``in`` the mapping, as they are not among what it iterates over. With a
-    single unknown, ``amplitudes``, ``factors`` and ``nodes`` are those of its form.
+    Forms of other states, such as ``forms["x_t"]``, are computed on demand; they are not ``in`` the
+    mapping, and iteration skips them. With a single unknown, ``amplitudes``, ``factors`` and
+    ``nodes`` are those of its form.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
     states : sequence of str
         Names of all states.
     unknowns : sequence of str
-        Those whose form is wanted in any case.
+        States whose forms are computed at once.
     """
 
     def __init__(

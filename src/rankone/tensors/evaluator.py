@@ -375,5 +375,5 @@ class TrainEvaluator:
             begin = end
 
     def _count(self, rows: Rows) -> int:
-        """Number of states asked for."""
+        """Number of states in ``rows``."""
         return len(self.trains[0].time.matrices[0][rows])

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D, legendre_derivative, legendre_values
 from rankone.discretization.time_grid import TimeGrid
@@ -26,6 +27,7 @@ __all__ = [
     "fixed",
     "restricted",
     "sharing",
+    "slab_positions",
     "slab_trains",
 ]
 
@@ -134,6 +136,11 @@ def sharing(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
     yield run
 
 
+def slab_positions(slabs: Sequence[SlabTrain], times: Array) -> NDArray[np.intp]:
+    """Position of the slab that holds each time (T,); an end belongs to the next slab."""
+    return np.searchsorted([slab.start for slab in slabs[1:]], times, side="right")
+
+
 def slab_trains(grid: TimeGrid, train: Train, bases: Sequence[Basis1D]) -> tuple[SlabTrain, ...]:
     """One train for each slab of a grid.
 
@@ -156,9 +163,9 @@ def slab_trains(grid: TimeGrid, train: Train, bases: Sequence[Basis1D]) -> tuple
 
 def at_one_time(slabs: Sequence[SlabTrain], time: float, horizon: tuple[float, float]) -> SlabTrain:
     """The states at one time as constants over a horizon."""
-    starts = np.array([slab.start for slab in slabs[1:]])
-    slab = slabs[int(starts.searchsorted(time, side="right"))]
-    first = slab.in_time(np.array([time]))
+    times = np.array([time])
+    slab = slabs[int(slab_positions(slabs, times)[0])]
+    first = slab.in_time(times)
     return SlabTrain(*horizon, slab.train.with_first(first), slab.bases)
 
 

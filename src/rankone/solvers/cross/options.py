@@ -37,7 +37,7 @@ class CrossOptions(Options):
     Attributes
     ----------
     basis : {"chebyshev", "legendre"}
-        Nodal basis of the parameters.
+        Nodal basis of each parameter.
     time_nodes : int or None
         Gauss nodes per slab; None chooses by the tolerance.
     max_rank : int
@@ -52,8 +52,8 @@ class CrossOptions(Options):
         How often the interpolation may be repeated with more nodes or points;
         None: 10 times, and more while that pays.
     executor : concurrent.futures.Executor, int or None
-        What integrates trajectories: an executor, which is left running, or so many processes.
-        The results are the same to the bit.
+        Executor that integrates trajectories, which is left running, or a number of processes.
+        Solutions are the same to the bit.
     """
 
     basis: str = choice("chebyshev", BASES)

@@ -1,0 +1,63 @@
+"""Trajectories of the cross engine: held in a growing basis, each integrated once."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.discretization import ChebyshevBasis
+from rankone.discretization.time_grid import TimeGrid
+from rankone.ir.domain import Domain
+from rankone.ir.request import Check, SolveRequest
+from rankone.solvers.cross.trajectories import Trajectories
+from rankone.tensors.cross import Samples
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.stacks import StackedIntegrator
+from rankone.verification.measure import ReferenceSet
+from tests.problems import EXAMPLES
+
+
+@pytest.fixture(scope="module")
+def trajectories():
+    system = ro.compile(EXAMPLES["coupled"].problem).system
+    reference_set = ReferenceSet.of(system, SolveRequest(1e-6, Domain.of(system), Check(24)))
+    return Trajectories(reference_set, TimeGrid((0.0, 0.25, 0.5), 10), 1e-8, 1.0, 10_000)
+
+
+def test_trajectories_are_held_in_a_growing_basis(trajectories):
+    points = np.random.default_rng(0).uniform(0.5, 1.5, (40, 3))
+    first = trajectories(points[:20])
+    second = trajectories(points[20:])
+    assert len(second) >= len(first)
+    basis = trajectories.basis.vectors
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-10)
+    states = trajectories.states(second)
+    exact = trajectories._integrated(points[20:])
+    np.testing.assert_allclose(
+        basis[:, : len(second)] @ second, exact, atol=5e-8 * np.linalg.norm(exact, axis=0).max()
+    )
+    assert states.shape == (3, 20, 20)
+
+
+def test_each_trajectory_is_integrated_once(trajectories):
+    bases = [ChebyshevBasis(0.5, 1.5, 4)] * 3
+    samples, before = Samples(trajectories, bases), trajectories.count
+    indices = np.array([[0, 1, 2], [3, 3, 3], [0, 1, 2]])
+    values = samples(indices)
+    assert trajectories.count == before + 2
+    np.testing.assert_array_equal(values[:, 0], values[:, 2])
+    np.testing.assert_array_equal(samples(indices[:2])[: len(values)], values[:, :2])
+    assert trajectories.count == before + 2
+
+
+def test_the_worst_trajectory_sets_the_steps():
+    """One oscillation among many trajectories at rest is as accurate as alone."""
+    problem = ro.Problem.from_strings(
+        {"x": "w*y", "y": "-w*x"}, {"x": "1", "y": "0"}, {"w": (0.001, 30)}, (0, 5)
+    )
+    system = ro.compile(problem).system
+    points = np.full((400, 1), 0.001)
+    points[7] = 30.0
+
+    tolerances = Tolerances(1e-8, np.full((2, 1), 1e-10))
+    trajectories = StackedIntegrator().run(system, points, [0.0, 5.0], tolerances)
+    assert trajectories.state[0, 7] == pytest.approx(np.cos(150.0), abs=2e-6)

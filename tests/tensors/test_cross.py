@@ -1,0 +1,121 @@
+"""Cross interpolation: skeletons, trains through samples, and adaptive numbers of nodes."""
+
+import numpy as np
+import pytest
+
+from rankone.discretization import ChebyshevBasis
+from rankone.tensors.adaptive import (
+    AdaptiveInterpolation,
+    InterpolationLimits,
+    KnownElements,
+    Tightening,
+    needed,
+)
+from rankone.tensors.cross import GrowingBasis, _skeleton, interpolate, left_points
+
+
+def test_skeletons_interpolate_with_small_coefficients():
+    rows = np.linalg.qr(np.random.default_rng(1).standard_normal((200, 12)))[0].T
+    skeleton, coefficients = _skeleton(rows)
+    np.testing.assert_allclose(rows[:, skeleton] @ coefficients, rows, atol=1e-12)
+    np.testing.assert_allclose(coefficients[:, skeleton], np.eye(12), atol=1e-10)
+    assert np.abs(coefficients).max() <= 1.1
+
+
+class Separable:
+    """Samples of sum_r a_r(i) b_r(j) c_r(k), of rank 3."""
+
+    def __init__(self, sizes):
+        generator = np.random.default_rng(2)
+        self.first = generator.standard_normal((5, 3))
+        self.factors = [generator.standard_normal((size, 3)) for size in sizes]
+
+    def __call__(self, indices):
+        products = np.ones((len(indices), 3))
+        for factor, column in zip(self.factors, indices.T):
+            products *= factor[column]
+        return self.first @ products.T
+
+
+@pytest.mark.parametrize("sizes", [(5, 6, 4), (20, 20, 20), (9, 9, 9, 9, 9)])
+def test_a_tensor_of_low_rank_is_found_exactly(sizes):
+    samples, bases = Separable(sizes), [ChebyshevBasis(0.0, 1.0, size) for size in sizes]
+    train, limited = interpolate(samples, bases, left_points(sizes, 9, 0), 1e-12, 50)
+    assert not limited
+    train = train.rounded(1e-10)
+    assert train.ranks == (3,) * len(sizes)
+    unscaled = train.unscaled([basis.weights for basis in bases])
+    indices = np.stack([np.random.default_rng(3).integers(0, n, 30) for n in sizes], axis=1)
+    np.testing.assert_allclose(
+        train.first @ unscaled.at_indices(indices), samples(indices), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("ratio", [0.2, 0.5, 0.8])
+def test_the_number_of_nodes_is_predicted(ratio):
+    spectrum = ratio ** np.arange(200.0)
+    wanted = np.count_nonzero(spectrum > 1e-6)
+    assert abs(needed(spectrum[:12], 1e-6) - min(wanted, 36)) <= 6
+
+
+def test_a_growing_basis_holds_columns_to_the_tolerance():
+    generator = np.random.default_rng(4)
+    space = generator.standard_normal((60, 5))
+    basis, columns = GrowingBasis(60), space @ generator.standard_normal((5, 40))
+    first = basis.coefficients(columns[:, :10], 1e-8)
+    assert 5 <= len(first) < 10
+    assert len(basis.coefficients(columns, 1e-8)) == len(first)
+    np.testing.assert_allclose(basis.columns(first), columns[:, :10], atol=1e-8)
+
+
+def adapted(function, box, target, attempts=6, borders=()):
+    """Bases and largest error at random points after some attempts."""
+    limits = InterpolationLimits(ChebyshevBasis, 400, 60)
+    tightening = Tightening(settled_growth=1.2, power=1.0, smallest=0.05, largest=0.5)
+    adaptive = AdaptiveInterpolation(box, limits, target, tightening)
+    points = np.random.default_rng(5).uniform(*np.transpose(box), (400, len(box)))
+    elements = [KnownElements(borders), *[KnownElements()] * (len(box) - 1)]
+    for _ in range(attempts):
+        train, _ = adaptive.interpolate(lambda p: function(p)[None], lambda _: elements)
+        columns = np.ones((1, len(points)))
+        cores = zip(train.cores[:0:-1], adaptive.bases[::-1], points.T[::-1], strict=True)
+        for core, basis, row in cores:
+            columns = np.einsum("rms,pm,sp->rp", core, basis.modal_values(row), columns)
+        errors = np.abs((train.first @ columns)[0] - function(points))
+        if errors.max() <= target:
+            break
+        adaptive.steep = adaptive.doubtful = points[np.argsort(-errors)[:7]]
+        adaptive.refine(errors.max())
+    return adaptive.bases, errors.max()
+
+
+def test_smooth_functions_take_one_element_and_few_nodes():
+    bases, error = adapted(lambda p: 1 / (2 + p[:, 0] + p[:, 1] * p[:, 2]), [(0, 1)] * 3, 1e-6)
+    assert error <= 1e-6
+    assert [basis.elements for basis in bases] == [1, 1, 1]
+    assert max(basis.size for basis in bases) < 20
+
+
+def test_a_steep_function_of_one_parameter_takes_elements():
+    bases, error = adapted(lambda p: np.tanh(300 * (p[:, 0] - 0.3)), [(0, 1)], 1e-5)
+    assert error <= 1e-5
+    assert bases[0].elements > 3
+
+
+def test_elements_begin_at_a_known_kink():
+    def kinked(points):
+        return np.abs(points[:, 0] - 0.3) * np.exp(points[:, 1])
+
+    bases, error = adapted(kinked, [(0, 1), (0, 1)], 1e-8, borders=(0.3,))
+    assert error <= 1e-8
+    assert bases[0].breaks == (0.3,)
+    assert bases[1].elements == 1
+
+
+def test_a_box_without_parameters_is_one_column():
+    limits = InterpolationLimits(ChebyshevBasis, 400, 60)
+    adaptive = AdaptiveInterpolation([], limits, 1e-6, Tightening(1.0, 1.0, 0.05, 0.5))
+    train, limited = adaptive.interpolate(lambda p: np.full((3, len(p)), 2.0), lambda _: [])
+    assert not limited
+    assert adaptive.bases == ()
+    np.testing.assert_array_equal(train.first, np.full((3, 1), 2.0))
