@@ -1,4 +1,4 @@
-"""Passes over a problem, from its equations to the separated form.
+"""Passes over a problem, from its equations to the separated form and the features.
 
 ====================  ============================================================================
 :mod:`~.first_order`  orders reduced, masses inverted: the system u' = f, then its weak form
@@ -6,6 +6,9 @@
 :mod:`~.splitting`    one expression as a sum of products of functions of one coordinate
 :mod:`~.lifting`      functions of the unknowns become unknowns, so that the system separates
 :mod:`~.well_posed`   is everything finite on a domain, also on one that a problem is moved to?
+:mod:`~.features`     where a system is not smooth: its :mod:`~.cuts`, :mod:`~.surfaces`
+:mod:`~.gaps`         where a piecewise function has no branch
+:mod:`~.derivatives`  the derivatives that a Jacobian needs
 ====================  ============================================================================
 
 Each pass takes frozen data and returns frozen data. Code generation reads the last,
