@@ -89,6 +89,7 @@ def source_text(name: str) -> str:
     return spec.loader.get_source(name) or ""
 
 
+@cache
 def _imports(name: str) -> list[str]:
     """The modules of the library that a module imports when it runs, in their order."""
     needed = []
@@ -108,6 +109,7 @@ def _exists(name: str) -> bool:
         return False
 
 
+@cache
 def _block(name: str) -> str:
     """A module as a function of the exported file, under a banner."""
     source = source_text(name)
