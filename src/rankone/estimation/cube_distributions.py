@@ -23,39 +23,27 @@ from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 from rankone.support.arrays import Array
 from rankone.support.errors import optional_module
 
-__all__ = ["Cells", "Chain", "CubeDistribution", "Density", "adapted", "chain"]
-
 Density = Callable[[Array], Array]
 """A density, or its logarithm, at points (N, n) of the unit cube: shape (N,)."""
 
-_NODES = {1: 10, 2: 7, 3: 5}
-"""Gauss nodes of a cell in each direction, by dimension."""
+_NODES = {1: 10, 2: 7, 3: 5}  # Gauss nodes of a cell in each direction, by dimension
+# Sum of the errors of the integrals over all cells, in shares of the whole, by dimension
 _TOLERANCE = {1: 1e-8, 2: 1e-5, 3: 3e-4}
-"""Sum of the errors of the integrals over all cells, in shares of the whole, by dimension."""
-_LEAST_SHARES = 50
-"""Least number of equal shares into which the tolerance is divided among cells."""
+_LEAST_SHARES = 50  # Least number of equal shares into which the tolerance is divided among cells
+# Evaluations of the density after which no cell is halved, to bound time and memory
 _MOST_POINTS = 2_000_000
-"""Evaluations of the density after which no cell is halved, to bound time and memory."""
-_MOST_ROUNDS = 60
-"""Most halvings of a cell: below 2**-52 there are no numbers between its ends."""
-_FIRST_CELLS = {1: 16, 2: 8, 3: 4}
-"""Cells in each direction to begin with, by dimension."""
+_MOST_ROUNDS = 60  # Most halvings of a cell: below 2**-52 there are no numbers between its ends
+_FIRST_CELLS = {1: 16, 2: 8, 3: 4}  # Cells in each direction to begin with, by dimension
+# Width of the first cells where the density is large, in its standard deviations
 _FIRST_DEVIATIONS = {1: 2.0, 2: 2.0, 3: 4.0}
-"""Width of the first cells where the density is large, in its standard deviations."""
-_MOST_FIRST_CELLS = 4000
-"""Number of cells above which the first cells are not cut again."""
-_BISECTIONS = 60
-"""Bisections for a quantile: more than a number has binary digits."""
-_CEILING_RATIO = 1.3
-"""Ceiling of the density on a cell, over its largest value at the nodes."""
-_WALKERS_EACH = 16
-"""Walkers for each parameter."""
-_LEAST_WALKERS = 32
-"""Least number of walkers, also for few parameters."""
+_MOST_FIRST_CELLS = 4000  # Number of cells above which the first cells are not cut again
+_BISECTIONS = 60  # Bisections for a quantile: more than a number has binary digits
+_CEILING_RATIO = 1.3  # Ceiling of the density on a cell, over its largest value at the nodes
+_WALKERS_EACH = 16  # Walkers for each parameter
+_LEAST_WALKERS = 32  # Least number of walkers, also for few parameters
+# Least length of a chain, in autocorrelation times, at which its integrals are trusted
 _LONG_ENOUGH = 40.0
-"""Least length of a chain, in autocorrelation times, at which its integrals are trusted."""
-_DISCARDED_TIMES = 5.0
-"""Autocorrelation times at the start of a chain that are discarded."""
+_DISCARDED_TIMES = 5.0  # Autocorrelation times at the start of a chain that are discarded
 
 
 class CubeDistribution(Protocol):

@@ -17,8 +17,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 
-__all__ = ["Quantity", "gradient", "quantity"]
-
 Quantity = Callable[[Mapping[str, float]], float]
 
 _BINARY: dict[type, Callable[[float, float], float]] = {
@@ -33,8 +31,8 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
     name: getattr(math, name)
     for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "atan")
 }
+# Step of differences, in shares of the interval of a parameter: truncation near rounding
 _STEP_SHARE = 1e-5
-"""Step of differences, in shares of the interval of a parameter: truncation near rounding."""
 
 
 @runtime_checkable

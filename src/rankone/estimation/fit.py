@@ -20,14 +20,11 @@ from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
 from rankone.support.wording import count, listing, quote
 
-__all__ = ["Fit", "checked_level", "quantile_of"]
-
+# Share of a gradient along flat directions above which a quantity is not identified
 _FLAT_SHARE = 1e-3
-"""Share of a gradient along flat directions above which a quantity is not identified."""
-_UNLIKELY = 1e-3
-"""Probability of residuals this large below which the model is rejected."""
+_UNLIKELY = 1e-3  # Probability of residuals this large below which the model is rejected
+# Accepted shift of an estimate by the error of the solution, in its standard deviations
 _MODEL_SHARE = 0.5
-"""Accepted shift of an estimate by the error of the solution, in its standard deviations."""
 
 Interval = tuple[float, float]
 

@@ -15,8 +15,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 
-__all__ = ["BOUND_TOLERANCE", "Bounds", "FreeParameters", "ParameterValues", "free_parameters"]
-
 ParameterValues = Mapping[Any, float] | None
 """Values by parameter, a name or a symbol."""
 Bounds = Mapping[Any, tuple[float, float]] | None

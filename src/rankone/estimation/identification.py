@@ -22,40 +22,30 @@ from rankone.estimation.free_parameters import BOUND_TOLERANCE
 from rankone.estimation.least_squares import LeastSquares
 from rankone.support.arrays import Array
 
-__all__ = ["Best", "End", "Identification", "Profile", "Stop", "identify", "profiles"]
-
+# Points of a profile, in shares of the way to the bound: closer where it begins
 _PATH_SHARES = np.array([0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0])
-"""Points of a profile, in shares of the way to the bound: closer where it begins."""
+# Points of a profile in standard deviations: around the ends of usual intervals
 _PATH_DEVIATIONS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0])
-"""Points of a profile in standard deviations: around the ends of usual intervals."""
+# Most refinements of an end: a bound on the work where the rise is not smooth
 _MOST_REFINEMENTS = 12
-"""Most refinements of an end: a bound on the work where the rise is not smooth."""
-_END_TOLERANCE = 1e-4
-"""How close an end comes to the limit, in shares of its root: four digits."""
-_ROUGH_END_TOLERANCE = 0.05
-"""The same where only the length of an interval is compared with others."""
+_END_TOLERANCE = 1e-4  # How close an end comes to the limit, in shares of its root: four digits
+_ROUGH_END_TOLERANCE = 0.05  # The same where only the length of an interval is compared with others
+# Half a linear interval, in widths of the box, above which the profile is computed
 _SUSPICIOUS_WIDTH = 0.25
-"""Half a linear interval, in widths of the box, above which the profile is computed."""
-_FLAT_WIDTH = 0.1
-"""Least length of a flat interval, in widths of the box."""
-_FLAT_RATIO = 3.0
-"""Least ratio of a flat interval to what it would be without the flat directions."""
+_FLAT_WIDTH = 0.1  # Least length of a flat interval, in widths of the box
+_FLAT_RATIO = 3.0  # Least ratio of a flat interval to what it would be without the flat directions
+# How far a power may be from a simple fraction: half of the way from 1/4 to 1/3
 _FRACTION_TOLERANCE = 0.04
-"""How far a power may be from a simple fraction: half of the way from 1/4 to 1/3."""
-_LARGEST_DENOMINATOR = 4
-"""Largest denominator of a simple fraction."""
+_LARGEST_DENOMINATOR = 4  # Largest denominator of a simple fraction
+# Change of the residuals from one end of the cube to the other, in standard deviations, above which
+# a direction is fitted to the data
 _USED_CHANGE = 0.5
-"""Change of the residuals from one end of the cube to the other, in standard deviations, above
-which a direction is fitted to the data."""
-_USED_RATIO = 1e-7
-"""The same over the change along the steepest direction: above rounding."""
-_PATH_RISE = 0.25
-"""Share of the limit up to which a profile is along the flat direction."""
-_NAMED_VARIATION = 0.1
-"""Variation of a combination along a path above which it is not identified."""
+_USED_RATIO = 1e-7  # The same over the change along the steepest direction: above rounding
+_PATH_RISE = 0.25  # Share of the limit up to which a profile is along the flat direction
+_NAMED_VARIATION = 0.1  # Variation of a combination along a path above which it is not identified
+# Variation of a product along a path, in shares of the variation of its factors, below which it
+# counts as constant
 _CONSTANT_VARIATION = 0.02
-"""Variation of a product along a path, in shares of the variation of its factors, below which it
-counts as constant."""
 
 
 class Stop(Enum):

@@ -19,24 +19,18 @@ from rankone.estimation.observations import Observations
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain, slab_positions
 
-__all__ = ["LeastSquares", "Minima", "TrainModel"]
-
-_POINTS_AT_ONCE = 1024
-"""Points that are evaluated together, to bound memory."""
-_MOST_ITERATIONS = 80
-"""Most iterations of a search: a bound on the work where it does not settle."""
+_POINTS_AT_ONCE = 1024  # Points that are evaluated together, to bound memory
+_MOST_ITERATIONS = 80  # Most iterations of a search: a bound on the work where it does not settle
+# Promised decrease, in shares of the sum of squares, below which a search ends: rounding
 _SETTLED_SHARE = 1e-13
-"""Promised decrease, in shares of the sum of squares, below which a search ends: rounding."""
+# Promised share below which a search also ends if the step did not decrease the cost
 _ROUNDING_SHARE = 1e-9
-"""Promised share below which a search also ends if the step did not decrease the cost."""
+# Change of the residuals across the cube, in units of their mean, that counts as zero
 _UNSEEN_CHANGE = 1e-2
-"""Change of the residuals across the cube, in units of their mean, that counts as zero."""
+# Damping at the start, in squares of the largest singular value: close to a Newton step
 _FIRST_DAMPING = 1e-3
-"""Damping at the start, in squares of the largest singular value: close to a Newton step."""
-_LEAST_DAMPING = 1e-14
-"""Least damping: below it nothing is damped, by rounding."""
-_LARGEST_DAMPING = 1e10
-"""Damping above which a search ends: its steps are rounding."""
+_LEAST_DAMPING = 1e-14  # Least damping: below it nothing is damped, by rounding
+_LARGEST_DAMPING = 1e10  # Damping above which a search ends: its steps are rounding
 
 
 class TrainModel:

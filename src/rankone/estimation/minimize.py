@@ -31,40 +31,27 @@ from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
 from rankone.support.wording import count, quote
 
-__all__ = ["Optimum", "minimize"]
-
+# Points all over the box at which the objective is evaluated first, for normal effort
 _SCREENED_POINTS = 1024
-"""Points all over the box at which the objective is evaluated first, for normal effort."""
-_MOST_SCREENED_POINTS = 2**17
-"""Most of these points, whatever the effort."""
-_MOST_CORNERS = 64
-"""Most corners of the box among these points."""
-_MOST_STARTS = 256
-"""Most searches from basins, whatever the effort."""
+_MOST_SCREENED_POINTS = 2**17  # Most of these points, whatever the effort
+_MOST_CORNERS = 64  # Most corners of the box among these points
+_MOST_STARTS = 256  # Most searches from basins, whatever the effort
+# Searches from basins of the sample, for each search from the last generation
 _FIRST_PER_SECOND_SEARCH = 2
-"""Searches from basins of the sample, for each search from the last generation."""
-_GENERATIONS = 30
-"""Generations of differential evolution, for normal effort."""
-_POPULATION = 32
-"""Points of a generation."""
+_GENERATIONS = 30  # Generations of differential evolution, for normal effort
+_POPULATION = 32  # Points of a generation
+# Range of the factors of differences, around the 0.5 to 0.8 that Storn and Price advise
 _DIFFERENCE_FACTORS = (0.4, 0.9)
-"""Range of the factors of differences, around the 0.5 to 0.8 that Storn and Price advise."""
-_CROSSED_SHARE = 0.6
-"""Share of the coordinates that are exchanged."""
-_SEED = 7
-"""Of the shifted Sobol sequence and of differential evolution: a call repeats itself."""
-_DISTINCT_DISTANCE = 1e-2
-"""Distance in the cube above which points are in different basins."""
+_CROSSED_SHARE = 0.6  # Share of the coordinates that are exchanged
+_SEED = 7  # Of the shifted Sobol sequence and of differential evolution: a call repeats itself
+_DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which points are in different basins
+# Difference of objectives, in shares of their range over the box, that counts as none
 _SAME_OBJECTIVE = 1e-6
-"""Difference of objectives, in shares of their range over the box, that counts as none."""
-_MISSED_WEIGHT = 1e3
-"""Weight of constraints that are missed, beside the scaled objective."""
+_MISSED_WEIGHT = 1e3  # Weight of constraints that are missed, beside the scaled objective
+# How far a constraint may be missed, in units of the spread of its unknown over the box
 _FEASIBLE_MISS = 1e-6
-"""How far a constraint may be missed, in units of the spread of its unknown over the box."""
-_TOLERANCES = (1e-12, 1e-9, 1e-7)
-"""Tolerances of the scaled objective, one after the other."""
-_MOST_ITERATIONS = 300
-"""Most iterations of one search with one tolerance."""
+_TOLERANCES = (1e-12, 1e-9, 1e-7)  # Tolerances of the scaled objective, one after the other
+_MOST_ITERATIONS = 300  # Most iterations of one search with one tolerance
 _GLOBAL = "; it is the best of the box as far as it was sampled"
 _LOCAL = "; it may be a local one; remedy: raise effort, or narrow the bounds"
 

@@ -18,17 +18,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote, shown
 
-__all__ = [
-    "Constraint",
-    "Limits",
-    "Number",
-    "Objective",
-    "ObjectiveFunction",
-    "States",
-    "constraints_of",
-    "is_function",
-]
-
 Number = float | Array
 """A state at one time, or at several."""
 ObjectiveFunction = Callable[[dict[str, Any], dict[str, float]], float]
@@ -36,10 +25,9 @@ ObjectiveFunction = Callable[[dict[str, Any], dict[str, float]], float]
 Limits = Mapping[Any, Sequence[ArrayLike | None]] | None
 """For unknowns, names or symbols, lower and upper limits, and perhaps times."""
 
-_NUMBERS_AT_ONCE = 2_000_000
-"""Numbers of states that are held together, 16 MB."""
+_NUMBERS_AT_ONCE = 2_000_000  # Numbers of states that are held together, 16 MB
+# Step of differences along a tangent, in widths of the cube: truncation near rounding
 _DIFFERENCE_STEP = 1e-6
-"""Step of differences along a tangent, in widths of the cube: truncation near rounding."""
 
 
 class States:

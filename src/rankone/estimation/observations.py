@@ -15,8 +15,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 
-__all__ = ["Measurements", "Observations", "checked_times", "observed", "state_name"]
-
 Measurements = ArrayLike | Mapping[Any, ArrayLike]
 """Numbers for all outputs, or for each by name or symbol."""
 

@@ -25,24 +25,18 @@ from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import listing, quote
 from rankone.tensors.slab import fixed as with_fixed
 
-__all__ = ["Posterior", "posterior"]
-
-_MOST_STEPS = 10**6
-"""Most steps of a chain."""
+_MOST_STEPS = 10**6  # Most steps of a chain
+# Most parameters for quadrature: the number of cells grows with its power
 _MOST_QUADRATURE_PARAMETERS = 3
-"""Most parameters for quadrature: the number of cells grows with its power."""
-_ACCURATE = 1e-3
-"""Error of integrals up to which the quadrature counts as exact."""
+_ACCURATE = 1e-3  # Error of integrals up to which the quadrature counts as exact
+# Change of the data by smaller ranks, in standard deviations of the noise: below notice
 _UNNOTICED_CHANGE = 1e-4
-"""Change of the data by smaller ranks, in standard deviations of the noise: below notice."""
-_MODE_STARTS = 24
-"""Starts of searches for modes."""
+_MODE_STARTS = 24  # Starts of searches for modes
+# Depth below the best mode at which other modes are left out, in standard deviations
 _MODE_DEPTH = 6.0
-"""Depth below the best mode at which other modes are left out, in standard deviations."""
-_DRAWN_POINTS = 400
-"""Random points around the modes that guide the first cells."""
+_DRAWN_POINTS = 400  # Random points around the modes that guide the first cells
+# Distance from the ends of an interval, in widths: a density may be infinite there
 _END_DISTANCE = 1e-9
-"""Distance from the ends of an interval, in widths: a density may be infinite there."""
 
 
 @dataclass(frozen=True)

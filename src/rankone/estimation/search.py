@@ -23,20 +23,12 @@ from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
 from rankone.support.wording import count, listing
 
-__all__ = ["fit"]
-
-_SCREENED_POINTS = 128
-"""Points of the box among which the starts are chosen, for normal effort."""
-_MOST_SCREENED_POINTS = 2**15
-"""Most of these points, whatever the effort."""
-_MOST_STARTS = 128
-"""Most starts, whatever the effort."""
-_DISTINCT_DISTANCE = 1e-2
-"""Distance in the cube above which minima are different ones."""
-_EQUAL_COST_SHARE = 1e-3
-"""Difference of costs, in shares of the mean square, that counts as none."""
-_SAME_DISTANCE = 1e-3
-"""Distance in the cube below which minima are the same."""
+_SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort
+_MOST_SCREENED_POINTS = 2**15  # Most of these points, whatever the effort
+_MOST_STARTS = 128  # Most starts, whatever the effort
+_DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which minima are different ones
+_EQUAL_COST_SHARE = 1e-3  # Difference of costs, in shares of the mean square, that counts as none
+_SAME_DISTANCE = 1e-3  # Distance in the cube below which minima are the same
 
 
 def fit(

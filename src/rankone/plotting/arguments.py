@@ -15,20 +15,6 @@ from rankone.support.wording import listing, quote, shown
 if TYPE_CHECKING:
     from rankone.interface.solution import Solution
 
-__all__ = [
-    "CURVE_TIMES",
-    "check_solution",
-    "fine_times",
-    "needs_time",
-    "one_time",
-    "sometimes_of",
-    "state_of",
-    "states_of",
-    "times_of",
-    "unknown_of",
-    "unknowns_of",
-]
-
 CURVE_TIMES = 401
 """Times of a curve, about a pixel each."""
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_fit"]
-
 
 def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
     """Plot measurements with error bars, the fitted curves, and below them the residuals.

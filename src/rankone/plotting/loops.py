@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_history"]
-
 
 def plot_history(
     solution: Solution, *, slab: int = -1, ax: Sequence[Axes] | NDArray[np.object_] | None = None

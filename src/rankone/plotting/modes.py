@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_modes"]
-
-_POINTS = 301
-"""Points at which a base function is drawn."""
+_POINTS = 301  # Points at which a base function is drawn
 
 
 def plot_modes(

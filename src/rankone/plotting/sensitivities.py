@@ -21,12 +21,8 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_main_effects", "plot_sobol"]
-
-_INDEX_TIMES = 201
-"""Times of indices over time."""
-_EFFECT_POINTS = 101
-"""Values of each parameter at which its main effect is drawn."""
+_INDEX_TIMES = 201  # Times of indices over time
+_EFFECT_POINTS = 101  # Values of each parameter at which its main effect is drawn
 
 _WORDS = {"first": "first-order", "total": "total"}
 

@@ -23,40 +23,16 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = [
-    "MOST_NAMED",
-    "PALETTE",
-    "axes_for",
-    "colour_scale",
-    "colours_for",
-    "figure_of",
-    "label_of",
-    "labels_of",
-    "legend_beside",
-    "legend_inside",
-    "name_ends",
-    "range_of",
-    "several_axes",
-    "shades",
-    "stacked",
-    "value_of",
-]
-
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#444444", "#8C6D31")
 """Colours that people with any kind of colour vision tell apart (after Okabe & Ito, 2008)."""
 MOST_NAMED = 8
 """Lines up to which each one is named: as many as there are colours."""
 
-_MOST_IN_LABEL = 4
-"""Unknowns that are named beside an axis; more do not fit."""
-_SHADES = (0.05, 0.87)
-"""Range of the colour map that is used: neither too dark nor too light."""
-_FIGURE_SIZE = (5.6, 3.5)
-"""Width and height of a figure of one plot, in inches."""
-_PANEL_SIZE = (3.7, 2.9)
-"""Width and height of each panel of several, in inches."""
-_LINE_HEIGHT = 1.25
-"""Height of a line of labels, in units of the size of their letters."""
+_MOST_IN_LABEL = 4  # Unknowns that are named beside an axis; more do not fit
+_SHADES = (0.05, 0.87)  # Range of the colour map that is used: neither too dark nor too light
+_FIGURE_SIZE = (5.6, 3.5)  # Width and height of a figure of one plot, in inches
+_PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
+_LINE_HEIGHT = 1.25  # Height of a line of labels, in units of the size of their letters
 
 
 # --- figures and axes ----------------------------------------------------------------------------

@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_surface"]
-
-_CONTOUR_LEVELS = 20
-"""Most levels of contours: thin lines stay apart."""
+_CONTOUR_LEVELS = 20  # Most levels of contours: thin lines stay apart
 
 
 def plot_surface(

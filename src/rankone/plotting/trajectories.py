@@ -31,16 +31,11 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["plot_bands", "plot_trajectories"]
-
-_BAND_TIMES = 201
-"""Times of a band, which is smoother than a curve."""
-_BAND_PROBABILITIES = (0.025, 0.975)
-"""Probabilities at the ends of a band: 95 %."""
-_BAND_POINTS = 2**14
-"""Points over the box for quantiles."""
+_BAND_TIMES = 201  # Times of a band, which is smoother than a curve
+_BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities at the ends of a band: 95 %
+_BAND_POINTS = 2**14  # Points over the box for quantiles
+# Strokes of the unknowns of a family of curves
 _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
-"""Strokes of the unknowns of a family of curves."""
 
 
 # --- for given values of the parameters ----------------------------------------------------------

@@ -18,14 +18,9 @@ from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import checked_count
 from rankone.support.wording import listing, quote, shown
 
-__all__ = ["Density", "DistributionOverBox", "Probability", "density_of"]
-
-_BINS = 4096
-"""Bins of the histogram that is smoothed; far narrower than any kernel."""
-_POINT_SETS = 8
-"""Sets of points whose spread is the error of a probability."""
-_STILL = 1e-12
-"""Range of values, relative to their size, below which there is no density: rounding."""
+_BINS = 4096  # Bins of the histogram that is smoothed; far narrower than any kernel
+_POINT_SETS = 8  # Sets of points whose spread is the error of a probability
+_STILL = 1e-12  # Range of values, relative to their size, below which there is no density: rounding
 
 
 @dataclass(frozen=True)

@@ -23,37 +23,25 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, warn
 from rankone.support.wording import did_you_mean, quote
 
-__all__ = [
-    "Distribution",
-    "Measure",
-    "as_text",
-    "from_text",
-    "gauss_rule",
-    "interval_of",
-    "is_frozen",
-]
-
 _EXAMPLE = "give one of scipy.stats, for example scipy.stats.norm(1, 0.1)"
 _FINITE_MOMENTS = "give one with finite moments, or one that is cut, such as scipy.stats.truncnorm"
 
+# Gauss nodes on each panel: exact for smooth densities to rounding on the panels below
 _PANEL_NODES = 24
-"""Gauss nodes on each panel: exact for smooth densities to rounding on the panels below."""
+# Ends of panels, together with their complements: densities vary on the scale of quantiles
 _PANEL_QUANTILES = (0.0, 1e-14, 1e-11, 1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.15, 0.3, 0.5)
-"""Ends of panels, together with their complements: densities vary on the scale of quantiles."""
+# Relative error of the probability of the interval below which a quadrature counts as exact
 _EXACT_MASS_ERROR = 1e-10
-"""Relative error of the probability of the interval below which a quadrature counts as exact."""
+# Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite
 _SHARE_RANGE = (1e-300, 1.0 - 2.0**-53)
-"""Shares of the probability that are evaluated: quantiles of 0 and 1 may be infinite."""
-_MOST_HALVINGS = 52
-"""Most halvings of a panel: after 52 it is as narrow as the spacing of numbers."""
+_MOST_HALVINGS = 52  # Most halvings of a panel: after 52 it is as narrow as the spacing of numbers
+# Change of the mean of a mode below which a panel is not halved: near rounding
 _SETTLED_CHANGE = 1e-14
-"""Change of the mean of a mode below which a panel is not halved: near rounding."""
+# Probability outside the box above which a user is warned: it shows in three digits
 _WARNED_OUTSIDE = 1e-3
-"""Probability outside the box above which a user is warned: it shows in three digits."""
+# Weight, relative to the largest, of points that a Gauss rule leaves out
 _NEGLIGIBLE_WEIGHT = 1e-40
-"""Weight, relative to the largest, of points that a Gauss rule leaves out."""
-_LEAST_NORM = 1e-13
-"""Norm below which the next orthogonal polynomial is rounding."""
+_LEAST_NORM = 1e-13  # Norm below which the next orthogonal polynomial is rounding
 
 
 class Distribution(Protocol):

@@ -18,19 +18,16 @@ from rankone.support.errors import warn
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
-__all__ = ["HigherMoments"]
-
+# Least tolerance of the truncation, relative to the root mean square of y: above rounding
 _LEAST_TOLERANCE = 1e-9
-"""Least tolerance of the truncation, relative to the root mean square of y: above rounding."""
-_LARGEST_TOLERANCE = 0.1
-"""Largest tolerance of the truncation: one digit of the moments is left."""
+_LARGEST_TOLERANCE = 0.1  # Largest tolerance of the truncation: one digit of the moments is left
+# Tolerance above which a user is warned, unless it was asked for: it shows in five digits
 _WARNED_TOLERANCE = 1e-5
-"""Tolerance above which a user is warned, unless it was asked for: it shows in five digits."""
+# Largest rank of a train that is squared. The square has the rank 528, and each point of a
+# quadrature takes 4 times its cube.
 _LARGEST_RANK = 32
-"""Largest rank of a train that is squared. The square has the rank 528, and each point of a
-quadrature takes 4 times its cube."""
+# Largest rank of a train that serves several times; above it each time has a train alone
 _LARGEST_COMMON_RANK = 20
-"""Largest rank of a train that serves several times; above it each time has a train alone."""
 
 
 class HigherMoments:

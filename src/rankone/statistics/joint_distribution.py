@@ -24,34 +24,20 @@ from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
-__all__ = [
-    "Copula",
-    "Correlations",
-    "Distributions",
-    "JointDistribution",
-    "by_name",
-    "copula_of",
-    "measures_of",
-]
-
 Entry = TypeVar("Entry")
 Distributions = Mapping[Any, Distribution] | None
 """Distributions by parameter, a name or a symbol; those of the problem where none are given."""
 Correlations = Mapping[Any, float] | None
 """Correlations by pair of parameters, names or symbols; None for those of the problem."""
 
-_LARGEST_NORMAL = 6.5
-"""Largest normal number of the quadrature; the probability beyond is 1e-10."""
-_MOST_GRID_DIMENSIONS = 3
-"""Most correlated parameters for a grid; more take evenly spread points."""
+_LARGEST_NORMAL = 6.5  # Largest normal number of the quadrature; the probability beyond is 1e-10
+_MOST_GRID_DIMENSIONS = 3  # Most correlated parameters for a grid; more take evenly spread points
+# Steps of grids in normal numbers, finer and finer
 _GRID_STEPS = (1.0, 0.75, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625)
-"""Steps of grids in normal numbers, finer and finer."""
-_MOST_GRID_POINTS = 2**17
-"""Most points of a grid, to bound time and memory."""
-_EVEN_POINTS = 2**14
-"""Evenly spread points, which are good to about 1e-3 of the standard deviation."""
+_MOST_GRID_POINTS = 2**17  # Most points of a grid, to bound time and memory
+_EVEN_POINTS = 2**14  # Evenly spread points, which are good to about 1e-3 of the standard deviation
+# Least eigenvalue of a correlation matrix that counts as positive definite
 _LEAST_EIGENVALUE = 1e-10
-"""Least eigenvalue of a correlation matrix that counts as positive definite."""
 
 
 @dataclass(frozen=True)

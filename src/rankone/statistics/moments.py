@@ -26,15 +26,11 @@ from rankone.support.budget import check_time
 from rankone.support.errors import warn
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["ConditionalMoments", "TrainMoments"]
-
+# Relative change from one quadrature to the next that is accepted. For smooth functions the error
+# of the finer one is far below it, with kinks it is about as large.
 _SETTLED_CHANGE = 1e-6
-"""Relative change from one quadrature to the next that is accepted. For smooth functions the error
-of the finer one is far below it, with kinks it is about as large."""
-_WARNED_CHANGE = 1e-4
-"""Relative change above which a user is warned: it shows in four digits."""
-_NUMBERS_AT_ONCE = 8_000_000
-"""Numbers that are formed at once, 64 MB."""
+_WARNED_CHANGE = 1e-4  # Relative change above which a user is warned: it shows in four digits
+_NUMBERS_AT_ONCE = 8_000_000  # Numbers that are formed at once, 64 MB
 
 
 class TrainMoments:

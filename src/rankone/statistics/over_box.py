@@ -29,15 +29,12 @@ from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import shown
 
-__all__ = ["StatisticsOverBox", "Times", "checked_probabilities"]
-
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""
 
-_SIZE_TIMES = 25
-"""Times at which the size of an unknown is measured: a size need not be exact."""
+_SIZE_TIMES = 25  # Times at which the size of an unknown is measured: a size need not be exact
+# Truncation of a train for higher moments, in shares of the tolerance of the solution
 _TRUNCATION_SHARE = 0.1
-"""Truncation of a train for higher moments, in shares of the tolerance of the solution."""
 
 
 def checked_probabilities(q: ArrayLike) -> Array:

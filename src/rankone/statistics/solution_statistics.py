@@ -16,18 +16,14 @@ from rankone.support.arrays import Array
 from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["ROUNDING_ERROR", "MainEffects", "Sobol", "Statistics", "doubtful_shares"]
-
 _Moments = TypeVar("_Moments")
 
-_POINTS_AT_ONCE = 2**14
-"""Points that are evaluated together, to bound memory."""
-_SLABS_REMEMBERED = 4
-"""Latest slabs whose moments may serve a later slab that shares their cores."""
+_POINTS_AT_ONCE = 2**14  # Points that are evaluated together, to bound memory
+_SLABS_REMEMBERED = 4  # Latest slabs whose moments may serve a later slab that shares their cores
 ROUNDING_ERROR = 1e-13
 """Error by rounding, relative to the size of a state: a smaller spread is none."""
+# Spread over error above which the error changes shares of the variance by 4 % at most
 _CLEAR_RATIO = 5.0
-"""Spread over error above which the error changes shares of the variance by 4 % at most."""
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,6 @@ from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
-__all__ = ["ENGINE", "SlabLengths"]
-
 
 @dataclass
 class SlabLengths:

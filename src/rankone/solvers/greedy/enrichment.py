@@ -38,8 +38,6 @@ from rankone.support.budget import charge
 from rankone.support.costs import CALL, product
 from rankone.tensors.rank_one_sums import RankOneSum
 
-__all__ = ["Enriched", "Enrichment"]
-
 
 @dataclass(frozen=True)
 class Enriched:

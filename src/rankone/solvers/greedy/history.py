@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from rankone.ir.outcome import SlabRecord
 
-__all__ = ["EquationRecord", "GreedySlabRecord", "ModeRecord"]
-
 
 @dataclass(frozen=True, slots=True)
 class ModeRecord:

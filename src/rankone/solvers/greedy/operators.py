@@ -30,18 +30,6 @@ from rankone.solvers.greedy.options import GreedyOptions
 from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
 
-__all__ = [
-    "Equation",
-    "Nodes",
-    "ShapeSpace",
-    "SourceTerm",
-    "assemble",
-    "evaluation_order",
-    "first_nodes",
-    "named_matrices",
-    "source_terms",
-]
-
 
 class SourceTerm(NamedTuple):
     """One term of f in ``u' = f``: a row of ``TERMS``.

@@ -10,8 +10,6 @@ from rankone.discretization.finite_elements import LagrangeElements
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, choice, integer, integers, number
 
-__all__ = ["GreedyOptions"]
-
 _SLIDES: dict[str, Any] = {
     "formulation": "derivative",
     "projection": "galerkin",

@@ -45,8 +45,6 @@ from rankone.tensors.rank_one_sums import RankOneSum, element_trains
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Integers, Train
 
-__all__ = ["Coupling", "GreedyTrial", "LaggedSlab", "LaggedSlabs", "SlabResult", "compressed"]
-
 
 @dataclass(frozen=True)
 class SlabResult:

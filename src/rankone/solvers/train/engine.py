@@ -23,8 +23,6 @@ from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points
 
-__all__ = ["ENGINE"]
-
 
 class TrainMarcher(Marcher):
     """Marches with inner tolerances that become tighter."""

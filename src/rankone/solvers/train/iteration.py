@@ -13,6 +13,7 @@ from rankone.ir.verdict import Status
 from rankone.solvers.train.constants import (
     COARSENING_SHARE,
     DIVERGED_RESIDUAL,
+    FEW_PARAMETERS,
     FIRST_SWEEP_FACTOR,
     JUMP_SHARE,
     LEAST_CONTRACTION,
@@ -23,15 +24,13 @@ from rankone.solvers.train.constants import (
     THINNING_SHARE,
 )
 from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
-from rankone.solvers.train.nodes import FEW_PARAMETERS, ParameterNodes, after_jump
+from rankone.solvers.train.nodes import ParameterNodes, after_jump
 from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet
-
-__all__ = ["Convergence", "SlabIteration"]
 
 
 @dataclass

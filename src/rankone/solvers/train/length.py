@@ -27,8 +27,6 @@ from rankone.support.arrays import Array
 from rankone.tensors.train import Train
 from rankone.verification.measure import ReferenceSet, times_within
 
-__all__ = ["Accuracy", "Guess", "SlabLengths", "TrainSpan", "TrainTrial"]
-
 
 @dataclass(frozen=True)
 class Accuracy:

@@ -24,8 +24,6 @@ from rankone.solvers.train.slab import ParameterOperators
 from rankone.support.arrays import Array
 from rankone.tensors.train import Integers, Train
 
-__all__ = ["FEW_PARAMETERS", "ParameterNodes", "after_jump", "first_bases"]
-
 
 @dataclass
 class ParameterNodes:

@@ -9,8 +9,6 @@ from typing import ClassVar
 from rankone.discretization import BASES
 from rankone.support.options import Options, choice, integer, number
 
-__all__ = ["TrainOptions"]
-
 
 @dataclass(frozen=True)
 class TrainOptions(Options):

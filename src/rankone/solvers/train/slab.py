@@ -22,16 +22,6 @@ from rankone.discretization import Basis1D, RadauCollocation
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 
-__all__ = [
-    "CONSTANT",
-    "LINEAR",
-    "QUADRATIC",
-    "GroupKernels",
-    "ParameterOperators",
-    "SlabOperator",
-    "term_groups",
-]
-
 CONSTANT = 0
 LINEAR = 1
 QUADRATIC = 2

@@ -34,8 +34,6 @@ from rankone.support.budget import charge
 from rankone.support.costs import CALL, product
 from rankone.tensors.train import Train, independent, truncated_svd
 
-__all__ = ["Sweeper", "left_products", "multiplicity", "right_products", "unpack"]
-
 
 @lru_cache(maxsize=512)
 def _indices(rank: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
