@@ -34,7 +34,7 @@ _TO_CHANGES = Climb(rounds=24, tries=5, first_step=0.25, shrinkage=0.8)
 _TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)
 """The way to larger errors."""
 _SPLIT_RATIO = 0.55
-"""Where slabs are split for the check, so that its nodes are not those of the grid."""
+"""Where slabs are split for the check, so that its nodes differ from the nodes of the grid."""
 _MAX_BREAKS = 32
 """Most breaks of a parameter, and most points on a ridge, that are looked at."""
 _BREAK_DISTANCE = 1e-6

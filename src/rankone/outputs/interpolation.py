@@ -68,7 +68,7 @@ _DEFAULT_MARGIN = 1.5
 _LARGEST_DEFAULT = 0.1
 """Largest default tolerance."""
 _BASIS_SHARE = 0.1
-"""What the basis of the columns may miss, relative to the error aimed at."""
+"""Error of the basis of the columns, relative to the error aimed at."""
 _TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
 """Tolerances are tightened only when no nodes are added: attempts are cheap."""
 _MAX_ATTEMPTS = 8
@@ -247,7 +247,7 @@ class OutputInterpolation:
         return grid
 
     def _grid(self, level: float, points: Array) -> TimeGrid:
-        """Slabs that resolve the integrands, and what is no reduction, at some points."""
+        """Slabs that resolve the integrands, and quantities without reductions, at some points."""
         start, end = self.domain.horizon
         if self.solution.metadata.timeless:
             return TimeGrid((start, end), 1)

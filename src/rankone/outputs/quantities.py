@@ -76,7 +76,7 @@ class Quantities:
         From parameters (d, m) alone to functions of several of them that vanish where a narrow
         feature is largest or steepest.
     cuts : tuple of tuple of float
-        For time and each parameter where functions of it alone are narrow, kink or jump.
+        For time and each parameter the places where functions of it alone are narrow, kink or jump.
     values : callable
         From times, sources and parameters as before, and a sequence of reductions, (m,) or (T, m),
         to a sequence of arrays that broadcast to (T, m).

@@ -31,7 +31,7 @@ _SEARCH_COST = 200.0
 _SEARCHED_KINDS = (Kind.MAXIMUM, Kind.MINIMUM, Kind.CROSSING, Kind.DURATION)
 """Reductions that change abruptly where extremes or zeros come and go."""
 _SIGN_RATIO = 10.0
-"""Values below so many tolerances of the solution, relative to the largest, have no sign."""
+"""Values below this many tolerances of the solution, relative to the largest, have no sign."""
 _LEAST_SIGNED = 1e-9
 """The same for tight tolerances: rounding changes signs too."""
 
@@ -134,7 +134,7 @@ class Sampler:
     def narrow(self, points: Array) -> float:
         """Error of the grid at narrow features, over the largest values.
 
-        That of the integrands, and of the quantities if there are no reductions.
+        Errors of the integrands, and of the quantities if there are no reductions.
         """
         times, sources = self.grid.times[:, None], self.sources(points)
         shape = times.size, len(points)

@@ -32,7 +32,7 @@ __all__ = [
 FIRST_LEFT_POINTS = 7
 """Random left points of each bond in the first attempt; a refinement takes half as many again."""
 ROW_SPACE_SHARE = 0.1
-"""What row spaces may miss, relative to the level of an attempt: an error there is amplified."""
+"""Tolerance of row spaces, relative to the level of an attempt: an error there is amplified."""
 HIGHEST_MODES_SHARE = 0.1
 """Size of the highest modes, relative to the level, above which there are more nodes."""
 ROUNDING_SHARE = 0.1
@@ -43,12 +43,12 @@ functions with a symmetry about the centre look different there."""
 MAX_STEEP_LINES = 6
 """Most lines of a parameter through steep points: each costs as much as the first ones."""
 TAIL_SHARE = 0.015
-"""What the modes left out may make up on the first lines, relative to the level: elsewhere in the
-box a function may need more modes."""
+"""Largest tail of the modes on the first lines, relative to the level: elsewhere in the box a
+function may need more modes."""
 STEEP_TAIL_SHARE = 0.01
 """The same where elements are taken: a column is steep at few times only."""
 BORDER_ERROR_FACTOR = 30.0
-"""An element is halved where its error at the borders exceeds so many tolerances of its tail."""
+"""An element is halved where its error at the borders exceeds this many tolerances of its tail."""
 SLOWEST_DECAY = 0.95
 """Largest ratio of successive modes used for a prediction: slower decay looks like none."""
 FASTEST_DECAY = 1e-3
@@ -56,10 +56,10 @@ FASTEST_DECAY = 1e-3
 MAX_PREDICTED_RATIO = 3.0
 """Largest number of nodes predicted, over the nodes it is predicted from."""
 ELEMENT_NODE_RATIO = 5.0
-"""Number of nodes, over that of the lines, from which elements are tried."""
+"""Elements are tried above this ratio of nodes to the nodes of the lines."""
 ELEMENT_COST_RATIO = 2.0
-"""In one parameter elements may have so many times the nodes of a single element that does not
-suffice. With more parameters what is steep moves, and elements must have fewer nodes."""
+"""In one parameter elements may have this many times the nodes of a single element that does not
+suffice. With more parameters steep places move, and elements must have fewer nodes."""
 BORDER_DISTANCE = 4e-9
 """Distance of points beside a border, in widths of the interval: there may be a jump."""
 NARROWEST_ELEMENT = 1e-9
@@ -106,7 +106,7 @@ class Tightening:
 
 @dataclass(frozen=True)
 class KnownElements:
-    """What is known of a parameter beforehand: where elements begin, and the fewest nodes."""
+    """Known facts on a parameter: where elements begin, and the fewest nodes."""
 
     borders: Sequence[float] = ()
     least_nodes: int = 0
@@ -127,7 +127,7 @@ class AdaptiveInterpolation:
     Attributes
     ----------
     share : float
-        Tolerances over those of the first attempt.
+        Ratio of the tolerances to the first ones.
     bases : tuple of Basis1D or None
         Bases of the last attempt or, after a refinement, of the next one.
     spectra : list of ndarray
@@ -170,7 +170,7 @@ class AdaptiveInterpolation:
         ----------
         columns : callable
         known_elements : callable
-            From the number of nodes of an element to what is known of each parameter; called in
+            Maps the number of nodes of an element to the known facts on each parameter; called in
             the first attempt.
         begun : callable, optional
             See :func:`~rankone.tensors.cross.interpolate`.
@@ -201,7 +201,7 @@ class AdaptiveInterpolation:
     def _attempt_bases(
         self, columns: Columns, known_elements: Callable[[int], Sequence[KnownElements]]
     ) -> tuple[Basis1D, ...]:
-        """Bases of an attempt: new ones first, later those of the refinement, divided."""
+        """Bases of an attempt: new ones at first, later the refined ones, divided."""
         self._undivided = None
         if not self.box:
             return ()
@@ -312,7 +312,7 @@ class AdaptiveInterpolation:
     def undo_division(self) -> bool:
         """Go back to the bases before they were divided, for good; whether they had been.
 
-        Where what is steep moves with other parameters, elements do not follow.
+        Elements do not follow a steep place that moves with other parameters.
         """
         if self._undivided is None:
             return False
@@ -376,7 +376,7 @@ def _spectrum(basis: Basis1D, coefficients: Array) -> Array:
 def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_RATIO) -> int:
     """Number of modes after which the tail of a spectrum is below a tolerance.
 
-    At most ``max_ratio`` times those of the spectrum are predicted.
+    At most ``max_ratio`` times the modes of the spectrum are predicted.
     """
     tails = np.sqrt(np.cumsum(spectrum[::-1] ** 2)[::-1])
     count = spectrum.size

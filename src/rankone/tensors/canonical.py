@@ -22,7 +22,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -150,7 +149,7 @@ class CanonicalForm:
         """For time and each parameter the weights (N,) of the mean, of sum one."""
         return {axis.name: axis.weights for axis in self.axes}
 
-    def __call__(self, *at: Any, **named: Any) -> Array:
+    def __call__(self, *at: object, **named: object) -> Array:
         """Evaluate as a solution does: the result has the broadcast shape of the values."""
         intervals = [(axis.breaks[0], axis.breaks[-1]) for axis in self.axes]
         coordinates = Coordinates([axis.name for axis in self.axes], intervals)
@@ -197,7 +196,7 @@ class CanonicalForms(Mapping[str, CanonicalForm]):
         self._form, self._states, self._unknowns = form, tuple(states), tuple(unknowns)
         self._forms = {name: form(self._states.index(name), name) for name in unknowns}
 
-    def __getitem__(self, state: Any) -> CanonicalForm:
+    def __getitem__(self, state: object) -> CanonicalForm:
         name = name_of(state)
         if name not in self._states:
             raise KeyError(
@@ -268,7 +267,7 @@ def canonical_form(
 ) -> CanonicalForm:
     """Write one state of consecutive slabs in canonical form.
 
-    Tolerance, errors and warnings are those of
+    Tolerance, errors and warnings as in
     :meth:`~rankone.interface.solution.Solution.to_canonical`.
 
     Parameters
@@ -398,7 +397,7 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
         if len(modes) == len(train.cores):
             products.append((-negative, modes))
             remainder -= negative**2
-            # the running difference loses digits, the sum of what is left does not
+            # the running difference loses digits, the sum over the heap does not
             nearly = remainder <= tolerance**2 + 1e-12 * total
             if nearly and math.fsum(branch[0] ** 2 for branch in heap) <= tolerance**2:
                 break

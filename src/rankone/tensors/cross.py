@@ -1,11 +1,11 @@
 """Cross interpolation: a tensor train over [column] | p_1 | ... | p_d from sampled columns.
 
-A column is all that belongs to one point of the parameters, such as the states at all times, held
-by coefficients in a basis that grows. At bond b those at (left points) x (nodes of p_b) x (right
-points) are a matrix with the rows (left point, coefficient) and one column for each node and right
-point. Its row space, truncated, gives core b as an interpolation from a skeleton of its columns,
-which are the right points of the next bond. Each left point brings many rows, so that a few of
-them serve ranks far higher.
+A column holds the states at all times, or other numbers, at one point of the parameters, as
+coefficients in a basis that grows. At bond b the columns at (left points) x (nodes of p_b) x
+(right points) are a matrix with the rows (left point, coefficient) and one column for each node
+and right point. Its row space, truncated, gives core b as an interpolation from a skeleton of its
+columns, which are the right points of the next bond. Each left point brings many rows, so that a
+few of them serve ranks far higher.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ __all__ = [
 ]
 
 _FULL_GRID_NODES = 1600
-"""Grids of at most so many nodes are sampled completely: adapting would save nothing."""
+"""Grids up to this many nodes are sampled completely: adapting would save nothing."""
 _CORNER_RATIO = 0.45
 """Corners among the left points, over the random ones."""
 _CORNER_WEIGHT = 0.5
-"""Weight of corners in what a row space may miss: an error there alone may be larger."""
+"""Weight of corners in the error of a row space: an error there alone may be larger."""
 _EXTRA_RANK = 16
 """The rank of a bond is expected to be at most twice that of the next one plus this."""
 _MAX_EXCHANGES = 100
@@ -118,7 +118,7 @@ def _corners(dimensions: int, count: int, generator: np.random.Generator) -> Int
 
 
 def _weights(left: Integers, sizes: Sequence[int]) -> Array:
-    """Weights of left points in what a row space may miss: less for corners of their grid."""
+    """Weights of left points in the error of a row space: less for corners of their grid."""
     if len(left) == math.prod(sizes):
         return np.ones(len(left))
     at_ends = ((left == 0) | (left == np.array(sizes) - 1)).all(axis=1)
@@ -140,11 +140,11 @@ def interpolate(
     samples : callable
         Columns of values at node indices (m, d), such as :class:`Samples`.
     bases : sequence of Basis1D
-        Or what has their sizes and weights.
+        Or other objects with sizes and weights.
     left : sequence of ndarray
         Left points of each bond, see :func:`left_points`.
     tolerance : float
-        Root mean square of what a row space may miss, over the trajectories of its bond.
+        Root mean square error of a row space over the columns of its bond.
     max_rank : int
     begun : callable, optional
         Called when a bond is begun: how many were done, of how many, and the rank.
@@ -270,7 +270,7 @@ class Samples:
 
 
 class GrowingBasis:
-    """An orthonormal basis of columns of a given length, which grows by what it misses.
+    """An orthonormal basis of columns of a given length, which grows where it misses columns.
 
     Attributes
     ----------

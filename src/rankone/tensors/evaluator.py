@@ -6,8 +6,8 @@ one matrix per element. Evaluation then goes from the last dimension to the firs
 multiplies the values of the polynomials with the vector carried so far (a column-wise Kronecker
 product) and the core with the result, one matrix product for all points of a chunk.
 
-Time is the first dimension and comes last, so that what the cores of the parameters give at a
-point serves all times that are asked for there. Slabs that share these cores are one train.
+Time is the first dimension and comes last, so that the product of the cores of the parameters at a
+point serves all times there. Slabs that share these cores are one train.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _columnwise_kronecker(polynomials: Array, carry: Array | None) -> Array:
 
 
 class _Train:
-    """The cores of slabs that share those of their parameters, ready for evaluation.
+    """Slabs that share the cores of their parameters, ready for evaluation.
 
     The slabs are elements of the first core.
     """
@@ -345,9 +345,9 @@ class TrainEvaluator:
         carries: Callable[[_Train], Iterable[tuple[slice, Array]]],
         rows: Rows,
     ) -> Array:
-        """Values (rows, T, N) at all times (T,) for all of what the parameters' cores give.
+        """States (rows, T, N) at all times (T,) for N products of the cores of the parameters.
 
-        ``carries`` gives for a train some of the N columns and what belongs there.
+        ``carries`` yields for a train slices of the N columns with the products there.
         """
         states = np.empty((self._count(rows), times.size, count))
         for train, owned in self._owned(times, self._breaks):

@@ -194,9 +194,9 @@ def element_trains(
     start : sequence of RankOneSum
         For each state its value at the start, nodal in the parameters, with one row of time.
     modes : sequence of RankOneSum
-        For each state what is added to it, nodal, without the first node in time.
+        For each state the change from its start, nodal, without the first node in time.
     tolerance : ndarray (n,)
-        Root mean square, for each state, of what may be left out on an element.
+        Largest root mean square error of each state on an element.
 
     Returns
     -------

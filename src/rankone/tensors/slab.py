@@ -192,7 +192,7 @@ def restricted(
 
 
 def fixed(slabs: Sequence[SlabTrain], parameter: int, value: float) -> tuple[SlabTrain, ...]:
-    """The states for one value of a parameter, which is no coordinate any more."""
+    """The states for one value of a parameter, which ceases to be a coordinate."""
     merged: dict[tuple[int, int], Array] = {}
     smaller = []
     for slab in slabs:

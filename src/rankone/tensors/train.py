@@ -210,13 +210,13 @@ def truncated_svd(
 
     A large matrix of small numerical rank is first projected on a range found from ``rows`` and
     a few random directions (Halko, Martinsson & Tropp, SIAM Review 53 (2011), algorithm 4.2); the
-    projection is accepted only if what it misses is measured to be below half the tolerance.
+    projection is accepted only if its error is measured to be below half the tolerance.
 
     Parameters
     ----------
     matrix : ndarray (m, n)
     tolerance : float
-        Largest Frobenius norm of what is dropped.
+        Largest Frobenius norm of the error.
     max_rank : int
         Largest number of singular values kept, whatever the tolerance.
     rows : ndarray (k, n), optional
@@ -245,7 +245,7 @@ def truncated_svd(
 
 
 def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, Array, float]:
-    """Orthonormal basis of the numerical range, the projected matrix and what it misses.
+    """Orthonormal basis of the numerical range, the projected matrix and the norm of its error.
 
     The basis is None when the range is not small.
     """

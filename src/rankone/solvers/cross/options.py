@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any
 
 from rankone.discretization import BASES
 from rankone.ir.outcome import SlabRecord
@@ -18,7 +17,7 @@ _MAX_PROCESSES = 1000
 """More processes than this are a mistake."""
 
 
-def _check_executor(name: str, value: Any) -> Executor | int:
+def _check_executor(name: str, value: object) -> Executor | int:
     """The value if it is an executor or a number of processes, or an OptionError."""
     if isinstance(value, Executor):
         return value
