@@ -10,12 +10,8 @@ from rankone.codegen.printer import common_subexpressions, factor_text
 from rankone.codegen.text import Names, assignment, docstring, table
 from rankone.ir.forms import Coordinate
 
-__all__ = ["coordinate_functions"]
-
-_SHARED_ARGUMENT = "p"
-"""Name of the parameter in a function that serves several parameters."""
-_MAX_SUMMARY = 90
-"""Characters of a summary that lists the factors."""
+_SHARED_ARGUMENT = "p"  # Name of the parameter in a function that serves several parameters
+_MAX_SUMMARY = 90  # Characters of a summary that lists the factors
 
 
 def coordinate_functions(

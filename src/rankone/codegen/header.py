@@ -14,18 +14,8 @@ from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, State, Term
 from rankone.support.wording import number
 from rankone.symbolic.first_order import FirstOrderSystem
 
-__all__ = [
-    "equation_texts",
-    "general_equation_texts",
-    "general_header",
-    "header",
-    "plain_product",
-    "signature_text",
-    "sum_text",
-]
-
+# Above this many unknowns, the first line gives their number in place of their names
 _MAX_NAMED_STATES = 10
-"""Above this many unknowns, the first line gives their number in place of their names."""
 
 
 def header(

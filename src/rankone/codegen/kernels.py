@@ -31,8 +31,6 @@ from rankone.codegen.text import (
 )
 from rankone.ir.forms import Group, QuadraticSystem
 
-__all__ = ["kernel_blocks"]
-
 KERNELS = ("constant", "linear", "linear_adjoint", "quadratic", "quadratic_adjoint")
 """The kernels of a group, in the order of the module."""
 

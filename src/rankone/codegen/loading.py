@@ -17,8 +17,6 @@ from rankone.ir.system import System, UserFunction, system_of
 from rankone.support.errors import OptionError, check_kind
 from rankone.support.wording import quote
 
-__all__ = ["ModuleSpecification", "load_module"]
-
 Answer = TypeVar("Answer")
 
 
@@ -60,8 +58,8 @@ def load_module(
     return system_of(names)
 
 
+# Modules that a process keeps loaded: enough for the problems one session works on at a time
 _MAX_LOADED = 8
-"""Modules that a process keeps loaded: enough for the problems one session works on at a time."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,6 @@ from rankone.ir.forms import (
 from rankone.ir.metadata import Role
 from rankone.support.errors import SeparationError, check_kind
 
-__all__ = ["lower", "quadratic_system", "right_hand_side", "vertex_cover"]
-
 
 def quadratic_system(form: SeparatedForm) -> QuadraticSystem:
     """Lower and group a separated form.

@@ -33,8 +33,6 @@ from rankone.symbolic.features import SymbolicFeatures, features_of
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.gaps import Gap, NamedExpression, gaps_in_unknowns
 
-__all__ = ["general_source", "generate_source"]
-
 Block = Sequence[str]
 """Source lines that stand together."""
 

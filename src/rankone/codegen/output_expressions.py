@@ -30,16 +30,14 @@ from rankone.symbolic.cuts import cuts_of
 from rankone.symbolic.gaps import Gap, check_gaps
 from rankone.symbolic.surfaces import boundaries, peaks, steps
 
-__all__ = ["quantities_of"]
-
+# What makes one number of a function of time
 _REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)
-"""What makes one number of a function of time."""
+# Cuts of one period over the horizon; a quadrature between more would take minutes
 _MAX_REPEATS = 201
-"""Cuts of one period over the horizon; a quadrature between more would take minutes."""
+# Of the derivatives and reductions at which generated outputs are checked; any will do
 _CHECK_SEED = 1812
-"""Of the derivatives and reductions at which generated outputs are checked; any will do."""
+# Relative to an interval: cuts closer to its ends are the ends but for rounding
 _END_DISTANCE = 1e-12
-"""Relative to an interval: cuts closer to its ends are the ends but for rounding."""
 _KINDS = {
     maximum: Kind.MAXIMUM,
     minimum: Kind.MINIMUM,

@@ -19,18 +19,6 @@ from rankone.codegen.printer import common_subexpressions
 from rankone.codegen.text import INDENT, Names, assignment, docstring, unpacking
 from rankone.ir.forms import Coordinate, Jump, State
 
-__all__ = [
-    "Entry",
-    "Index",
-    "NumPyPrinter",
-    "PointwiseFunction",
-    "PointwiseWriter",
-    "Printer",
-    "Scope",
-    "Shared",
-    "Statements",
-]
-
 Index: TypeAlias = "tuple[int, ...]"
 """Where an entry is in the array that a function returns: (row,) or (row, column)."""
 Shared: TypeAlias = "list[tuple[str, str]]"

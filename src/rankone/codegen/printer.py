@@ -18,12 +18,9 @@ from rankone.expressions.stable import fraction, scaled_power, stable
 from rankone.support.errors import ProblemError, SeparationError
 from rankone.support.wording import quote
 
-__all__ = ["common_subexpressions", "factor_text", "numpy_text"]
-
-_MAX_INTEGER = 10**15
-"""Every integer up to this is a floating-point number."""
+_MAX_INTEGER = 10**15  # Every integer up to this is a floating-point number
+# Terms of a sum in one pair of parentheses: Python compiles longer sums by deep recursion
 _MAX_TERMS = 200
-"""Terms of a sum in one pair of parentheses: Python compiles longer sums by deep recursion."""
 _SAME_IN_NUMPY = ("cos", "cosh", "exp", "floor", "log", "sign", "sin", "sinh", "tan", "tanh")
 _INVERSE = ("cos", "cosh", "sin", "sinh", "tan", "tan2", "tanh")
 _SAME_IN_SPECIAL = ("beta", "erf", "erfc", "erfcinv", "erfi", "erfinv", "gamma", "zeta")

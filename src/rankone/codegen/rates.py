@@ -28,8 +28,6 @@ from rankone.symbolic.derivatives import Differentiator
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.gaps import NamedExpression
 
-__all__ = ["GeneralWriter", "SeparatedWriter"]
-
 
 class SeparatedWriter(PointwiseWriter):
     """Writes the rates of a system that separates, as sums of its terms."""

@@ -15,15 +15,12 @@ from fractions import Fraction
 
 from rankone.codegen.text import literal
 
-__all__ = ["Addend", "Pair", "SharedSums", "extract_pairs", "share"]
-
 Addend = tuple[Fraction | float, tuple[int, ...]]
 """A coefficient and the symbols multiplied."""
 
+# A quotient that is a number only where it stands first or in parentheses
 _FRACTION = re.compile(r"^\d+ / \d+")
-"""A quotient that is a number only where it stands first or in parentheses."""
-_MAX_TERM_WIDTH = 80
-"""Characters of a factored term that is still easy to read."""
+_MAX_TERM_WIDTH = 80  # Characters of a factored term that is still easy to read
 
 
 Symbols = tuple[int, ...]

@@ -14,33 +14,11 @@ from typing import TypeAlias
 
 from rankone.support.wording import number
 
-__all__ = [
-    "INDENT",
-    "WIDTH",
-    "Names",
-    "Nested",
-    "assignment",
-    "commented",
-    "described_table",
-    "docstring",
-    "is_identifier",
-    "literal",
-    "nested",
-    "one_line",
-    "paragraph",
-    "quoted",
-    "statement",
-    "table",
-    "tuple_lines",
-    "unpacking",
-]
-
 WIDTH = 100
 """Characters of a line."""
 INDENT = "    "
 """One level of indentation."""
-_MAX_TERMS = 400
-"""Terms of a sum in one statement: Python compiles longer sums by deep recursion."""
+_MAX_TERMS = 400  # Terms of a sum in one statement: Python compiles longer sums by deep recursion
 
 Nested: TypeAlias = "str | Sequence[Nested]"
 """A text, or a tuple of them."""

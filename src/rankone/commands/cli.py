@@ -16,12 +16,9 @@ from typing import NoReturn
 from rankone.commands import evaluate, export, fit, report, solve
 from rankone.commands.common import BAD_INPUT, FAILURE, complain
 
-__all__ = ["main"]
-
+# Exit status after an interrupt from the keyboard, as shells have it: 128 and the signal
 _INTERRUPTED = 130
-"""Exit status after an interrupt from the keyboard, as shells have it: 128 and the signal."""
-_BROKEN_PIPE = 141
-"""Exit status when the reader of the output has gone."""
+_BROKEN_PIPE = 141  # Exit status when the reader of the output has gone
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -12,27 +12,6 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from rankone.interface.solution import Solution
 
-__all__ = [
-    "BAD_INPUT",
-    "FAILURE",
-    "PROBLEM_HELP",
-    "SOLVED_HELP",
-    "SUCCESS",
-    "Commands",
-    "add_command",
-    "add_model_arguments",
-    "add_solve_rtol",
-    "add_states",
-    "complain",
-    "finite_or_none",
-    "is_saved",
-    "may_be_written",
-    "solution_of",
-    "status_of",
-    "summary",
-    "toml_help",
-]
-
 SUCCESS = 0
 """Exit status: the measured error is within the tolerance."""
 FAILURE = 1
@@ -41,8 +20,7 @@ BAD_INPUT = 2
 """Exit status: an argument or a file is wrong."""
 PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
-_DEFAULT_RTOL = 1e-6
-"""Relative tolerance for a problem file."""
+_DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 

@@ -28,13 +28,10 @@ if TYPE_CHECKING:
     from rankone.interface.solution import Solution
     from rankone.support.arrays import Array
 
-__all__ = ["register"]
-
 _AT_HELP = "a value of time, parameters"
 _GRID_HELP = "several: LOWER:UPPER:COUNT evenly, or VALUE,VALUE,..."
 _AXIS_FORM = "NAME=LOWER:UPPER:COUNT or NAME=VALUE,VALUE"
-_LARGEST_GRID = 20_000_000
-"""Most numbers on a grid: 160 megabytes, and far more as a table."""
+_LARGEST_GRID = 20_000_000  # Most numbers on a grid: 160 megabytes, and far more as a table
 
 
 def register(commands: Commands) -> None:

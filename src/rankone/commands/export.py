@@ -19,12 +19,10 @@ from rankone.commands.common import (
     toml_help,
 )
 
-__all__ = ["register"]
-
 _OUTPUT_HELP = "a .py file; for models the suffix says what is written"
 _PAGE_HELP = "the page (default: the name of FILE with .html, in the present directory)"
+# Arguments that a standalone solver does not take
 _FOR_MODELS = ("rtol", "allow_failed", "model_rtol", "states", "fmi")
-"""Arguments that a standalone solver does not take."""
 
 
 def register(commands: Commands) -> None:

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
     from rankone.interface.solution import Solution
 
-__all__ = ["register"]
-
 _SIGMA_HELP = "standard deviation of the noise, one or by unknown; by default it is estimated"
 _EFFORT_HELP = "low, normal (default), high or a factor on the budget of the solve and the starts"
 _EXIT_HELP = """\

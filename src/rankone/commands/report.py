@@ -29,20 +29,15 @@ if TYPE_CHECKING:
 
     from rankone.interface.solution import Solution
 
-__all__ = ["register"]
-
 _FOLDER_HELP = (
     "the directory of report.txt, report.json and the plots (default: NAME_report for NAME.nc, in "
     "the working directory)"
 )
 _NO_PLOTS_HELP = "no plots, and no files unless -o is given"
 _TEXTS = ("report.txt", "report.json")
-_BAND_PROBABILITIES = (0.025, 0.975)
-"""Probabilities between which the band lies: 95 %."""
-_PLOT_SIZE = (5.6, 3.5)
-"""Width and height of a plot, in inches."""
-_PLOT_RESOLUTION = 150
-"""Dots per inch of a plot."""
+_BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities between which the band lies: 95 %
+_PLOT_SIZE = (5.6, 3.5)  # Width and height of a plot, in inches
+_PLOT_RESOLUTION = 150  # Dots per inch of a plot
 
 
 def register(commands: Commands) -> None:

@@ -19,13 +19,12 @@ from rankone.commands.common import (
 )
 from rankone.support.budget import EFFORT_HELP, effort_of
 
-__all__ = ["ARGUMENTS", "register"]
-
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final"),
     *("check", "cover", "effort", "max_seconds", "unknowns", "progress", "on_failure"),
 )
 """Arguments of ``CompiledProblem.solve`` beside the options of an engine."""
+# What ``show`` prints: for each flag the title and the attribute of the compiled problem
 _STAGES = {
     "first-order": ("first-order system", "first_order"),
     "weak-form": ("weak form", "weak_form"),
@@ -34,7 +33,6 @@ _STAGES = {
     "quadratic": ("quadratic system", "quadratic"),
     "source": ("generated module", "source"),
 }
-"""What ``show`` prints: for each flag the title and the attribute of the compiled problem."""
 _CHECK_HELP = "number of check points in the interior; 0 leaves the error unknown (status 1)"
 _BOX_HELP = "other ranges of parameters, for this solve"
 _OPTIONS_HELP = "options of the engine, such as max_rank=300"

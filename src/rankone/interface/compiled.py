@@ -76,14 +76,11 @@ from rankone.symbolic import (
 from rankone.symbolic.features import switching_term
 from rankone.symbolic.gaps import check_gaps
 
-__all__ = ["CompiledProblem", "compile_problem", "solve_problem"]
-
 logger = logging.getLogger("rankone")
+# Error of separated terms, over the largest rate, up to which the separated form is used
 _SEPARATION_TOLERANCE = 1e-10
-"""Error of separated terms, over the largest rate, up to which the separated form is used."""
 
-_ANY_SYSTEM = (AUTO, "cross")
-"""Methods that need no separated terms."""
+_ANY_SYSTEM = (AUTO, "cross")  # Methods that need no separated terms
 
 
 @dataclass(frozen=True, eq=False)

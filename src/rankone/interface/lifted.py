@@ -16,8 +16,6 @@ from rankone.support.errors import ProblemError
 from rankone.symbolic import FirstOrderSystem, separate, weak_form
 from rankone.symbolic.lifting import Lifting, NotLiftable, lift
 
-__all__ = ["LiftedProblem", "lifted_problem"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LiftedProblem:

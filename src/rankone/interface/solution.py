@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-__all__ = ["Solution", "load"]
-
 
 class Solution(DistributionOverBox, EstimationFromData):
     """The unknowns as functions of time and of all parameters.

@@ -15,12 +15,10 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, quote, shown
 
-__all__ = ["LEAST_WIDTH", "Domain", "KnownFactors", "check_factors"]
-
 LEAST_WIDTH = 1e-290
 """Shortest interval: fractions of a shorter one underflow."""
+# Points of an interval at which known functions are checked, both ends and the middle included
 _SAMPLES = 257
-"""Points of an interval at which known functions are checked, both ends and the middle included."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,6 @@ import numpy as np
 
 from rankone.support.arrays import Array
 
-__all__ = ["GAP_REMEDY", "Features", "Gaps", "OfParameters", "OfStates", "VectorLike"]
-
 VectorLike: TypeAlias = "Array | Sequence[float] | Sequence[Array]"
 """States (n, ...) or parameters (d, ...): an array, or a sequence of its rows."""
 OfParameters: TypeAlias = Callable[[VectorLike], Array]

@@ -27,14 +27,11 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote, shown
 
 _KINDS = ("linear", "cubic", "previous")
+# First letters of a function's name in generated source, so that no local name hides it
 _PREFIX = "f_"
-"""First letters of a function's name in generated source, so that no local name hides it."""
-_AT_THE_ENDS = 1e-9
-"""Distance outside of a table, over its length, that is taken for rounding."""
-_LONGEST_LINE = 100
-"""Characters of a line of generated source."""
-_NUMBERS_PER_LINE = 8
-"""Numbers in each line of an array that does not fit into one."""
+_AT_THE_ENDS = 1e-9  # Distance outside of a table, over its length, that is taken for rounding
+_LONGEST_LINE = 100  # Characters of a line of generated source
+_NUMBERS_PER_LINE = 8  # Numbers in each line of an array that does not fit into one
 
 
 class _DataFunctionClass(FunctionClass):  # type: ignore[misc]

@@ -12,10 +12,8 @@ from rankone.ir.features import Gaps, VectorLike
 from rankone.support.arrays import Array
 from rankone.support.errors import warn
 
-__all__ = ["Jumped", "Jumps"]
-
+# In horizons: a jump closer to the end than this is at the end but for rounding
 _DISTANCE_FROM_END = 1e-9
-"""In horizons: a jump closer to the end than this is at the end but for rounding."""
 Jumped: TypeAlias = Callable[[int, VectorLike, VectorLike], Array]
 """States after a jump, from its kind, the states before and the parameters."""
 

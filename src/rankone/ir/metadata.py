@@ -7,10 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["Role", "SolutionMetadata", "of_derivatives", "per", "with_unit"]
-
-_ONE_WORD = re.compile(r"[^\s/*^·⋅()+-]+")
-"""A unit that needs no brackets."""
+_ONE_WORD = re.compile(r"[^\s/*^·⋅()+-]+")  # A unit that needs no brackets
 
 
 class Role(StrEnum):

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 from rankone.ir.verdict import Cause, Note, Status, Verdict
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Measured", "Outcome", "SafeInterval", "SlabRecord"]
-
 
 @dataclass(frozen=True, slots=True)
 class SlabRecord:

@@ -15,8 +15,6 @@ from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import Options, checked_number
 from rankone.support.wording import did_you_mean, listing, quote
 
-__all__ = ["SOLVE_ARGUMENTS", "Check", "Limits", "SolveRequest"]
-
 SOLVE_ARGUMENTS = (
     "rtol",
     "parameters",
@@ -28,18 +26,16 @@ SOLVE_ARGUMENTS = (
     "effort",
 )
 """Arguments of every ``solve``, beside the options of an engine."""
+# Smallest tolerance: the reference, three digits better, comes close to rounding errors there
 _TIGHTEST_RTOL = 1e-10
-"""Smallest tolerance: the reference, three digits better, comes close to rounding errors there."""
-_LOOSEST_RTOL = 0.1
-"""Largest tolerance: beyond it a solution says little."""
+_LOOSEST_RTOL = 0.1  # Largest tolerance: beyond it a solution says little
+# Interior check points for ``check=True``: a twentieth of the box is missed with probability below
+# 1 %
 _USUAL_POINTS = 96
-"""Interior check points for ``check=True``: a twentieth of the box is missed with probability
-below 1 %."""
-_MOST_POINTS = 100_000
-"""Most interior check points, so that their trajectories fit into memory."""
+_MOST_POINTS = 100_000  # Most interior check points, so that their trajectories fit into memory
 _COVERS = ("interior", "box")
+# Factor on the budget of work where functions of the user are called, which may be slow
 _USER_FUNCTION_FACTOR = 10.0
-"""Factor on the budget of work where functions of the user are called, which may be slow."""
 
 EngineOptions = TypeVar("EngineOptions", bound=Options)
 

@@ -52,16 +52,6 @@ from rankone.ir.jumps import Jumps, unchanged
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 
-__all__ = [
-    "Kernel",
-    "Kernels",
-    "ModuleSpecification",
-    "System",
-    "UserFunction",
-    "refuse_gap",
-    "system_of",
-]
-
 Kernel: TypeAlias = Callable[..., Array]
 """One of the functions of the table above."""
 UserFunction: TypeAlias = Callable[..., object]
@@ -277,8 +267,8 @@ def system_of(names: Mapping[str, object]) -> System:
     )
 
 
+# Relative changes of states and time over which a gap ahead of a trajectory is looked for
 _GAP_DISTANCES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
-"""Relative changes of states and time over which a gap ahead of a trajectory is looked for."""
 
 
 def refuse_gap(system: System, time: float, state: Array, point: Array) -> None:

@@ -15,37 +15,9 @@ from rankone.support.budget import OutOfBudgetError, OutOfWorkError
 from rankone.support.plain_data import Tagged
 from rankone.support.wording import listing, quote
 
-__all__ = [
-    "AccurateUnknowns",
-    "Budget",
-    "Cause",
-    "DerivativeOf",
-    "EarlyEnd",
-    "MeasuredError",
-    "MovingFeatures",
-    "Note",
-    "NothingInterpolated",
-    "NumericallyZero",
-    "OtherEngines",
-    "OutputError",
-    "PartOfSolution",
-    "ReferenceLimit",
-    "Remedy",
-    "Status",
-    "SteepParameter",
-    "StoppedAt",
-    "SwitchingTerm",
-    "TrajectoryStops",
-    "UncertainPart",
-    "UnknownOutputError",
-    "UnsettledTerms",
-    "Verdict",
-]
-
-_MOST_NAMES = 4
-"""Unknowns that a message names; a longer list is not read."""
-_LEAST_SHARE = 0.005
-"""Share of the budget from which a stage is named: it rounds to one percent."""
+_MOST_NAMES = 4  # Unknowns that a message names; a longer list is not read
+_LEAST_SHARE = 0.005  # Share of the budget from which a stage is named: it rounds to one percent
+# What messages call the stages of a solve
 _STAGES = {
     "reference": "the reference trajectories",
     "samples": "samples",
@@ -53,7 +25,6 @@ _STAGES = {
     "ranks": "ranks",
     "check": "the check",
 }
-"""What messages call the stages of a solve."""
 
 
 class Status(Enum):

@@ -26,21 +26,16 @@ from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationErro
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.evaluator import Rows, TrainEvaluator
 
-__all__ = ["SolutionCore", "UnknownView", "raise_blow_up"]
-
-
+# How trajectories end before the horizon
 _ENDS = {
     Status.BLOW_UP: "blows up inside the horizon",
     Status.LEAVES: "reaches a point where its right-hand side is not finite",
     Status.SWITCHES: "switches to and fro without end",
 }
-"""How trajectories end before the horizon."""
+# Fractions of a safe interval to solve on: near its end the states are very large
 _KEPT_SHARES = (0.95, 0.8, 0.5)
-"""Fractions of a safe interval to solve on: near its end the states are very large."""
-_MOST_SMALLER_BOXES = 4
-"""Most boxes to solve on; each has an equal share of the budget."""
-_MESSAGE_DIGITS = 100.0
-"""A message gives the end of an interval to a hundredth of its length."""
+_MOST_SMALLER_BOXES = 4  # Most boxes to solve on; each has an equal share of the budget
+_MESSAGE_DIGITS = 100.0  # A message gives the end of an interval to a hundredth of its length
 
 
 class SolutionCore:

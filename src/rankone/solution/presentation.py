@@ -23,14 +23,9 @@ from rankone.support.wording import count, listing
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["dataset", "summary_html", "summary_text"]
-
-_TIMES = 101
-"""Times of labelled values where none are given: one per percent of the horizon."""
-_WIDTH = 96
-"""Characters of a line of the summary: it fits into a terminal beside a prompt."""
-_MOST_NAMES = 8
-"""Entries of a list before its middle is left out."""
+_TIMES = 101  # Times of labelled values where none are given: one per percent of the horizon
+_WIDTH = 96  # Characters of a line of the summary: it fits into a terminal beside a prompt
+_MOST_NAMES = 8  # Entries of a list before its middle is left out
 
 
 def summary_text(solution: SolutionCore) -> str:

@@ -16,10 +16,8 @@ from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.slab import at_one_time, differentiated, fixed, restricted
 
-__all__ = ["at_time", "derived", "merged", "with_fixed", "with_restricted"]
-
+# Smallest interval over the one before: rounding errors of derivatives grow with its inverse
 _LEAST_SHARE = 1e-6
-"""Smallest interval over the one before: rounding errors of derivatives grow with its inverse."""
 
 _Pair = tuple[Outcome, SolutionMetadata]
 

@@ -35,8 +35,6 @@ from rankone.support.progress import Report
 from rankone.verification.measure import ReferenceSet, worst_points
 from rankone.verification.reference import safe_intervals
 
-__all__ = ["Attempt", "Marcher", "Progress", "error_notes", "solve_in_attempts", "unknowns_notes"]
-
 EXPLANATION_OPERATIONS = 5e9
 """Most operations kept back to explain a failure: a search for the steep parameter needs them."""
 EXPLANATION_SECONDS = 5.0
@@ -49,20 +47,20 @@ PAYING_FACTOR = 1.5
 """Factor by which a recent attempt must have lowered the error to go on in any case."""
 RECENT_ATTEMPTS = 3
 """Attempts that count as recent: two that fail in a row may be followed by one that succeeds."""
+# Limits in the order in which they explain a failure
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
-"""Limits in the order in which they explain a failure."""
 _REMEDIES = {
     Status.WORK_LIMIT: "raise effort",
     Status.TIME_LIMIT: "give more time by max_seconds",
     Status.MEMORY_LIMIT: "narrow the box, loosen rtol or take another method",
 }
+# Limits that a later attempt may meet, although an earlier one is the best
 _LIMITS_OF_THE_SOLVE = (
     Status.WORK_LIMIT,
     Status.TIME_LIMIT,
     Status.TRAJECTORY_LIMIT,
     Status.MEMORY_LIMIT,
 )
-"""Limits that a later attempt may meet, although an earlier one is the best."""
 
 
 @dataclass(frozen=True)

@@ -20,16 +20,13 @@ from rankone.support.progress import Report, quiet
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
 
-__all__ = ["Engine", "Report", "solve_with"]
-
+# Statuses after which no other engine is tried
 _FINAL = (Status.CONVERGED, Status.UNCHECKED, Status.STEEP, *(s for s in Status if s.ends_early))
-"""Statuses after which no other engine is tried."""
+# Most operations of train if cross follows: a system that suits train needs fewer
 _TRAIN_OPERATIONS = 2e9
-"""Most operations of train if cross follows: a system that suits train needs fewer."""
-_TRAIN_SHARE = 0.4
-"""Largest share of the budget for train if cross follows."""
+_TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows
+# Share of the budget for cross if train follows: most systems need no second engine
 _CROSS_SHARE = 0.7
-"""Share of the budget for cross if train follows: most systems need no second engine."""
 _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 

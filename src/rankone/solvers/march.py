@@ -16,10 +16,7 @@ from rankone.support.budget import OutOfBudgetError
 from rankone.support.progress import ProgressEvent, Report
 from rankone.tensors.slab import SlabTrain
 
-__all__ = ["Lengths", "March", "MarchResult", "SlabSolver", "Span", "Trial"]
-
-_HORIZON_ROUNDING = 1e-12
-"""Fraction of the horizon that rounding may leave over at its end."""
+_HORIZON_ROUNDING = 1e-12  # Fraction of the horizon that rounding may leave over at its end
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,12 @@ from rankone.solvers.engine import Engine
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean
 
-__all__ = ["AUTO", "ENGINES", "engines_for"]
-
 AUTO = "auto"
+# Most parameters for which train comes first: it is as fast as cross there, and more exact
 _FEW_PARAMETERS = 1
-"""Most parameters for which train comes first: it is as fast as cross there, and more exact."""
 
+# Options about where to compute, which leave the choice of an engine open
 _RESOURCES = {"executor"}
-"""Options about where to compute, which leave the choice of an engine open."""
 
 ENGINES: dict[str, Engine] = {
     engine.name: engine for engine in (train.ENGINE, cross.ENGINE, greedy.ENGINE)

@@ -34,21 +34,11 @@ from rankone.support.wording import is_line, name_defect, quote
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
-__all__ = [
-    "FORMAT",
-    "FORMAT_VERSION",
-    "Arrays",
-    "digest_of",
-    "not_a_solution",
-    "packed",
-    "reading",
-    "unpacked",
-]
-
 FORMAT = "rankone-solution"
 FORMAT_VERSION = 1
+# Fields of an outcome that the header holds as they are
 _PLAIN = ("status", "cause", "notes", "measured", "timings", "work", "blow_up")
-"""Fields of an outcome that the header holds as they are."""
+# What reading a damaged file may raise
 _DAMAGE = (
     BadZipFile,
     EOFError,
@@ -60,9 +50,8 @@ _DAMAGE = (
     ValueError,
     ZlibError,
 )
-"""What reading a damaged file may raise."""
+# Fraction of the horizon by which neighbouring slabs may miss each other, from rounding
 _SLAB_GAP = 1e-9
-"""Fraction of the horizon by which neighbouring slabs may miss each other, from rounding."""
 
 
 Arrays = Mapping[str, NDArray[Any]]

@@ -28,15 +28,12 @@ from rankone.support.errors import StorageError, optional_module
 from rankone.support.files import as_path, free_target, write_files
 from rankone.support.wording import clip
 
-__all__ = ["SIGNATURE", "SUFFIX", "read", "sealed", "target", "write"]
-
 SUFFIX = ".nc"
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """The first bytes of a netCDF-4 file."""
-_SEAL = b"\nrankone sha256 "
-"""What stands between the netCDF file and its SHA-256."""
+_SEAL = b"\nrankone sha256 "  # What stands between the netCDF file and its SHA-256
+# Characters of an attribute: HDF5 keeps less than 64 KiB, four bytes for a character of UTF-8
 _LONGEST_ATTRIBUTE = 15_000
-"""Characters of an attribute: HDF5 keeps less than 64 KiB, four bytes for a character of UTF-8."""
 _SUMMARY = (
     "Tensor trains: rankone.load evaluates them for every parameter value and time, and reads "
     "header, digest and core_<slab>_<dimension> alone"

@@ -21,14 +21,12 @@ from rankone.support.arrays import Array
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path, free_target, npz, write_files
 
-__all__ = ["read", "target", "write"]
-
 _SUFFIX = ".npy"
+# Readers of the header of an array, by the version of its format
 _READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
-"""Readers of the header of an array, by the version of its format."""
 
 
 def target(path: str | PathLike[str], overwrite: bool) -> Path:

@@ -7,13 +7,10 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "corners", "spread"]
-
 Array = NDArray[np.float64]
 """Real numbers."""
 
-_ITERATIONS = 40
-"""Fixed-point iterations for the root of φ^(d + 1) = φ + 1."""
+_ITERATIONS = 40  # Fixed-point iterations for the root of φ^(d + 1) = φ + 1
 
 
 def spread(count: int, d: int, generator: np.random.Generator) -> Array:

@@ -17,37 +17,15 @@ from typing import NamedTuple
 from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
 
-__all__ = [
-    "EFFORT_HELP",
-    "LEAST_EFFORT",
-    "NORMAL",
-    "Account",
-    "OutOfBudgetError",
-    "OutOfTimeError",
-    "OutOfWorkError",
-    "Reached",
-    "charge",
-    "check_time",
-    "effort_of",
-    "limited",
-    "operations_for",
-    "preparing",
-    "seconds_left",
-    "unlimited",
-    "work_done",
-    "work_left",
-]
-
 EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best so far is kept"
 NORMAL = 2.5e10
 """Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
 LEAST_EFFORT = 1e-6
 """Smallest factor on the budget: 25 microseconds of work, less than any solve."""
-_MOST_EFFORT = 1e6
-"""Largest factor on the budget: most of a year."""
+_MOST_EFFORT = 1e6  # Largest factor on the budget: most of a year
+# Seconds of an operation, roughly: work that would end after the deadline is not begun
 _OPERATION_SECONDS = 1e-9
-"""Seconds of an operation, roughly: work that would end after the deadline is not begun."""
 
 
 class Reached(NamedTuple):

@@ -16,27 +16,14 @@ import numpy as np
 
 from rankone.support.arrays import Array
 
-__all__ = [
-    "CALL",
-    "Cost",
-    "eigenvalues",
-    "in_pieces",
-    "inverse",
-    "product",
-    "qr",
-    "svd",
-]
-
 CALL = 1e3
 """A call of NumPy for small arrays."""
+# Operations of a piece of work between two looks at the budget: a fifth of a second
 _PIECE_OPERATIONS = 2e8
-"""Operations of a piece of work between two looks at the budget: a fifth of a second."""
 _ARITHMETIC_CODE = dis.opmap["BINARY_OP"]
 _CALL_CODE = dis.opmap["CALL"]
-_POWER_ARGUMENTS = (8, 21)
-"""Arguments of BINARY_OP that stand for ``**`` and ``**=``."""
-_INDEX_ARGUMENT = 26
-"""The argument of BINARY_OP that stands for ``[]``, from Python 3.14 on."""
+_POWER_ARGUMENTS = (8, 21)  # Arguments of BINARY_OP that stand for ``**`` and ``**=``
+_INDEX_ARGUMENT = 26  # The argument of BINARY_OP that stands for ``[]``, from Python 3.14 on
 
 
 @dataclass(frozen=True)
@@ -57,16 +44,12 @@ class Cost:
         return Cost(count * self.once, count * self.each)
 
 
+# A generated function without any term: it looks at shapes and makes the array it returns
 _ENTRY = Cost(3e3, 0.0)
-"""A generated function without any term: it looks at shapes and makes the array it returns."""
-_TERM = Cost(500.0, 0.5)
-"""An arithmetic operation on arrays."""
-_FUNCTION = Cost(900.0, 7.0)
-"""A call of a NumPy function such as exp."""
-_POWER = Cost(900.0, 14.0)
-"""A power."""
-_USER_FUNCTION = Cost(5e5, 2e3)
-"""A call of a function of the user, which may be slow."""
+_TERM = Cost(500.0, 0.5)  # An arithmetic operation on arrays
+_FUNCTION = Cost(900.0, 7.0)  # A call of a NumPy function such as exp
+_POWER = Cost(900.0, 14.0)  # A power
+_USER_FUNCTION = Cost(5e5, 2e3)  # A call of a function of the user, which may be slow
 
 
 @lru_cache(32)

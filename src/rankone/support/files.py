@@ -16,12 +16,10 @@ import numpy as np
 
 from rankone.support.errors import RankoneError
 
-__all__ = ["Content", "as_path", "free_target", "npz", "write_files"]
-
 Content = str | bytes | Callable[[IO[bytes]], object]
 """Text, bytes, or a function that writes to a binary stream."""
+# Characters of a name that its temporary file keeps: file systems limit names to 255 bytes
 _KEPT_CHARACTERS = 48
-"""Characters of a name that its temporary file keeps: file systems limit names to 255 bytes."""
 _OTHER_NAME = "choose another name, or overwrite=True (--overwrite on the command line)"
 
 

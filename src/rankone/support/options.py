@@ -12,22 +12,9 @@ from typing import Any, ClassVar, Self
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, shown
 
-__all__ = [
-    "Options",
-    "checked_count",
-    "checked_number",
-    "choice",
-    "integer",
-    "integers",
-    "number",
-    "refuse_positional",
-]
-
-
+# Floating-point numbers of random points: 2 GiB, beyond which systems end processes
 _MOST_POINT_NUMBERS = 2**28
-"""Floating-point numbers of random points: 2 GiB, beyond which systems end processes."""
-_LARGEST_INTEGER = 10**9
-"""Largest integer of an option: no limit above it is ever reached."""
+_LARGEST_INTEGER = 10**9  # Largest integer of an option: no limit above it is ever reached
 
 
 def checked_number(

@@ -16,8 +16,6 @@ from typing import Any, ClassVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["Tagged", "plain", "rebuilt"]
-
 _NOT_FINITE = ("nan", "inf", "-inf")
 
 

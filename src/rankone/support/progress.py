@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from rankone.support.errors import OptionError
 from rankone.support.wording import count
 
-__all__ = ["ProgressEvent", "Report", "progress_bar", "quiet", "resolve_progress", "timed"]
-
-
 logger = logging.getLogger("rankone")
 
 

@@ -9,35 +9,11 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Protocol
 
-__all__ = [
-    "aligned_equations",
-    "clip",
-    "count",
-    "did_you_mean",
-    "html_table",
-    "is_line",
-    "is_text",
-    "latex",
-    "latex_number",
-    "listing",
-    "name_defect",
-    "number",
-    "quote",
-    "shown",
-    "text_table",
-    "written",
-]
-
-_LONGEST_QUOTE = 160
-"""Characters of a quote: about two lines of a terminal."""
-_LONGEST_FRACTION = 24
-"""Characters above which a fraction is written as a decimal number."""
-_MOST_ROWS = 40
-"""Rows of a table that fit on one screen."""
-_WIDEST_CELL = 32
-"""Characters of a cell, so that a row of three stays on one line."""
-_RIGHT = "coefficient"
-"""The column that is aligned on the right."""
+_LONGEST_QUOTE = 160  # Characters of a quote: about two lines of a terminal
+_LONGEST_FRACTION = 24  # Characters above which a fraction is written as a decimal number
+_MOST_ROWS = 40  # Rows of a table that fit on one screen
+_WIDEST_CELL = 32  # Characters of a cell, so that a row of three stays on one line
+_RIGHT = "coefficient"  # The column that is aligned on the right
 
 
 class HasLatex(Protocol):

@@ -31,8 +31,6 @@ from rankone.verification.cuts import Cuts, resolving_pieces
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points, steepest_point
 
-__all__ = ["ENGINE"]
-
 _UNRESOLVED = (
     Status.TOLERANCE,
     Status.RANK_LIMIT,

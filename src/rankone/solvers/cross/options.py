@@ -11,8 +11,6 @@ from rankone.ir.outcome import SlabRecord
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, checked_number, choice, integer
 
-__all__ = ["CrossOptions", "CrossRecord"]
-
 _MAX_PROCESSES = 1000
 """More processes than this are a mistake."""
 

@@ -14,8 +14,6 @@ from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError
 
-__all__ = ["steepest_front"]
-
 
 def steepest_front(
     trajectories: Callable[[Array], Array],

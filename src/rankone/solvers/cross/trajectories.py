@@ -19,8 +19,6 @@ from rankone.trajectories.stacks import StackedIntegrator
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
-__all__ = ["TooManyTrajectories", "Trajectories", "TrajectoryEnds"]
-
 
 class TooManyTrajectories(Exception):
     """The limit of trajectories was met."""
