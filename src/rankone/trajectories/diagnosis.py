@@ -17,34 +17,19 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.trajectories.integrator import jacobians
 
-__all__ = [
-    "MOST_GROWTH",
-    "Rounding",
-    "first_to_end",
-    "growth_rate",
-    "rounding_errors",
-    "runs_away",
-    "switching_state",
-]
-
+# Relative changes of the states after which rates may cease to be finite
 _STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
-"""Relative changes of the states after which rates may cease to be finite."""
+# Lengths of steps, in horizons, over which a jump of the rates is looked for
 _JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)
-"""Lengths of steps, in horizons, over which a jump of the rates is looked for."""
-_RUNAWAY_GROWTH = 1e6
-"""Growth over a horizon, at the last rate, from which a state blows up."""
+_RUNAWAY_GROWTH = 1e6  # Growth over a horizon, at the last rate, from which a state blows up
+# Factor on a state that gives a later one: beside a pole the rate differs there
 _LATER_STATE = 1.0001
-"""Factor on a state that gives a later one: beside a pole the rate differs there."""
+# Relative error of computed states, in units of the last place, after many steps
 _SEVERAL_ROUNDINGS = 16.0
-"""Relative error of computed states, in units of the last place, after many steps."""
-_TINY_STATE = 1e-6
-"""Size of a state, over the largest one, up to which it may be numerically zero."""
-_RESOLVED = 1e-7
-"""Part of its size below which a change of a state does not count."""
-_DRAWS = 4
-"""Random rounding errors at each time; the largest effect counts."""
-MOST_GROWTH = 5.0
-"""Growth over the horizon, as a power of e, from which small states are amplified."""
+_TINY_STATE = 1e-6  # Size of a state, over the largest one, up to which it may be numerically zero
+_RESOLVED = 1e-7  # Part of its size below which a change of a state does not count
+_DRAWS = 4  # Random rounding errors at each time; the largest effect counts
+MOST_GROWTH = 5.0  # Growth over the horizon, as a power of e, from which small states are amplified
 
 
 def switching_state(

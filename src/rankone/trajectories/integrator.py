@@ -15,21 +15,8 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 
-__all__ = [
-    "JACOBIAN_ENTRY",
-    "LAST_GAP",
-    "DenseStep",
-    "DenseTrajectories",
-    "Integrator",
-    "SampledTrajectories",
-    "Tolerances",
-    "jacobians",
-]
-
-LAST_GAP = 100
-"""Distance from the end, in floating-point numbers, too short for a step of SciPy."""
-JACOBIAN_ENTRY = 10.0
-"""Operations for each entry of a stack of Jacobians that is made or read."""
+LAST_GAP = 100  # Distance from the end, in floating-point numbers, too short for a step of SciPy
+JACOBIAN_ENTRY = 10.0  # Operations for each entry of a stack of Jacobians that is made or read
 
 
 @dataclass(frozen=True)

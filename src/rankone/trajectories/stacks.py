@@ -36,32 +36,22 @@ from rankone.trajectories.steppers import (
     Stepper,
 )
 
-__all__ = ["StackedIntegrator", "has_smooth_rates"]
-
+# Steps of DOP853 after which stability is probed; stiff systems show soon
 _FIRST_PROBES = (10, 15, 20, 30)
-"""Steps of DOP853 after which stability is probed; stiff systems show soon."""
-_PROBE_INTERVAL = 100
-"""Steps between later probes: each costs a Jacobian and its eigenvalues."""
-_PROBE_REFUSALS = 10
-"""Refused steps after which stability is probed as well."""
+_PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
+_PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
+# Step times decay rate from which stability limits DOP853. It is unstable from about 6.
 _STIFF_PRODUCT = 3.0
-"""Step times decay rate from which stability limits DOP853. It is unstable from about 6."""
+# Factor on tolerances with which Radau is as accurate as DOP853: its estimate is cautious
 _RADAU_TOLERANCE = 1.7
-"""Factor on tolerances with which Radau is as accurate as DOP853: its estimate is cautious."""
-_SMOOTH_DEGREE = 4
-"""Degree of polynomial rates up to which nothing is narrow over the states."""
-_TINY_STEP = 1e-9
-"""Length of a step, in horizons, that makes no progress."""
-_MOST_TINY_STEPS = 1000
-"""Tiny steps in a row that end a trajectory."""
-_EARLY_STEPS = 4
-"""Steps after which states that start from zero show their size."""
+_SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
+_TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
+_MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
+_EARLY_STEPS = 4  # Steps after which states that start from zero show their size
+# Operations besides an evaluation of the rates: once, and for each number in the stack
 _STAGE_COST = Cost(8e3, 5.0)
-"""Operations besides an evaluation of the rates: once, and for each number in the stack."""
-_STEP_COST = Cost(40e3, 5.0)
-"""Operations of a step besides its stages."""
-_READ_COST = Cost(60e3, 12.0)
-"""Operations of reading states off a step: once, and for each number."""
+_STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
+_READ_COST = Cost(60e3, 12.0)  # Operations of reading states off a step: once, and for each number
 
 _Method: TypeAlias = Callable[[Rates, float, Array, float], Stepper]
 """Starts an integration of rates from a time and states to an end."""

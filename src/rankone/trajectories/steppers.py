@@ -26,36 +26,28 @@ from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, function_cost, in_pieces, inverse
 from rankone.trajectories.integrator import Tolerances
 
-__all__ = ["DefectControl", "Rates", "StackedDOP853", "StackedRadau", "Stepper"]
-
+# What only a step of Radau changes, except its factorisations
 _RADAU_STATE = ("h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
-"""What only a step of Radau changes, except its factorisations."""
+# What a step changes, and a refused one changes back
 _STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
-"""What a step changes, and a refused one changes back."""
+# Shares of a step, between the nodes of Radau, at which the interpolant is checked
 _BETWEEN_NODES = (0.4, 0.85)
-"""Shares of a step, between the nodes of Radau, at which the interpolant is checked."""
+# Largest interpolation error of Radau, in tolerances, that is accepted
 _MOST_INTERPOLATION_ERROR = 10.0
-"""Largest interpolation error of Radau, in tolerances, that is accepted."""
+# Part of a step with a large defect that is tried next: enough to stop before what was missed
 _SHORTENING = 0.2
-"""Part of a step with a large defect that is tried next: enough to stop before what was missed."""
+# Largest defect at crossings, times the step, in tolerances. Smooth rates reach 40.
 _MOST_CROSSING_DEFECT = 100.0
-"""Largest defect at crossings, times the step, in tolerances. Smooth rates reach 40."""
-_MOST_RANDOM_DEFECT = 300.0
-"""The same at random places: the largest of many is larger."""
+_MOST_RANDOM_DEFECT = 300.0  # The same at random places: the largest of many is larger
+# Defect over the rates from which a step missed something, and is not just inaccurate
 _DIFFERENT_RATES = 0.5
-"""Defect over the rates from which a step missed something, and is not just inaccurate."""
-_MOST_ROOT_ITERATIONS = 30
-"""Most iterations for the time of a crossing; about ten suffice."""
-_ROOT_ACCURACY = 1e-14
-"""Accuracy of that time, in steps: a few roundings."""
-_LEAST_PLACES = 2
-"""Fewest random places on each trajectory in every step."""
+_MOST_ROOT_ITERATIONS = 30  # Most iterations for the time of a crossing; about ten suffice
+_ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
+_LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
+# Random places on all trajectories together: what one evaluation of the rates takes well
 _PLACES = 512
-"""Random places on all trajectories together: what one evaluation of the rates takes well."""
-_PRODUCT_COST = Cost(40.0, 0.5)
-"""Operations of a matrix times a vector: once, and for each entry."""
-_LOOK_COST = Cost(50e3, 15.0)
-"""Operations of evaluating an interpolant: once, and for each state."""
+_PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
+_LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
 
 Rates: TypeAlias = Callable[[float, Array], Array]
 """Stacked rates (n m,) at a time and a stacked state."""

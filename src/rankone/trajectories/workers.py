@@ -30,12 +30,10 @@ from rankone.support.budget import (
 )
 from rankone.support.errors import OptionError, RankoneError
 
-__all__ = ["Workers", "open_workers"]
-
+# How an executor says that a worker died
 _DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
-"""How an executor says that a worker died."""
+# What to do if workers die at once
 _GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
-"""What to do if workers die at once."""
 Answer = TypeVar("Answer")
 """What a task comes to."""
 Arguments: TypeAlias = "tuple[object, ...]"

@@ -24,50 +24,33 @@ from rankone.support.budget import charge
 from rankone.support.costs import Cost
 from rankone.support.errors import OptionError
 
-__all__ = ["Cuts", "located_cuts", "resolving_pieces", "system_cuts"]
-
-_SAMPLES = 2**14
-"""Fine samples over the interval: narrower pieces may be missed."""
-_NODES = 14
-"""Nodes of an interpolant that resolves smooth pieces."""
+_SAMPLES = 2**14  # Fine samples over the interval: narrower pieces may be missed
+_NODES = 14  # Nodes of an interpolant that resolves smooth pieces
+# Interpolation error that counts as resolved, relative to the largest function value
 _RESOLVED_ERROR = 1e-7
-"""Interpolation error that counts as resolved, relative to the largest function value."""
+# Error over that one below which both halves are smooth, and the cut is between them
 _SMOOTH_ERROR = 1e-3
-"""Error over that one below which both halves are smooth, and the cut is between them."""
+# Shares of a piece that are sampled too, since small pieces contain no fine sample
 _OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
-"""Shares of a piece that are sampled too, since small pieces contain no fine sample."""
-_LOOK_COST = Cost(80e3, 3.0)
-"""Operations of an interpolation on a piece: once, and for each sample."""
-_NARROW_PIECE = 1.0 / 64.0
-"""Width of a narrow piece, relative to the interval: its ends are cuts."""
-_RARE_SHARE = 0.25
-"""Narrow pieces count if they make up less than this part of the interval."""
-_MOST_DEPTH = 13
-"""Bisections of the interval: down to about a sample."""
-_MOST_ROUNDS = 4
-"""Rounds of sampling, each between the cuts of those before."""
-_CLOSEST = 1e-9
-"""Distance of cuts that samples tell apart, relative to the interval."""
-_LOCATED = 1e-15
-"""Width of a piece, relative to the size of its ends, at which a cut is located."""
-_SIZE_SAMPLES = 224
-"""Samples that tell the size of a factor."""
-_MOST_ROUGH_PIECES = 1000
-"""Most places at which samples show functions that are not smooth."""
-_MOST_REPEATED = 10_000
-"""Most cuts that repeat with a period."""
+_LOOK_COST = Cost(80e3, 3.0)  # Operations of an interpolation on a piece: once, and for each sample
+_NARROW_PIECE = 1.0 / 64.0  # Width of a narrow piece, relative to the interval: its ends are cuts
+_RARE_SHARE = 0.25  # Narrow pieces count if they make up less than this part of the interval
+_MOST_DEPTH = 13  # Bisections of the interval: down to about a sample
+_MOST_ROUNDS = 4  # Rounds of sampling, each between the cuts of those before
+_CLOSEST = 1e-9  # Distance of cuts that samples tell apart, relative to the interval
+_LOCATED = 1e-15  # Width of a piece, relative to the size of its ends, at which a cut is located
+_SIZE_SAMPLES = 224  # Samples that tell the size of a factor
+_MOST_ROUGH_PIECES = 1000  # Most places at which samples show functions that are not smooth
+_MOST_REPEATED = 10_000  # Most cuts that repeat with a period
+# Cuts that are closer, relative to the largest size of the coordinate, are the same
 _COINCIDENT = 1e-14
-"""Cuts that are closer, relative to the largest size of the coordinate, are the same."""
-_MOST_CLOSE_PAIRS = 100
-"""Most pairs of such cuts that are checked."""
+_MOST_CLOSE_PAIRS = 100  # Most pairs of such cuts that are checked
+# Area of a pulse between two such cuts, over that of the function, from which it counts
 _PULSE_SHARE = 1e-9
-"""Area of a pulse between two such cuts, over that of the function, from which it counts."""
-_POLE = 1e9
-"""A factor that is so many times larger at a cut than at samples may have a pole there."""
+_POLE = 1e9  # A factor that is so many times larger at a cut than at samples may have a pole there
+# Distances from a cut, in widths of the interval, between which a pole grows
 _POLE_DISTANCES = (1e-11, 1e-14)
-"""Distances from a cut, in widths of the interval, between which a pole grows."""
-_POLE_GROWTH = 10.0
-"""Factor by which a pole grows between them; a narrow peak does not."""
+_POLE_GROWTH = 10.0  # Factor by which a pole grows between them; a narrow peak does not
 
 
 class TooManyCuts(Exception):

@@ -38,73 +38,47 @@ from rankone.verification.points import (
 from rankone.verification.reference import Reference, integrate_reference
 from rankone.verification.search import Climb, climbed
 
-__all__ = ["ReferenceSet", "drift", "times_within", "worst_points"]
-
-_REFERENCE_ACCURACY = 3e-3
-"""Tolerance of the reference over the tolerance of the solve."""
-_LEAST_ACCURACY = 3e-13
-"""Tightest tolerance of the reference: rounding errors are larger."""
-_SOLVED_SHARE = 0.9
-"""Part of the way to a blow-up that is still solved."""
-_SIZE_SAMPLES = 201
-"""Evenly spaced times at which the sizes of the states are measured."""
+_REFERENCE_ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of the solve
+_LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
+_SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
+_SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
+# The same from one jump to the next, in shares of the time between
 _JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])
-"""The same from one jump to the next, in shares of the time between."""
-_LEAST_SIZE = 1e-140
-"""Size of a state below which its square is lost."""
-_COINCIDENT = 1e-13
-"""Cuts this close to a jump, relative to the ends of the horizon, are that jump."""
-_MOST_CHECKED_CUTS = 16
-"""Most cuts of a parameter that are checked on either side."""
-_CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])
-"""Checked times, in slab lengths."""
-_GROWTH_STEPS = 32
-"""Steps over the horizon by which the growth of errors is followed."""
-_GROWTH_TRAJECTORIES = 5
-"""Check points at which it is followed, the centre first."""
-_BESIDE_POLE = 0.99
-"""Factor on the Jacobian where its Cayley transform does not exist."""
-_SAFE_QUANTILE = 0.95
-"""Part of the points whose errors the reported quantile bounds."""
-_DRIFT_POINTS = 24
-"""Points at which lifted states are compared with what they stand for."""
+_LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
+_COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
+_MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
+_CHECK_SHARES = np.array([0.0, 0.13, 0.31, 0.5, 0.69, 0.87, 1.0])  # Checked times, in slab lengths
+_GROWTH_STEPS = 32  # Steps over the horizon by which the growth of errors is followed
+_GROWTH_TRAJECTORIES = 5  # Check points at which it is followed, the centre first
+_BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
+_SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
+_DRIFT_POINTS = 24  # Points at which lifted states are compared with what they stand for
+# Times at which they are compared, in slab lengths
 _DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])
-"""Times at which they are compared, in slab lengths."""
 
-_CANDIDATES = 512
-"""Points at which residuals are looked at, with up to three parameters."""
-_MOST_CANDIDATES = 2560
-"""The same with more parameters, as far as the work goes."""
-_WORK = 3e7
-"""Multiplications that residuals and jumps may take: about a tenth of a second."""
-_MOST_SLABS = 4
-"""Slabs on which residuals are looked at, and jumps of a kind."""
-_CHOSEN = 8
-"""Worst points that are taken."""
-_CORNER_INTERVAL = 5
-"""With more than three parameters every fifth candidate is near a corner."""
+_CANDIDATES = 512  # Points at which residuals are looked at, with up to three parameters
+_MOST_CANDIDATES = 2560  # The same with more parameters, as far as the work goes
+_WORK = 3e7  # Multiplications that residuals and jumps may take: about a tenth of a second
+_MOST_SLABS = 4  # Slabs on which residuals are looked at, and jumps of a kind
+_CHOSEN = 8  # Worst points that are taken
+_CORNER_INTERVAL = 5  # With more than three parameters every fifth candidate is near a corner
+# Power of the distance from the centre that draws points towards the corners
 _CORNER_POWER = 1.0 / 3.0
-"""Power of the distance from the centre that draws points towards the corners."""
+# Factor on the error that is tolerated there unless corners count: few points are so near
 _CORNER_ERROR = 5.0
-"""Factor on the error that is tolerated there unless corners count: few points are so near."""
-_RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])
-"""Times of residuals, in slab lengths."""
+_RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])  # Times of residuals, in slab lengths
+# Part of the tolerance below which errors and residuals count as this part of it
 _NEGLIGIBLE = 1e-3
-"""Part of the tolerance below which errors and residuals count as this part of it."""
+# Expected error over the tolerance from which a point is doubtful. On smooth problems expected
+# errors are too large and reach 1.4; where something was missed, 3.
 _DOUBTFUL_ERROR = 1.5
-"""Expected error over the tolerance from which a point is doubtful.
-
-On smooth problems expected errors are too large and reach 1.4; where something was missed, 3."""
-_MOST_COMPARED = 64
-"""Reference trajectories whose residuals tell what a residual amounts to."""
+_MOST_COMPARED = 64  # Reference trajectories whose residuals tell what a residual amounts to
+# Most points at which a jump is checked that is not a polynomial of the states
 _JUMP_CANDIDATES = 16_384
-"""Most points at which a jump is checked that is not a polynomial of the states."""
-_JUMP_ERROR = 3.0
-"""Error after a jump, over the tolerance, from which a point is doubtful."""
-_CLIMBERS = 64
-"""Points with the largest errors after a jump, from which larger ones are looked for."""
+_JUMP_ERROR = 3.0  # Error after a jump, over the tolerance, from which a point is doubtful
+_CLIMBERS = 64  # Points with the largest errors after a jump, from which larger ones are looked for
+# The way to them. The last steps are as short as the kinks are thin.
 _TO_KINKS = Climb(rounds=8, tries=8, first_step=0.1, shrinkage=0.4)
-"""The way to them. The last steps are as short as the kinks are thin."""
 
 
 @dataclass(frozen=True)

@@ -39,41 +39,25 @@ from rankone.trajectories.stacks import StackedIntegrator, has_smooth_rates
 from rankone.verification.points import check_points
 from rankone.verification.search import bisected
 
-__all__ = [
-    "Reference",
-    "integrate_reference",
-    "safe_intervals",
-]
-
-_NEGLIGIBLE = 1e-7
-"""Part of a state's size at which its relative accuracy ends."""
-_LONGEST_STEP = 0.1
-"""Longest step, in horizons, if narrow functions may hide between its stages."""
+_NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
+_LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages
+# Growth of a state over its size from which it blows up, and does not meet a pole or border
 _BLOW_UP_GROWTH = 1e3
-"""Growth of a state over its size from which it blows up, and does not meet a pole or border."""
-_COINCIDENT = 1e-14
-"""Times that are closer, relative to the ends of the horizon, are the same."""
+_COINCIDENT = 1e-14  # Times that are closer, relative to the ends of the horizon, are the same
+# Part of its early size to which a state is resolved that stays negligible, but is amplified
 _LINGERING = 1e-3
-"""Part of its early size to which a state is resolved that stays negligible, but is amplified."""
+# Size, in negligible parts of the presumed one, below which a state turns out to be small
 _SMALL_STATE = 10.0
-"""Size, in negligible parts of the presumed one, below which a state turns out to be small."""
-_SAMPLES = 8
-"""Times at which rounding errors and the growth of small states are estimated."""
-_DENSE_COST = Cost(50e3, 15.0)
-"""Operations of evaluating dense output: once, and for each state."""
-_MOST_INTEGRATIONS = 4
-"""Most integrations: a state that starts from zero shows its size only then."""
+_SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
+_DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
+_MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
 
-_FACE_RTOL = 1e-3
-"""Relative tolerance of trajectories that only show whether they reach the end."""
-_FACE_POINTS = 8
-"""Trajectories that begin inside of a face of the box."""
+_FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
+_FACE_POINTS = 8  # Trajectories that begin inside of a face of the box
+# Halvings between a face and the trajectory that ends early: one percent of the box is enough
 _FACE_HALVINGS = 7
-"""Halvings between a face and the trajectory that ends early: one percent of the box is enough."""
-_FACE_WORK = 1.5e9
-"""Most operations for all faces: about two seconds."""
-_FACE_WORK_SHARE = 0.5
-"""Most of what is left of the budget for them."""
+_FACE_WORK = 1.5e9  # Most operations for all faces: about two seconds
+_FACE_WORK_SHARE = 0.5  # Most of what is left of the budget for them
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 
-__all__ = ["Climb", "bisected", "climbed"]
-
 
 @dataclass(frozen=True)
 class Climb:
