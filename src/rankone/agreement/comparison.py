@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
-from mpmath.libmp import mpf_abs, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
+from mpmath.libmp import fzero, mpf_abs, mpf_add, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
 
-from rankone.agreement.precise import PRECISION, NoValueError, Number, Program, number, total
+from rankone.agreement.precise import PRECISION, NoValueError, Number, Program, number
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote
@@ -82,7 +82,7 @@ class Comparison:
         With a ``seed``, intermediate results are disturbed, in the same way at both points.
         """
         pairs = zip(here, direction, strict=True)
-        there = [total(x, mpf_mul(_STEP, v, PRECISION, "n")) for x, v in pairs]
+        there = [mpf_add(x, mpf_mul(_STEP, v, PRECISION, "n"), PRECISION, "n") for x, v in pairs]
         residuals = []
         for point in (here, there):
             noise = None if seed is None else np.random.default_rng([_SEED, seed])
@@ -162,9 +162,14 @@ class Comparison:
         return sums
 
     def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number, Number]:
-        signed = [*terms[: self._left], *map(mpf_neg, terms[self._left :])]
-        computed = total(*(signed[i] for i in self._computed))
-        return total(*signed), total(*map(mpf_abs, terms)), computed
+        residual, size, computed = fzero, fzero, fzero
+        for i, term in enumerate(terms):
+            signed = term if i < self._left else mpf_neg(term)
+            residual = mpf_add(residual, signed, PRECISION, "n")
+            size = mpf_add(size, mpf_abs(term), PRECISION, "n")
+            if i in self._computed:
+                computed = mpf_add(computed, signed, PRECISION, "n")
+        return residual, size, computed
 
 
 def check_outputs(

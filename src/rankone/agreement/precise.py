@@ -79,7 +79,7 @@ class Program:
                 outcome = function(*(registers[i] for i in sources))
             except (ArithmeticError, ValueError, MemoryError) as error:
                 raise NoValueError from error
-            if noise is not None and isinstance(outcome, tuple):
+            if noise is not None and type(outcome) is tuple:
                 outcome = _disturbed(outcome, errors[self._inputs + step])
             registers.append(outcome)
         return cast(list[Number], [registers[i] for i in self._outputs])
@@ -106,7 +106,8 @@ class Program:
 
 def number(real: float) -> Number:
     """A floating-point number as one of mpmath."""
-    return cast(Number, from_float(float(real)))
+    converted: Number = from_float(float(real))
+    return converted
 
 
 def _folding(operation: Callable[..., Number], neutral: Number) -> Callable[..., Number]:
@@ -126,7 +127,8 @@ product = _folding(mpf_mul, fone)
 
 
 def _disturbed(exact: Number, error: float) -> Number:
-    return cast(Number, mpf_mul(exact, mpf_add(fone, from_float(error)), PRECISION, "n"))
+    disturbed: Number = mpf_mul(exact, mpf_add(fone, from_float(error)), PRECISION, "n")
+    return disturbed
 
 
 def _operands(expression: sp.Basic) -> tuple[sp.Basic, ...]:
@@ -184,7 +186,8 @@ def _integer_power(exponent: int) -> Operation:
     def power(base: Number) -> Number:
         if exponent < 0 and base == fzero:
             raise NoValueError
-        return cast(Number, mpf_pow_int(base, exponent, PRECISION, "n"))
+        raised: Number = mpf_pow_int(base, exponent, PRECISION, "n")
+        return raised
 
     return power
 
@@ -200,7 +203,8 @@ def _unwrapped(wrapped: mpmath.mpf) -> Number:
     """A real number of mpmath as a tuple."""
     if not isinstance(wrapped, _CONTEXT.mpf) or not _CONTEXT.isfinite(wrapped):
         raise NoValueError
-    return cast(Number, wrapped._mpf_)
+    unwrapped: Number = wrapped._mpf_
+    return unwrapped
 
 
 def _called(function: Callable[..., mpmath.mpf], *, growing: bool = False) -> Operation:

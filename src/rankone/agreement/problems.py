@@ -141,8 +141,9 @@ class _ProblemCheck:
         computed = [rates[i] for i in self.highest]
         leaves = [clock.symbol, *self.symbols, *states, *computed]
         pairs = zip(problem.equations, problem.residuals, strict=True)
-        self.written = [_written(equation, residual) for equation, residual in pairs]
-        self.compared = [Comparison(*both, leaves, computed) for both in self.written]
+        written = [_written(equation, residual) for equation, residual in pairs]
+        self.compared = [Comparison(*both, leaves, computed) for both in written]
+        self.smooth = [_is_smooth(both) for both in written]
 
     def run(self) -> None:
         """Raise a DisagreementError at the first disagreement."""
@@ -200,7 +201,7 @@ class _ProblemCheck:
             ]
             negligible = _NEGLIGIBLE_SLOPE * np.abs(direction).max()
             for origin, comparison in enumerate(self.compared, start=1):
-                if not _is_smooth(self.written[origin - 1]):
+                if not self.smooth[origin - 1]:
                     continue
                 try:
                     slopes = [comparison.slope(here, direction) for direction in along]
