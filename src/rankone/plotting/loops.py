@@ -12,7 +12,7 @@ from rankone.ir.outcome import SlabRecord
 from rankone.plotting.arguments import check_solution
 from rankone.plotting.style import MOST_NAMED, several_axes
 from rankone.solvers.cross.options import CrossRecord
-from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
+from rankone.solvers.greedy.slabs import EquationRecord, GreedySlabRecord
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import count
 

@@ -9,12 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import Cause, Status, UnsettledTerms
 from rankone.solvers.attempts import Attempt, Marcher, Progress
 from rankone.solvers.engine import Engine
-from rankone.solvers.greedy.constants import (
+from rankone.solvers.greedy.operators import first_nodes
+from rankone.solvers.greedy.options import (
     FAST_FACTOR,
     FEW_ITERATIONS,
     FIRST_SLAB_CONTRACTION,
@@ -24,11 +24,9 @@ from rankone.solvers.greedy.constants import (
     SLOW_FACTOR,
     TAIL_SHARE,
     TOLERANCE_SHARE,
+    GreedyOptions,
 )
-from rankone.solvers.greedy.history import GreedySlabRecord
-from rankone.solvers.greedy.operators import first_nodes
-from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.greedy.slabs import Coupling, GreedyTrial, LaggedSlabs
+from rankone.solvers.greedy.slabs import Coupling, GreedySlabRecord, GreedyTrial, LaggedSlabs
 from rankone.solvers.march import March, MarchResult, Span
 from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
@@ -37,16 +35,9 @@ from rankone.verification.measure import ReferenceSet
 
 @dataclass
 class SlabLengths:
-    """The controller of the lengths of slabs.
+    """The controller of the lengths of slabs; none crosses a cut (ascending times).
 
-    Parameters
-    ----------
-    start, end : float
-        The horizon.
-    longest : float
-        Longest first slab, if the lengths adapt.
-    cuts : sequence of float
-        Times, ascending, that no slab crosses.
+    If the lengths adapt, the first slab is no longer than ``longest``.
     """
 
     start: float
@@ -150,8 +141,11 @@ class GreedyMarcher(Marcher):
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """Say where the lagged terms settled least, if the iteration did not converge."""
-        unsettled = status is Status.NO_CONVERGENCE
-        return status, _unsettled(attempt.result.records) if unsettled else None
+        if status is not Status.NO_CONVERGENCE:
+            return status, None
+        worst = max(attempt.result.records, key=lambda record: record.residuals[-1])
+        residuals = worst.residuals
+        return status, UnsettledTerms(len(residuals), worst.start, worst.end, residuals[-1])
 
 
 def _stiffness(reference_set: ReferenceSet) -> float:
@@ -164,13 +158,6 @@ def _stiffness(reference_set: ReferenceSet) -> float:
     jacobian = np.broadcast_to(jacobian, (n, n, m, count))
     scaled = np.abs(jacobian) * (sizes[None, :] / sizes[:, None])[:, :, None, None]
     return float(scaled.sum(axis=1).max())
-
-
-def _unsettled(records: Sequence[SlabRecord]) -> UnsettledTerms:
-    """The slab on which the lagged terms settled least, as a sentence."""
-    worst = max(records, key=lambda record: record.residuals[-1])
-    updates, change = len(worst.residuals), worst.residuals[-1]
-    return UnsettledTerms(updates, worst.start, worst.end, change)
 
 
 ENGINE = Engine("greedy", GreedyOptions, GreedySlabRecord, GreedyMarcher)

@@ -22,37 +22,43 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
-from rankone.solvers.greedy.constants import (
+from rankone.solvers.greedy.operators import Equation
+from rankone.solvers.greedy.options import (
     BETTER_RESIDUAL,
     MAX_DENSE_SIZE,
     PASS_OPERATIONS,
     PROXIMAL_WEIGHT,
     SPARSE_OPERATIONS,
     STALLED_MODES,
+    GreedyOptions,
 )
-from rankone.solvers.greedy.history import ModeRecord
-from rankone.solvers.greedy.operators import Equation
-from rankone.solvers.greedy.options import GreedyOptions
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, product
 from rankone.tensors.rank_one_sums import RankOneSum
 
 
+@dataclass(frozen=True, slots=True)
+class ModeRecord:
+    """One enrichment.
+
+    ``differences`` holds the change of the mode in each pass of the fixed point, relative to the
+    mode. Its norm ``amplitude`` when it was found and the ``residual`` ``||D(U) - G||`` after the
+    projection or update are in units of the state's size. With ``projection="minimal-residual"``
+    the residual is the norm over the box, otherwise it is tested with the shape functions.
+    """
+
+    differences: tuple[float, ...]
+    amplitude: float
+    residual: float
+
+
 @dataclass(frozen=True)
 class Enriched:
-    """The result of the enrichment of one unknown.
+    """The result of the enrichment of one unknown, with a record for each new mode.
 
-    Attributes
-    ----------
-    modes : RankOneSum
-        Values at the nodes, amplitudes in the first dimension, the largest first.
-    amplitudes : ndarray (R,)
-        Norms of the modes.
-    residual : float
-        Norm of the discrete residual.
-    records : tuple of ModeRecord
-        One for each new mode.
+    Modes are values at the nodes, the largest first, with their norms ``amplitudes`` (R,) in the
+    first dimension.
     """
 
     modes: RankOneSum
@@ -63,21 +69,11 @@ class Enriched:
 
 @dataclass
 class Enrichment:
-    """Modes of one unknown for one source.
+    """Modes of one unknown for one tested source G, ``loads``, beginning with the modes ``start``.
 
-    Parameters
-    ----------
-    equation : Equation
-        The operator D.
-    loads : RankOneSum
-        The source G, tested.
-    start : RankOneSum, optional
-        Modes to begin with.
-    functional : float, optional
-        Squared norm of the source over the box; with it the residuals recorded are those of the
-        minimal residual, ``||D(U) - G||`` over the box.
-    units : tuple of float
-        Units of residuals and amplitudes in the records; the tolerance of a run is in the first.
+    With ``functional``, the squared norm of the source over the box, the residuals recorded are
+    ``||D(U) - G||`` over the box. Records have ``units`` of residuals and of amplitudes; the
+    tolerance of a run is in the first.
     """
 
     equation: Equation
@@ -101,7 +97,6 @@ class Enrichment:
 
     @property
     def rank(self) -> int:
-        """Number of modes."""
         return self.amplitudes.size
 
     @property
@@ -124,7 +119,10 @@ class Enrichment:
             mode, amplitude, differences = self._fixed_point()
             if mode is None:
                 break
-            self._append(mode, amplitude)
+            self.amplitudes = np.append(self.amplitudes, amplitude)
+            for j, r in enumerate(mode):
+                self.factors[j] = np.concatenate([self.factors[j], r[:, None]], axis=1)
+                self._refresh(j)
             self._update()
             residual = self.residual()
             shown = residual if self.functional is None else self.minimal_residual()
@@ -147,9 +145,8 @@ class Enrichment:
         """A new mode: unit functions, amplitude, change in each pass; None if there is none."""
         equation = self.equation
         mode = [self._random.standard_normal(size) for size in equation.sizes]
-        mode = [
-            r / math.sqrt(float(r @ m @ r)) for r, m in zip(mode, equation.metrics, strict=True)
-        ]
+        for j, (r, metric) in enumerate(zip(mode, equation.metrics, strict=True)):
+            mode[j] = r / math.sqrt(float(r @ metric @ r))
         onto_loads = [self.loads.factors[k].T @ mode[k] for k in self._dimensions]
         onto_modes = [self._against_modes(k, mode[k]) for k in self._dimensions]
         energies = [self._energies(k, mode[k]) for k in self._dimensions]
@@ -210,12 +207,6 @@ class Enrichment:
         square = (amplitude - previous) ** 2 - 2.0 * amplitude * previous * math.expm1(logarithm)
         return math.sqrt(max(square, 0.0)) / amplitude
 
-    def _append(self, mode: list[Array], amplitude: float) -> None:
-        self.amplitudes = np.append(self.amplitudes, amplitude)
-        for j, r in enumerate(mode):
-            self.factors[j] = np.concatenate([self.factors[j], r[:, None]], axis=1)
-            self._refresh(j)
-
     # --- projection and updates ----------------------------------------------------------------
 
     def _update(self) -> None:
@@ -228,18 +219,12 @@ class Enrichment:
                 for j in self._dimensions:
                     self._solve_dimension(j)
         else:
-            self._project()
-
-    def _project(self) -> None:
-        """Amplitudes from ``B alpha = H``."""
-        matrix, right = self._projected()
-        self.amplitudes = _solve(matrix, right)
+            self.amplitudes = _solve(*self._projected())
 
     def _projected(self) -> tuple[Array, Array]:
-        """B (R, R) and H (R,) of the projection step."""
-        matrix = self._other_grams(None).sum(axis=0)
+        """B (R, R) and H (R,) of the projection step ``B alpha = H``."""
         right = np.prod(self._load_products, axis=0).sum(axis=0)
-        return matrix, right
+        return self._other_grams(None).sum(axis=0), right
 
     def _solve_dimension(self, j: int) -> None:
         """All functions of dimension j at once, those of the others fixed."""
@@ -251,8 +236,7 @@ class Enrichment:
         right = self.loads.factors[j] @ _product(self._load_products, j)
         held = PROXIMAL_WEIGHT * float(np.abs(np.diagonal(grams[0])).max())
         grams[0] += held * np.eye(self.rank)
-        weighted = self.amplitudes * self._images[j][0]
-        right = right + held * weighted
+        right = right + held * (self.amplitudes * self._images[j][0])
         self.factors[j] = _solve_coupled(grams, equation.matrices[j], right, equation.bandwidth[j])
         self.amplitudes = np.ones(self.rank)
         self._normalise(j)

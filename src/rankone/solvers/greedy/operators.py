@@ -25,8 +25,12 @@ from rankone.discretization import LegendreBasis
 from rankone.discretization.finite_elements import LagrangeElements
 from rankone.ir.domain import Domain
 from rankone.ir.system import System
-from rankone.solvers.greedy.constants import FEW_PARAMETERS, FINE_DEGREE, FINITE_ELEMENT_NODES
-from rankone.solvers.greedy.options import GreedyOptions
+from rankone.solvers.greedy.options import (
+    FEW_PARAMETERS,
+    FINE_DEGREE,
+    FINITE_ELEMENT_NODES,
+    GreedyOptions,
+)
 from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum
 
@@ -34,14 +38,8 @@ from rankone.tensors.rank_one_sums import RankOneSum
 class SourceTerm(NamedTuple):
     """One term of f in ``u' = f``: a row of ``TERMS``.
 
-    Attributes
-    ----------
-    equation : int
-        The state whose derivative it is part of.
-    rows : tuple of int
-        Row of ``time_factors``, then of ``parameter_factors`` for each parameter; 0 is one.
-    monomial : tuple of int
-        States multiplied, of any degree.
+    ``rows`` are a row of ``time_factors``, then one of ``parameter_factors`` for each parameter; 0
+    is one. ``monomial`` lists the states multiplied, of any degree.
     """
 
     coefficient: float
@@ -137,21 +135,13 @@ class ShapeSpace:
 
 @dataclass(frozen=True)
 class Equation:
-    """The discrete operator of one unknown.
+    """The discrete operator D of one unknown, by dimension.
 
-    Attributes
-    ----------
-    matrices : tuple of ndarray (U_j, N_j, N_j)
-        The distinct matrices of each dimension.
-    index : tuple of tuple of int
-        For each dimension and each term of D the matrix it takes.
-    tests : tuple of tuple of ndarray (Q_j, N_j)
-        For each dimension the test functions at the quadrature points times the weights: one
-        entry for Galerkin, one for each term of D for the minimal residual.
-    metrics : tuple of ndarray (N_j, N_j)
-        Inner products in which residuals are measured and modes normalised.
-    bandwidth : tuple of int
-        Largest distance of an entry of the matrices from the diagonal.
+    ``matrices`` (U_j, N_j, N_j) are distinct; ``index`` says which one each term of D takes, and
+    ``bandwidth`` how far their entries are from the diagonal. ``tests`` (Q_j, N_j) are the test
+    functions at the quadrature points times the weights: one for Galerkin, one for each term of D
+    for the minimal residual. ``metrics`` (N_j, N_j) are the inner products in which residuals are
+    measured and modes normalised.
     """
 
     matrices: tuple[Array, ...]
@@ -162,7 +152,6 @@ class Equation:
 
     @property
     def terms(self) -> int:
-        """Number of terms of D."""
         return len(self.index[0])
 
     @property
@@ -281,33 +270,21 @@ def first_nodes(system: System, domain: Domain, rtol: float, options: GreedyOpti
     """Nodes to begin with: as given, 41 for finite elements, else by the tolerance.
 
     Legendre elements have enough nodes for the known functions of each parameter: the factors of
-    the terms and of the initial values.
-
-    Raises
-    ------
-    OptionError
-        If the number of nodes given does not fit the parameters.
+    the terms and of the initial values. Raises OptionError as ``given_parameter_nodes`` does.
     """
     counts = options.given_parameter_nodes(len(domain.box))
     digits = -math.log10(rtol)
     if options.elements != "legendre":
-        return Nodes(
-            options.time_nodes or FINITE_ELEMENT_NODES,
-            counts or (FINITE_ELEMENT_NODES,) * len(domain.box),
-        )
+        equal = (FINITE_ELEMENT_NODES,) * len(domain.box)
+        return Nodes(options.time_nodes or FINITE_ELEMENT_NODES, counts or equal)
     time = options.time_nodes or int(min(max(round(5.6 + 1.4 * digits), 6), 24))
     if counts is not None:
         return Nodes(time, counts)
     few = len(domain.box) <= FEW_PARAMETERS
     common = max(round((4.0 if few else 2.0) + 1.2 * digits), 4)
     tolerance = 1e-13 if few else 0.01 * rtol
-    return Nodes(
-        time,
-        tuple(
-            max(common, _resolving(system, j, lower, upper, tolerance))
-            for j, (lower, upper) in enumerate(domain.box)
-        ),
-    )
+    resolving = [_resolving(system, j, *bounds, tolerance) for j, bounds in enumerate(domain.box)]
+    return Nodes(time, tuple(max(common, count) for count in resolving))
 
 
 def _resolving(system: System, dimension: int, lower: float, upper: float, tolerance: float) -> int:

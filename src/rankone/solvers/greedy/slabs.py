@@ -13,18 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rankone.ir.domain import Domain
+from rankone.ir.outcome import SlabRecord
 from rankone.ir.system import System
 from rankone.ir.verdict import Status
-from rankone.solvers.greedy.constants import (
-    DIVERGED_CHANGE,
-    END_ROUNDING_SHARE,
-    INNER_TOLERANCE_SHARE,
-    JUMP_SHARE,
-    MAX_SOURCE_RANK,
-    THINNING_SHARE,
-)
-from rankone.solvers.greedy.enrichment import Enrichment
-from rankone.solvers.greedy.history import EquationRecord, GreedySlabRecord
+from rankone.solvers.greedy.enrichment import Enrichment, ModeRecord
 from rankone.solvers.greedy.operators import (
     Equation,
     Nodes,
@@ -33,12 +25,16 @@ from rankone.solvers.greedy.operators import (
     evaluation_order,
     source_terms,
 )
-from rankone.solvers.greedy.options import GreedyOptions
-from rankone.solvers.interpolation import (
-    PlainNodes,
-    interpolated,
-    interpolated_initial,
+from rankone.solvers.greedy.options import (
+    DIVERGED_CHANGE,
+    END_ROUNDING_SHARE,
+    INNER_TOLERANCE_SHARE,
+    JUMP_SHARE,
+    MAX_SOURCE_RANK,
+    THINNING_SHARE,
+    GreedyOptions,
 )
+from rankone.solvers.interpolation import PlainNodes, interpolated, interpolated_initial
 from rankone.solvers.march import Span, Trial
 from rankone.support.arrays import Array
 from rankone.tensors.rank_one_sums import RankOneSum, element_trains
@@ -46,23 +42,44 @@ from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Integers, Train
 
 
+@dataclass(frozen=True, slots=True)
+class EquationRecord:
+    """One solve of the equation of a ``state`` with lagged terms, in units of the state's size.
+
+    ``iteration`` counts the updates of the lagged terms from 0. ``modes`` are the enrichments in
+    this solve: none if the modes of the iteration before sufficed. ``amplitudes`` are those of all
+    modes afterwards, descending. ``residual``, which stops a loop, is tested with the shape
+    functions or, with ``projection="minimal-residual"``, with the operator applied to them.
+    ``change`` is the distance to the unknown of the iteration before.
+    """
+
+    iteration: int
+    state: str
+    modes: tuple[ModeRecord, ...]
+    amplitudes: tuple[float, ...]
+    residual: float
+    change: float
+
+
+@dataclass(frozen=True, slots=True)
+class GreedySlabRecord(SlabRecord):
+    """One slab of the classic method, with every solve of every equation, in order.
+
+    ``residuals`` holds the largest change of a state in each update of the lagged terms, ``ranks``
+    the number of modes of each state, ``nodes`` those in time and in the parameters.
+    """
+
+    equations: tuple[EquationRecord, ...] = ()
+
+
 @dataclass(frozen=True)
 class SlabResult:
     """The end of the lagged iteration on one slab.
 
-    Attributes
-    ----------
-    modes : tuple of RankOneSum
-        For each state its difference from its initial value, at the nodes.
-    converged : bool
-        Whether the last change is within the tolerance.
-    usable : bool
-        Whether the iteration stayed bounded; its last iterate may still be far off.
-    changes : tuple of float
-        Largest change of a state in each iteration, in units of its size, in the slowest
-        block of equations.
-    residual : float
-        Largest residual of an equation at the end, in the same unit.
+    ``modes`` are the differences of the states from their initial values, at the nodes. The
+    iteration is ``usable`` if it stayed bounded; its last iterate may still be far off.
+    ``changes`` are the largest ones of a state in each iteration, in the slowest block of
+    equations, and ``residual`` is the largest one at the end: both in units of the states' sizes.
     """
 
     modes: tuple[RankOneSum, ...]
@@ -72,26 +89,12 @@ class SlabResult:
     residual: float
     records: tuple[EquationRecord, ...]
 
-    @property
-    def rank(self) -> int:
-        """Largest number of modes of a state."""
-        return max((modes.rank for modes in self.modes), default=0)
-
 
 class Coupling:
     """The equations of a system one by one, and the order in which they are solved.
 
-    Parameters
-    ----------
-    sizes : ndarray (n,)
-        Size of each state.
-
-    Attributes
-    ----------
-    own, others : list of list of SourceTerm
-        For each equation the terms of its operator, and those of its source.
-    blocks : tuple of tuple of int
-        States that lag each other; the blocks are solved one after the other.
+    For each equation, ``own`` holds the terms of its operator and ``others`` those of its source.
+    States of a block lag each other; the blocks are solved one after the other.
     """
 
     def __init__(self, system: System, sizes: Array, options: GreedyOptions) -> None:
@@ -109,11 +112,8 @@ class Coupling:
 class LaggedSlab:
     """The lagged iteration on one slab.
 
-    Parameters
-    ----------
-    start : sequence of RankOneSum
-        Values at the parameter nodes of each state at the start of the slab; the factor of time
-        is one row of amplitudes.
+    It starts from the values of each state at the parameter nodes; the factor of time is one row
+    of amplitudes.
     """
 
     def __init__(self, space: ShapeSpace, coupling: Coupling, start: Sequence[RankOneSum]) -> None:
@@ -183,8 +183,11 @@ class LaggedSlab:
         unit = float(self._units[state])
         source = self._source(state)
         loads = equation.loads(source)
-        if loads.rank > MAX_SOURCE_RANK:
-            loads = self._compressed_loads(equation, loads, 0.1 * tolerance * unit)
+        if loads.rank > MAX_SOURCE_RANK:  # to a tolerance in the dual norm of the equation
+            inverse = [np.asarray(np.linalg.inv(metric)) for metric in equation.metrics]
+            limit, nodal = 0.1 * tolerance * unit, loads.applied(inverse)
+            loads = compressed(nodal, equation.metrics, limit, self.options)
+            loads = loads.applied(equation.metrics)
         functional = None
         if self.options.projection == "minimal-residual":
             rows = zip(source.factors, self._scale, strict=True)
@@ -195,7 +198,9 @@ class LaggedSlab:
         enrichment = Enrichment(equation, loads, self.options, start, functional, units)
         enriched = enrichment.run(tolerance)
         modes = self.modes[state] = enriched.modes
-        change = self._distance(before, modes) / norm
+        # the norm over slab and box of the difference of two functions given at the nodes
+        roots = [np.asarray(np.linalg.cholesky(mass).T) for mass in self.space.masses]
+        change = (before - modes).applied(roots).norm() / norm
         self._points[state] = (self._start[state] + self.space.at_points(modes)).merged()
         return EquationRecord(
             iteration,
@@ -215,19 +220,6 @@ class LaggedSlab:
             first = self.space.time.integrated(source.factors[0])
             source = RankOneSum((first, *source.factors[1:]))
         return source.merged()
-
-    def _distance(self, a: RankOneSum, b: RankOneSum) -> float:
-        """Norm over slab and box of the difference of two functions given at the nodes."""
-        roots = [np.asarray(np.linalg.cholesky(mass).T) for mass in self.space.masses]
-        return (a - b).applied(roots).norm()
-
-    def _compressed_loads(
-        self, equation: Equation, loads: RankOneSum, tolerance: float
-    ) -> RankOneSum:
-        """Loads of lower rank, to a tolerance in the dual norm of the equation."""
-        inverse = [np.asarray(np.linalg.inv(metric)) for metric in equation.metrics]
-        nodal = compressed(loads.applied(inverse), equation.metrics, tolerance, self.options)
-        return nodal.applied(equation.metrics)
 
 
 def compressed(
@@ -257,21 +249,10 @@ class GreedyTrial(Trial):
 
 @dataclass
 class LaggedSlabs:
-    """The slab solver of one attempt.
+    """The slab solver of one attempt; ``tolerance`` at a time is in units of the sizes.
 
-    Parameters
-    ----------
-    coupling : Coupling
-        The equations and how they are solved.
-    tolerance : callable
-        Tolerance at the time t in units of the sizes.
-    attempt : int
-        Number of the attempt, for the records.
-
-    Attributes
-    ----------
-    tails : ndarray (1 + d,)
-        For time and each parameter the largest part of a state in the two highest modes.
+    For time and each parameter ``tails`` (1 + d,) holds the largest part of a state in the two
+    highest modes.
     """
 
     coupling: Coupling
@@ -301,10 +282,11 @@ class LaggedSlabs:
         limits = set()
         if accepted and not solved.converged:
             limits.add(Status.NO_CONVERGENCE)
-        if accepted and solved.residual > tolerance and solved.rank >= self.options.max_modes:
+        ranks = tuple(modes.rank for modes in solved.modes)
+        full = max(ranks, default=0) >= self.options.max_modes
+        if accepted and solved.residual > tolerance and full:
             limits.add(Status.RANK_LIMIT)
         place = self.attempt, span.start, span.end, accepted, tolerance
-        ranks = tuple(modes.rank for modes in solved.modes)
         sizes = tuple(basis.size for basis in space.bases)
         record = GreedySlabRecord(*place, solved.changes, ranks, sizes, solved.records)
         return GreedyTrial(record, limits, space, solved)
