@@ -33,17 +33,8 @@ __all__ = [
 def legendre_values(xi: Array, count: int) -> Array:
     """Legendre polynomials on [-1, 1], orthonormal for the uniform probability measure.
 
-    Parameters
-    ----------
-    xi : ndarray (N,)
-        Points in [-1, 1].
-    count : int
-        Number of polynomials, degrees 0 to ``count - 1``.
-
-    Returns
-    -------
-    ndarray (N, count)
-        ``sqrt(2 m + 1) P_m(xi)``, by the three-term recurrence (DLMF 18.9.1).
+    ``sqrt(2 m + 1) P_m(xi)`` for m < ``count`` at points (N,): shape (N, count). By the three-term
+    recurrence (DLMF 18.9.1).
     """
     rows = np.empty((count, xi.size))
     rows[0] = 1.0
@@ -100,23 +91,8 @@ class Basis1D(ABC):
 
     Functions are held by their values at the nodes times the square root of the weights
     ("scaled values"), so that the Euclidean product is the discrete inner product.
-
-    Parameters
-    ----------
-    lower, upper : float
-        The interval, in the unit of the coordinate.
-    degree : int
-        Nodes per element.
-    elements : int
-        Number of elements. They are equal unless there are breaks.
-    breaks : sequence of float
-        Where one element ends and the next begins, ascending, inside of the interval. The number
-        of elements follows from them.
-
-    Raises
-    ------
-    ValueError
-        If the breaks are not as said, or do not fit the number of elements.
+    ``degree`` is the number of nodes of an element. Elements are equal, unless they end at
+    ``breaks``, which ascend inside of the interval and give the number of elements.
     """
 
     lower: float

@@ -28,19 +28,10 @@ def round_off(lower: float, upper: float) -> float:
 
 
 def name_of(key: object, time: str | None = None) -> str:
-    """Return the name of a symbol, an applied function or its time derivative.
+    """The name of a symbol, an applied function ``x(t)`` or its time derivative ``x(t).diff(t)``.
 
-    Parameters
-    ----------
-    key : str, Symbol, applied function ``x(t)`` or derivative ``x(t).diff(t)``
-        A derivative has the name of its state: ``x_t``, ``x_tt``, ...
-    time : str, optional
-        Name of time; functions of anything else are refused when it is given.
-
-    Raises
-    ------
-    EvaluationError
-        If the key is none of these.
+    A derivative has the name of its state: ``x_t``, ``x_tt``, ... Functions of anything but
+    ``time`` are refused if it is given.
     """
     if isinstance(key, str):
         return str(key)
@@ -67,18 +58,10 @@ def name_of(key: object, time: str | None = None) -> str:
 
 @dataclass(frozen=True)
 class Curves:
-    """Points of the parameters, each with its times, from arrays that broadcast together.
+    """Points (d, N) of the parameters, each with its times, from arrays that broadcast together.
 
-    Attributes
-    ----------
-    times : ndarray (T, N) or (T, 1)
-        Times of each point, or those of all points.
-    points : ndarray (d, N)
-        Values of the parameters.
-    sizes : tuple of int
-        Axes of the broadcast shape: first those that make T, then those that make N.
-    order : tuple of int
-        The places of these axes in the broadcast shape.
+    ``times`` has the shape (T, N), or (T, 1) for times of all points. ``sizes`` are the axes of the
+    broadcast shape: first those that make T, then those that make N; ``order`` has their places.
     """
 
     times: Array
@@ -95,12 +78,7 @@ class Curves:
 class Coordinates:
     """The coordinates of a solution, time first, with the interval of each.
 
-    Parameters
-    ----------
-    names : sequence of str
-    intervals : sequence of (float, float)
-    timeless : bool
-        Whether nothing depends on time: calls give no time, and the start stands for all times.
+    If nothing depends on time (``timeless``), calls give no time; the start stands for all times.
     """
 
     def __init__(
@@ -121,11 +99,6 @@ class Coordinates:
 
         Positional arguments ``at`` are times, or a mapping from names or symbols to values, or both
         in this order; None is ignored. ``named`` are keyword arguments.
-
-        Raises
-        ------
-        EvaluationError
-            If a coordinate is missing, unknown or given twice, or there are more arguments.
         """
         # the usual call: everything by keyword and nothing wrong
         if not at and len(named) == len(self.asked):
@@ -201,14 +174,9 @@ class Coordinates:
         return numbers
 
     def arrays(self, gathered: Sequence[object]) -> list[Array]:
-        """Return each value as an array of numbers inside its interval.
+        """Each value as an array of numbers inside its interval.
 
         Values outside by round-off are moved to the end of the interval.
-
-        Raises
-        ------
-        EvaluationError
-            If a value is not real, is NaN or lies outside the interval.
         """
         return [self.checked(index, value) for index, value in enumerate(gathered)]
 
@@ -260,13 +228,7 @@ class Coordinates:
         )
 
     def broadcast(self, arrays: Sequence[Array]) -> tuple[Array, tuple[int, ...]]:
-        """Broadcast together: paired points (coordinates, N) and the shape they stand for.
-
-        Raises
-        ------
-        EvaluationError
-            If the shapes do not broadcast.
-        """
+        """Broadcast together: paired points (coordinates, N) and the shape they stand for."""
         shape = self._common_shape(arrays)
         points = np.empty((len(arrays), *shape))
         for row, array in enumerate(arrays):
@@ -274,13 +236,7 @@ class Coordinates:
         return points.reshape(len(arrays), -1), shape
 
     def curves(self, arrays: Sequence[Array]) -> Curves:
-        """Broadcast together, but the parameters apart from times that vary alone.
-
-        Raises
-        ------
-        EvaluationError
-            If the shapes do not broadcast.
-        """
+        """Broadcast together, but the parameters apart from times that vary alone."""
         shape = self._common_shape(arrays)
         time, *parameters = (
             array.reshape((1,) * (len(shape) - array.ndim) + array.shape) for array in arrays
@@ -317,13 +273,7 @@ class Coordinates:
             ) from None
 
     def axes(self, gathered: Sequence[object]) -> list[Array]:
-        """Return each value as a one-dimensional axis of a tensor grid; numbers have length one.
-
-        Raises
-        ------
-        EvaluationError
-            As for :meth:`arrays`, and if a value has more than one dimension.
-        """
+        """Each value as a one-dimensional axis of a tensor grid; numbers have length one."""
         axes = [np.atleast_1d(array) for array in self.arrays(gathered)]
         for name, axis in zip(self.names, axes, strict=True):
             if axis.ndim > 1:

@@ -35,17 +35,7 @@ def lobatto_points(order: int) -> Array:
 
 @dataclass(frozen=True)
 class LagrangeElements:
-    """Continuous piecewise polynomials on [lower, upper] in equal elements.
-
-    Parameters
-    ----------
-    lower, upper : float
-        The interval, in the unit of the coordinate.
-    elements : int
-        Number of equal elements.
-    order : int
-        Polynomial order on each element, at least one.
-    """
+    """Continuous, piecewise polynomials of degree ``order`` on equal elements of [lower, upper]."""
 
     lower: float
     upper: float

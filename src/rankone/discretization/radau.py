@@ -30,21 +30,8 @@ class RadauCollocation:
     The polynomial of degree K through the start value ``u_0`` and the K node values has, at the
     nodes, the derivative ``derivative @ u - start * u_0``. The end of the slab is the last node;
     the scheme is the K-stage Radau IIA method, of order 2 K - 1 there
-    (Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5).
-
-    Attributes
-    ----------
-    count : int
-        Number of nodes K.
-    nodes : ndarray (K,)
-        Radau points in (0, 1], ascending, the last is 1.
-    points : ndarray (K + 1,)
-        0 and the nodes.
-    derivative : ndarray (K, K)
-    start : ndarray (K,)
-        Equal to the row sums of ``derivative``.
-    to_modal : ndarray (K + 1, K + 1)
-        From the values at 0 and at the nodes to coefficients of orthonormal Legendre polynomials.
+    (Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5). ``points`` are 0 and the
+    nodes; ``to_modal`` takes values there to coefficients of orthonormal Legendre polynomials.
     """
 
     def __init__(self, count: int) -> None:

@@ -39,15 +39,7 @@ def _nodes(count: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """Gauss-Legendre nodes on consecutive slabs.
-
-    Attributes
-    ----------
-    breaks : tuple of float
-        Ends of the slabs, ascending.
-    count : int
-        Nodes on each slab.
-    """
+    """``count`` Gauss-Legendre nodes on each of the slabs between ascending ``breaks``."""
 
     breaks: tuple[float, ...]
     count: int
@@ -81,20 +73,10 @@ def resolving_breaks(
     tolerance: float,
     most: int,
 ) -> tuple[float, ...] | None:
-    """Ends of slabs on which ``count`` nodes resolve functions of time; None if too many.
+    """Ends of at most ``most`` slabs on which ``count`` nodes resolve functions of time, or None.
 
-    Slabs are halved until the polynomial through the nodes is close at the ends and in between.
-
-    Parameters
-    ----------
-    values : callable
-        Functions in units of their sizes at times (T,): shape (..., T).
-    edges : sequence of float
-        Start, times that no slab crosses, end.
-    count : int
-    tolerance : float
-    most : int
-        Largest number of slabs.
+    The functions (..., T) are in units of their sizes. No slab crosses one of the ``edges``. Slabs
+    are halved until the polynomial through the nodes is close at the ends and in between.
     """
     xi, to_modal = _nodes(count)
     at_probes = legendre_values(_PROBES, count) @ to_modal
@@ -120,14 +102,7 @@ def resolving_breaks(
 
 
 class Polynomials:
-    """Functions of time, by their values at the nodes of a grid.
-
-    Parameters
-    ----------
-    grid : TimeGrid
-    values : ndarray (T, m)
-        At the nodes of the grid.
-    """
+    """Functions of time, by their values (T, m) at the nodes of a grid."""
 
     def __init__(self, grid: TimeGrid, values: Array) -> None:
         local = values.reshape(grid.slabs, grid.count, -1)

@@ -60,15 +60,9 @@ class CubeDistribution(Protocol):
 
 @dataclass(frozen=True)
 class Cells:
-    """A density of total mass one on the unit cube, known on cells.
+    """A density of total mass one on the unit cube, known at the nodes of cells (c, *nodes).
 
-    Attributes
-    ----------
-    lower, width : ndarray (c, n)
-    densities : ndarray (c, *nodes)
-        The density at the nodes of each cell.
-    error : float
-        Estimated error of integrals, relative.
+    ``lower`` and ``width`` of the cells have the shape (c, n). ``error`` of integrals is relative.
     """
 
     lower: Array
@@ -158,14 +152,9 @@ class Cells:
 def adapted(log_density: Density, likely: Array, spread: Array) -> tuple[Cells, float]:
     """The cells of a density, and the logarithm of its integral.
 
-    Parameters
-    ----------
-    log_density : callable
-        Logarithm of the density, up to a summand, at points (N, n) of the unit cube: shape (N,).
-    likely : ndarray (k, n)
-        Points where the density is large: the first cells are small there.
-    spread : ndarray (n,)
-        Extent of the density there in each direction, with the other coordinates held.
+    ``log_density`` takes points (N, n) of the unit cube; it is known up to a summand. The first
+    cells are small at the points ``likely`` (k, n), where the density is large; ``spread`` (n,) is
+    its extent there in each direction, with the other coordinates held.
     """
     lower, width = _first(likely, spread)
     logs = _evaluated(log_density, lower, width)
@@ -276,16 +265,9 @@ def _evaluated(log_density: Density, lower: Array, width: Array) -> Array:
 
 @dataclass(frozen=True)
 class Chain:
-    """Points of a chain without its start.
+    """Points (k, n) of a chain in the unit cube without its start, of ``length`` steps.
 
-    Attributes
-    ----------
-    nodes : ndarray (k, n)
-        In the unit cube.
-    autocorrelation : float
-        Autocorrelation time in steps; the largest over the parameters.
-    length : int
-        Number of steps.
+    ``autocorrelation`` is the autocorrelation time in steps; the largest over the parameters.
     """
 
     nodes: Array
@@ -326,13 +308,7 @@ class Chain:
 
 
 def chain(log_density: Density, likely: Array, seed: int, steps: int) -> Chain:
-    """A seeded chain for the logarithm of a density, from points where it is large (k, n).
-
-    Raises
-    ------
-    RankoneError
-        If emcee is not installed.
-    """
+    """A seeded chain for the logarithm of a density, from points where it is large (k, n)."""
     emcee = optional_module(
         "emcee",
         "posteriors of more than three parameters need emcee",

@@ -45,13 +45,7 @@ class _Expression(Protocol):
 
 
 def quantity(given: object, names: Sequence[str]) -> Quantity:
-    """A function of the parameters by name, from a function, text or an expression.
-
-    Raises
-    ------
-    OptionError
-        If it is none of these, or contains names of no parameters.
-    """
+    """A function of the parameters by name, from a function, text or an expression."""
     if isinstance(given, str):
         return _from_text(given, names)
     if isinstance(given, _Expression):

@@ -28,18 +28,8 @@ BOUND_TOLERANCE = 1e-9
 class FreeParameters:
     """The free parameters as coordinates z of a unit cube.
 
-    Attributes
-    ----------
-    names : tuple of str
-    positions : tuple of int
-        Among all parameters of the solution.
-    lower, upper : ndarray (n,)
-        Bounds, in the unit of each parameter.
-    fixed : dict of str to float
-    order : tuple of str
-        Names of all parameters of the solution.
-    start : ndarray (n,) or None
-        Start of the search, in z.
+    ``positions`` are their places among all parameters of the solution, whose names are ``order``.
+    ``lower`` and ``upper`` (n,) have the unit of each parameter; the start of a search is in z.
     """
 
     names: tuple[str, ...]
@@ -102,16 +92,7 @@ def free_parameters(
     bounds: Bounds = None,
     start: ParameterValues = None,
 ) -> FreeParameters:
-    """Check what is fixed, the bounds and the start.
-
-    Raises
-    ------
-    OptionError
-        If a parameter is unknown, all are fixed, bounds do not ascend, or a start is outside of
-        its bounds.
-    EvaluationError
-        If a value or a bound is outside of the box.
-    """
+    """Check what is fixed, the bounds and the start."""
     order = tuple(solution.parameters)
     held = {name: _in_box(solution, name, x) for name, x in by_name("fixed", fixed, order).items()}
     names = tuple(name for name in order if name not in held)

@@ -77,15 +77,9 @@ class Best:
 class Profile:
     """The profile of one parameter.
 
-    Attributes
-    ----------
-    index : int
-    path : ndarray (k, n)
-        Best points for values of the parameter, ascending.
-    rise : ndarray (k,)
-        Their costs above the least cost.
-    lower, upper : End
-        Ends of the interval, where the rise reaches the limit or the box ends.
+    ``path`` (k, n) are the best points for values of the parameter, ascending, and ``rise`` (k,)
+    their costs above the least cost. The ends ``lower`` and ``upper`` of the interval are where the
+    rise reaches the limit or the box ends.
     """
 
     index: int
@@ -226,20 +220,12 @@ def _along(
 
 @dataclass(frozen=True)
 class Identification:
-    """What the data identify.
+    """What the data identify of n parameters, of which q directions are lost.
 
-    Attributes
-    ----------
-    flat : tuple of int
-        Positions of the parameters that are not identified.
-    root : ndarray (n, n - q)
-        A root of the covariance in z over the identified directions, for unit sigma.
-    null : ndarray (n, q)
-        Orthonormal directions in z that are not identified.
-    combinations : tuple of str
-        Identified combinations of the flat parameters.
-    used : int
-        Number of directions along which the residuals change within the cube.
+    ``flat`` are the positions of parameters that are not identified. ``root`` (n, n - q) is a root
+    of the covariance in z over the identified directions, for unit sigma; ``null`` (n, q) are
+    orthonormal directions that are not identified. ``combinations`` of the flat parameters are
+    identified. Along ``used`` directions the residuals change within the cube.
     """
 
     flat: tuple[int, ...]

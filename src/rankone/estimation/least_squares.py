@@ -34,18 +34,10 @@ _LARGEST_DAMPING = 1e10  # Damping above which a search ends: its steps are roun
 
 
 class TrainModel:
-    """States of a solution at fixed times, as functions of the parameters.
+    """States ``rows`` of a solution at fixed times, one each, as functions of the parameters.
 
     The first core of the train is evaluated at the times once. Each point of the box then takes a
     product of small matrices, and each derivative the same product with one matrix replaced.
-
-    Parameters
-    ----------
-    slabs : sequence of SlabTrain
-    rows : ndarray of int (m,)
-        The state of each datum.
-    times : ndarray (m,)
-        The time of each datum, inside of the horizon.
     """
 
     def __init__(self, slabs: Sequence[SlabTrain], rows: NDArray[np.intp], times: Array) -> None:
@@ -125,17 +117,7 @@ def _with_slopes(slab: SlabTrain, points: Array, free: Sequence[int]) -> Array:
 
 @dataclass(frozen=True)
 class Minima:
-    """Local minima.
-
-    Attributes
-    ----------
-    z : ndarray (K, n)
-    cost : ndarray (K,)
-        Sums of squares.
-    residuals : ndarray (K, m)
-    jacobian : ndarray (K, m, n)
-    converged : ndarray of bool (K,)
-    """
+    """K local minima: z (K, n), sums of squares (K,), residuals (K, m), Jacobian (K, m, n)."""
 
     z: Array
     cost: Array

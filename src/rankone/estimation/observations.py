@@ -21,25 +21,12 @@ Measurements = ArrayLike | Mapping[Any, ArrayLike]
 
 @dataclass(frozen=True)
 class Observations:
-    """Data in a row, output after output.
+    """Data in a row (m,), output after output.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The states observed.
-    owner : ndarray of int (m,)
-        For each datum the position of its state among the names.
-    rows : ndarray of int (m,)
-        For each datum the position of its state in the solution.
-    times, values : ndarray (m,)
-    scale : ndarray (m,)
-        Factors of the residuals: one over sigma, or the root of the weight.
-    sigma_known : bool
-        Whether sigma was given.
-    present : ndarray of bool (all data)
-        Data that are not missing.
-    shape : tuple of int, or dict of str to int
-        Shape of the data as given, or the number of data of each output.
+    For each datum, ``owner`` is the position of its state among the observed ``names``, ``rows``
+    that in the solution, and ``scale`` the factor of its residual: one over sigma, or the root of
+    the weight. ``present`` marks which of all data are not missing. ``shape`` is that of the data
+    as given, or the number of data of each output.
     """
 
     names: tuple[str, ...]
@@ -141,15 +128,7 @@ def state_name(solution: SolutionCore, key: object) -> str:
 
 
 def checked_times(solution: SolutionCore, times: ArrayLike | None) -> Array:
-    """Times (k,) inside of the horizon; one, its start, where nothing depends on time.
-
-    Raises
-    ------
-    EvaluationError
-        If a time is outside of the horizon or no number.
-    OptionError
-        If there are no times, or they have more than one dimension.
-    """
+    """Times (k,) inside of the horizon; one, its start, where nothing depends on time."""
     if times is None and not solution.metadata.timeless:
         raise OptionError("no times are given", remedy="give the time of each value")
     checked = solution._coordinates.checked(0, solution.time[:1] if times is None else times)

@@ -41,16 +41,10 @@ _END_DISTANCE = 1e-9
 
 @dataclass(frozen=True)
 class LogPosterior:
-    """Logarithm of the posterior density in the unit cube.
+    """Logarithm of the posterior density in the unit cube; ``measures`` are the priors.
 
     Gaussian noise; where its sigma is not known, it is integrated over with the density 1/sigma
     (Gelman et al., Bayesian Data Analysis, ch. 14.2).
-
-    Attributes
-    ----------
-    problem : LeastSquares
-    measures : tuple of Measure
-        The prior of each free parameter.
     """
 
     problem: LeastSquares

@@ -33,15 +33,7 @@ def check_solution(function: str, given: object) -> None:
 
 
 def states_of(solution: Solution, given: object) -> list[str]:
-    """Names of one or several unknowns or derivatives that are states; all unknowns for None.
-
-    Raises
-    ------
-    EvaluationError
-        If there is no such state.
-    OptionError
-        If none is given, or one of them twice.
-    """
+    """Names of one or several unknowns or derivatives that are states; all unknowns for None."""
     if given is None:
         return list(solution.unknowns)
     several = given if isinstance(given, list | tuple) else [given]
@@ -100,15 +92,7 @@ def _one(given: object) -> object:
 
 
 def times_of(solution: Solution, t: ArrayLike | None, count: int) -> Array:
-    """The given times, (times,), or ``count`` times over the horizon.
-
-    Raises
-    ------
-    EvaluationError
-        If a time is outside of the horizon.
-    OptionError
-        If there are no times, or in more than one dimension.
-    """
+    """The given times, (times,), or ``count`` times over the horizon."""
     if t is None:
         return fine_times(solution, solution.time[1], count)
     times = np.atleast_1d(solution._coordinates.checked(0, t))
@@ -144,13 +128,7 @@ def sometimes_of(solution: Solution, t: ArrayLike | None, count: int) -> Array |
 
 
 def one_time(solution: Solution, t: ArrayLike | None) -> float | None:
-    """The one given time; None if nothing depends on time.
-
-    Raises
-    ------
-    OptionError
-        If no time is given, or several.
-    """
+    """The one given time; None if nothing depends on time."""
     start, end = solution.time
     remedy = f"give a number in [{start:g}, {end:g}]"
     times = sometimes_of(solution, t, 1)

@@ -42,13 +42,6 @@ def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_
     """Axes of some panels (count,), and whether they are in a new figure.
 
     A new figure has a title, and at most three panels in a row (four as two by two).
-
-    Raises
-    ------
-    RankoneError
-        If Matplotlib is not installed.
-    OptionError
-        If another number was given, or something else than axes.
     """
     axes = np.empty(count, dtype=object)
     if ax is not None:
@@ -89,15 +82,7 @@ def stacked(*heights: float) -> tuple[Axes, ...]:
 
 
 def axes_for(ax: object) -> Axes:
-    """The axes that were given, or those of a new figure; empty ones get a light grid.
-
-    Raises
-    ------
-    RankoneError
-        If Matplotlib is not installed.
-    OptionError
-        If something else than axes was given.
-    """
+    """The axes that were given, or those of a new figure; empty ones get a light grid."""
     pyplot = _pyplot()
     if ax is None:
         _, ax = pyplot.subplots(figsize=_FIGURE_SIZE, layout="constrained")

@@ -70,16 +70,8 @@ def is_frozen(distribution: object) -> TypeGuard[Distribution]:
 def interval_of(distribution: Distribution, tail: float) -> tuple[float, float]:
     """The support; where that has no end, from one quantile to another.
 
-    Parameters
-    ----------
-    distribution : frozen continuous distribution
-    tail : float
-        The probability that is left out on either side of an unbounded support.
-
-    Raises
-    ------
-    OptionError
-        If the mean or the variance is not finite: where it is cut would decide about all moments.
+    ``tail`` is the probability left out on either side of an unbounded support. A distribution
+    without finite variance is refused: where it is cut would decide about all moments.
     """
     moments = float(distribution.mean()), float(distribution.var())
     if not all(map(math.isfinite, moments)):
@@ -96,13 +88,7 @@ def interval_of(distribution: Distribution, tail: float) -> tuple[float, float]:
 
 
 def as_text(distribution: object) -> str:
-    """A frozen distribution of scipy.stats as text.
-
-    Raises
-    ------
-    OptionError
-        If scipy.stats has no distribution of its name.
-    """
+    """A frozen distribution of scipy.stats as text; an OptionError for any other."""
     family = getattr(distribution, "dist", None)
     name = getattr(family, "name", None)
     if not is_frozen(distribution) or not isinstance(family, scipy.stats.rv_continuous):
@@ -121,13 +107,7 @@ def as_text(distribution: object) -> str:
 
 
 def from_text(text: str) -> Distribution:
-    """The frozen distribution of scipy.stats that a text stands for.
-
-    Raises
-    ------
-    OptionError
-        If it is not the name of a distribution with numbers.
-    """
+    """The frozen distribution of scipy.stats that a text stands for; an OptionError otherwise."""
     try:
         name, arguments, keywords = _parsed(text)
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
@@ -194,15 +174,8 @@ def _constant(node: ast.expr) -> float:
 class Measure:
     """A distribution of one parameter on its interval, of total mass one there.
 
-    Parameters
-    ----------
-    name : str
-        Of the parameter.
-    lower, upper : float
-    distribution : frozen continuous distribution of scipy.stats, optional
-        Cut at the ends of the interval; uniform if none is given.
-    from_problem : bool
-        Whether it comes from the problem: its author chose where to cut it.
+    It is cut at the ends of the interval, and uniform if none is given. If it comes from the
+    problem, its author chose where to cut it, and nobody is warned.
     """
 
     name: str

@@ -31,17 +31,10 @@ _LARGEST_COMMON_RANK = 20
 
 
 class HigherMoments:
-    """Third and fourth moments of one slab.
+    """Third and fourth moments of one slab for independent parameters, ``central`` or not.
 
-    Parameters
-    ----------
-    slab : SlabTrain
-    parameters : JointDistribution
-        Of independent parameters.
-    central : bool
-        Whether the means are taken off first.
-    tolerance : float
-        Of the truncation, relative to the root mean square of y; larger where ranks are high.
+    ``tolerance`` of the truncation is relative to the root mean square of y, and larger where ranks
+    are high.
     """
 
     def __init__(

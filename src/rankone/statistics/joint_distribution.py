@@ -42,14 +42,9 @@ _LEAST_EIGENVALUE = 1e-10
 
 @dataclass(frozen=True)
 class Copula:
-    """Correlations of some parameters.
+    """Correlations of the normal numbers of some parameters.
 
-    Attributes
-    ----------
-    positions : tuple of int
-        The parameters that are correlated with some other, ascending.
-    matrix : tuple of tuple of float
-        Correlations of their normal numbers.
+    ``positions``, ascending, are the parameters that are correlated with some other.
     """
 
     positions: tuple[int, ...]
@@ -109,11 +104,7 @@ def _normal(count: int) -> list[tuple[Array, Array]]:
 def copula_of(names: Sequence[str], correlation: Correlations) -> Copula | None:
     """The copula of correlations by pairs of parameters; None if nothing is correlated.
 
-    Raises
-    ------
-    OptionError
-        If a key is not a pair of parameters, a pair occurs twice, a number is not inside (-1, 1),
-        or the matrix is not positive definite.
+    Pairs occur once and lie inside (-1, 1); their matrix must be positive definite.
     """
     if not isinstance(correlation, Mapping | None):
         raise OptionError(
@@ -196,13 +187,7 @@ def measures_of(
     under: Distributions,
     from_problem: Mapping[str, Distribution],
 ) -> tuple[Measure, ...]:
-    """The measure of each parameter: as given, from the problem, or else uniform.
-
-    Raises
-    ------
-    OptionError
-        If there is no such parameter, or a distribution does not fit its interval.
-    """
+    """The measure of each parameter: as given, from the problem, or else uniform."""
     named = by_name("under", under, names)
     return tuple(
         Measure(name, *ends, named.get(name, from_problem.get(name)), name not in named)
@@ -213,13 +198,7 @@ def measures_of(
 def by_name(
     option: str, given: Mapping[Any, Entry] | None, names: Sequence[str]
 ) -> dict[str, Entry]:
-    """The entries of an option that is a mapping from parameters, by names.
-
-    Raises
-    ------
-    OptionError
-        If it is not a mapping, or a parameter is unknown or given twice.
-    """
+    """The entries of an option that is a mapping from parameters, by names."""
     if not isinstance(given, Mapping | None):
         raise OptionError(
             f"{option}={given!r} is not a mapping from parameters",
@@ -237,15 +216,7 @@ def by_name(
 
 @dataclass(frozen=True)
 class JointDistribution:
-    """The distribution of all parameters over their box.
-
-    Attributes
-    ----------
-    measures : tuple of Measure
-        The distribution of each parameter alone.
-    copula : Copula or None
-        Of parameters that are correlated; None if all are independent.
-    """
+    """The distribution of all parameters over their box; without a copula they are independent."""
 
     measures: tuple[Measure, ...]
     copula: Copula | None = None

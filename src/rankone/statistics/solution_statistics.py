@@ -76,15 +76,9 @@ class MainEffects:
 
 
 class Statistics:
-    """Moments of the states of consecutive slabs.
+    """Moments of the states ``rows`` of consecutive slabs.
 
-    Parameters
-    ----------
-    slabs : sequence of SlabTrain
-    rows : sequence of int
-        The states to compute statistics of.
-    parameters : JointDistribution
-        Means, covariances and points know correlations; other statistics need independence.
+    Means, covariances and points know correlations; other statistics need independence.
     """
 
     def __init__(
@@ -241,15 +235,9 @@ def doubtful_shares(
 ) -> Iterator[str]:
     """For each unknown a sentence on times at which its shares of the variance are not certain.
 
-    Parameters
-    ----------
-    unknowns : sequence of str
-    times : ndarray (times,)
-        NaN where nothing depends on time.
-    spread : ndarray (unknowns, times)
-        Standard deviations over the box. An unknown that does not vary at all does not count.
-    sizes, errors : ndarray (unknowns,)
-        Largest values and absolute errors.
+    ``spread`` (unknowns, times) are standard deviations over the box; an unknown that does not vary
+    at all does not count. ``sizes`` and ``errors`` are largest values and absolute errors. Times
+    are NaN where nothing depends on time.
     """
     for name, row, size, error in zip(unknowns, spread, sizes, errors, strict=True):
         varies = row > ROUNDING_ERROR * size
