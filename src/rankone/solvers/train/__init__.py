@@ -9,8 +9,7 @@ module           subject
 ``sweep``        two-site alternating sweeps: contraction, truncated SVD, enrichment
 ``slab``         operators of one slab: collocation, mean Jacobian, kernels of the term groups
 ``nodes``        parameter nodes: first, refined, coarsened, and after a jump
-``options``      limits and discretisation
-``constants``    tuning constants
+``options``      limits, discretisation and tuning constants
 ===============  ===============================================================================
 """
 

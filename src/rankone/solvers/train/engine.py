@@ -13,11 +13,14 @@ from rankone.ir.verdict import Status
 from rankone.solvers.attempts import Attempt, Marcher, Progress
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import March, MarchResult
-from rankone.solvers.train.constants import CORNERS_TOLERANCE_SHARE, INTERIOR_TOLERANCE_SHARE
 from rankone.solvers.train.iteration import SlabIteration
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths
 from rankone.solvers.train.nodes import ParameterNodes, first_bases
-from rankone.solvers.train.options import TrainOptions
+from rankone.solvers.train.options import (
+    CORNERS_TOLERANCE_SHARE,
+    INTERIOR_TOLERANCE_SHARE,
+    TrainOptions,
+)
 from rankone.support.progress import Report
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet

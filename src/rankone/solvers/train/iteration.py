@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rankone.discretization import Basis1D, RadauCollocation
+from rankone.discretization import RadauCollocation
 from rankone.ir.outcome import SlabRecord
 from rankone.ir.verdict import Status
-from rankone.solvers.train.constants import (
+from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
+from rankone.solvers.train.nodes import ParameterNodes, after_jump
+from rankone.solvers.train.options import (
     COARSENING_SHARE,
     DIVERGED_RESIDUAL,
     FEW_PARAMETERS,
@@ -23,8 +25,6 @@ from rankone.solvers.train.constants import (
     STAGNANT_CONTRACTION,
     THINNING_SHARE,
 )
-from rankone.solvers.train.length import Accuracy, Guess, TrainSpan, TrainTrial
-from rankone.solvers.train.nodes import ParameterNodes, after_jump
 from rankone.solvers.train.slab import SlabOperator, term_groups
 from rankone.solvers.train.sweep import Sweeper
 from rankone.support.arrays import Array
@@ -38,21 +38,9 @@ class Convergence:
     """How fine the next sweep truncates, whether the slab is solved, whether it is hopeless.
 
     The residual of a sweep is the largest change of a pair of cores, in units of the states'
-    sizes. The error left after a sweep is about the residual times the contraction.
-
-    Parameters
-    ----------
-    tolerance : float
-        Target accuracy of the slab.
-    coarse : float
-        Tolerance of the first sweep, which need not be fine.
-
-    Attributes
-    ----------
-    residuals : list of float
-        Of all sweeps on the slab.
-    contraction : float
-        Ratio of the last two residuals, 0.1 before it is known.
+    sizes. The error left after a sweep is about the residual times the contraction: the ratio of
+    the last two residuals, 0.1 before it is known. Sweeps aim at ``tolerance``; the first, which
+    need not be fine, at ``coarse``.
     """
 
     tolerance: float
@@ -98,19 +86,9 @@ class Convergence:
 
 @dataclass
 class SlabIteration:
-    """The slab solver of one attempt.
+    """The slab solver of one attempt; the slabs accepted are ``guesses`` for the next attempt.
 
-    Parameters
-    ----------
-    reference_set : ReferenceSet
-        The Jacobian of a slab is taken along its trajectory at the centre of the box.
-    attempt : int
-        Number of the attempt, for the records.
-
-    Attributes
-    ----------
-    guesses : list of Guess
-        The slabs accepted, for the next attempt.
+    The Jacobian of a slab is taken along the reference at the centre of the box.
     """
 
     reference_set: ReferenceSet
@@ -220,18 +198,14 @@ class SlabIteration:
             if too_few:
                 limits.add(Status.NODE_LIMIT)
             if bases != self.nodes.bases:
-                sweeper = self._rebased(sweeper, bases)
+                maps = self.nodes.take(bases)  # the start of the slab moves along
+                self._source = self._source.apply_to_modes(maps).right_orthonormal()
+                train = sweeper.train.apply_to_modes(maps).right_orthonormal()
+                sweeper = self._sweeper(sweeper.operator, train)
                 convergence.restart()
             elif convergence.solved(limited):
                 return sweeper, spectra, True
         return sweeper, spectra, False
-
-    def _rebased(self, sweeper: Sweeper, bases: tuple[Basis1D, ...]) -> Sweeper:
-        """The sweeper on other parameter nodes; the start of the slab moves along."""
-        maps = self.nodes.take(bases)
-        self._source = self._source.apply_to_modes(maps).right_orthonormal()
-        train = sweeper.train.apply_to_modes(maps).right_orthonormal()
-        return self._sweeper(sweeper.operator, train)
 
     def _at_end(self, trial: TrainTrial) -> Train:
         """The train at the end of the slab, on no more parameter nodes than it needs."""

@@ -12,7 +12,7 @@ import numpy as np
 from rankone.discretization import Basis1D, RadauCollocation
 from rankone.ir.verdict import Status
 from rankone.solvers.march import Span, Trial
-from rankone.solvers.train.constants import (
+from rankone.solvers.train.options import (
     DIVERGED_FACTOR,
     FAST_FACTOR,
     MEMORY_HALVING_LIMIT,
@@ -84,16 +84,9 @@ class TrainTrial(Trial):
 
 @dataclass
 class SlabLengths:
-    """The controller of the lengths of slabs.
+    """The controller of the lengths of slabs; ``guesses`` are the slabs of the attempt before.
 
-    Parameters
-    ----------
-    reference_set : ReferenceSet
-        The time nodes resolve its reference; no slab crosses its cuts.
-    guesses : sequence of Guess
-        Slabs of the attempt before.
-    longest : float
-        Longest slab allowed.
+    The time nodes resolve the reference; no slab crosses a cut or is longer than ``longest``.
     """
 
     reference_set: ReferenceSet
@@ -111,10 +104,9 @@ class SlabLengths:
 
     def propose(self, start: float) -> TrainSpan | Status:
         """The next slab: the same as earlier, or as long as its nodes resolve the reference."""
-        end = self.borders[-1]
         if self._hopeless:
             return Status.MEMORY_LIMIT
-        if self.length < min(SHORTEST_SLAB * self.horizon, end - start):
+        if self.length < min(SHORTEST_SLAB * self.horizon, self.borders[-1] - start):
             return Status.NO_CONVERGENCE
         self._proposed = self.length
         border = min(b for b in self.borders if b > start + 1e-12 * self.horizon)

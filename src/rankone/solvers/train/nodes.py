@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from rankone.discretization import BASES, Basis1D
 from rankone.ir.domain import Domain
 from rankone.ir.system import System
 from rankone.solvers.interpolation import interpolated, interpolated_initial
-from rankone.solvers.train.constants import (
+from rankone.solvers.train.options import (
     FEW_PARAMETERS,
     MAX_REFINEMENTS,
     PROBE_MODES,
     ROUNDING_LEVEL,
     UNRESOLVED_TAIL,
+    TrainOptions,
 )
-from rankone.solvers.train.options import TrainOptions
 from rankone.solvers.train.slab import ParameterOperators
 from rankone.support.arrays import Array
 from rankone.tensors.train import Integers, Train
@@ -29,14 +29,7 @@ from rankone.tensors.train import Integers, Train
 class ParameterNodes:
     """The bases of all parameters, refined and coarsened on the way, and the operators on them.
 
-    Parameters
-    ----------
-    bases : tuple of Basis1D
-        The first bases.
-    floors : tuple of int
-        Degrees below which they are not coarsened.
-    options : TrainOptions
-        Limits of degrees and nodes.
+    They are not coarsened below the degrees ``floors``.
     """
 
     system: System
@@ -77,9 +70,8 @@ class ParameterNodes:
             for basis, spectrum, least in zip(self.bases, spectra, self.floors, strict=True)
         )
         pairs = zip(bases, self.bases, strict=True)
-        return (
-            bases if any(fewer.size <= 0.75 * basis.size for fewer, basis in pairs) else self.bases
-        )
+        smaller = any(fewer.size <= 0.75 * basis.size for fewer, basis in pairs)
+        return bases if smaller else self.bases
 
     def initial(self, scale: Array) -> Train:
         """Initial values in units of ``scale``: core 0 (n_differential, r), right-orthonormal."""
@@ -144,18 +136,14 @@ def first_bases(
     tolerance = ROUNDING_LEVEL if len(domain.box) <= FEW_PARAMETERS else 0.01 * rtol
     bases, floors = [], []
     for j, (lower, upper) in enumerate(domain.box):
-        basis = basis_class(lower, upper, common)
-        needed = _resolving_degree(system, j, basis, tolerance, most)
+        needed = _resolving_degree(system, j, basis_class(lower, upper, most), tolerance)
         floors.append(needed)
-        bases.append(replace(basis, degree=max(common, needed)))
+        bases.append(basis_class(lower, upper, max(common, needed)))
     return tuple(bases), tuple(floors)
 
 
-def _resolving_degree(
-    system: System, dimension: int, basis: Basis1D, tolerance: float, most: int
-) -> int:
-    """Smallest degree that resolves the factors of one parameter; 3 if ``most`` does not."""
-    fine = replace(basis, degree=most)
+def _resolving_degree(system: System, dimension: int, fine: Basis1D, tolerance: float) -> int:
+    """Smallest degree that resolves the factors of one parameter; 3 if the fine basis does not."""
     relative = fine.relative_spectrum(system.parameter_factors(dimension, fine.nodes))
     noise = float(relative[-3:].max())
     if noise > UNRESOLVED_TAIL:
@@ -170,18 +158,8 @@ def after_jump(
     """The train (n, r_1), ... right after a jump from the one right before it.
 
     The jump, which may be any function of states and parameters, acts at each node on its own.
-    Nodes are refined until they resolve the states after it.
-
-    Parameters
-    ----------
-    kind : int
-        Number of the jump in the system.
-    nodes : ParameterNodes
-    source : Train
-        In units of the states (n,), scaled by the roots of the weights of the nodes.
-    units : ndarray (n,)
-    tolerance : float
-        Largest interpolation error.
+    Nodes are refined until they resolve the states after it to an interpolation error of
+    ``tolerance``. Trains are in ``units`` (n,), scaled by the roots of the weights of the nodes.
     """
     bases = nodes.bases
     for refinement in range(MAX_REFINEMENTS + 1):

@@ -34,18 +34,10 @@ contraction over those parameters, whatever they did before."""
 
 @dataclass(frozen=True, slots=True)
 class GroupKernels:
-    """All terms of one degree and one signature: they share every contraction.
+    """All terms of one degree in the states and one signature: they share every contraction.
 
-    Attributes
-    ----------
-    degree : int
-        In the states.
-    signature : tuple of int
-        Row of the factors of each parameter.
-    kernel, adjoint : callable
-        The generated terms and their adjoint; a constant is its own.
-    paired : list of int
-        Second states of quadratic terms.
+    The signature holds a row of the factors of each parameter. ``kernel`` evaluates the generated
+    terms; a constant is its own adjoint. ``paired`` lists the second states of quadratic terms.
     """
 
     degree: int
@@ -102,19 +94,9 @@ class ParameterOperators:
 class SlabOperator:
     """Right-hand side kernels and preconditioner of one slab, on scaled states.
 
-    Parameters
-    ----------
-    system : System
-        The generated module.
-    collocation : RadauCollocation
-        Time nodes.
-    start, length : float
-        The slab [start, start + length].
-    scale : ndarray (n,)
-        Size of each state; cores hold states divided by ``scale * sqrt(K)``, so that the Euclidean
-        norm of a core is a root mean square over the nodes in units of the size.
-    jacobian : ndarray (n, n, K)
-        Jacobian of the quadratic system at the nodes, along the trajectory at the box centre.
+    Cores hold states divided by ``scale * sqrt(K)``, with the sizes ``scale`` (n,) of the states:
+    the Euclidean norm of a core is a root mean square over the K nodes in units of the size.
+    ``jacobian`` (n, n, K) is that of the quadratic system along the trajectory at the box centre.
     """
 
     def __init__(
@@ -211,8 +193,8 @@ class SlabOperator:
 
     def left_minus_jacobian(self, weighted: Array, x: Array) -> Array:
         """<weighted_s, -A x>: (s, r)."""
-        product = np.tensordot(weighted, self.minus_jacobian(x, 1), axes=([0, 1], [0, 1]))
-        return np.asarray(product)
+        minus_jacobian = self.minus_jacobian(x, 1)
+        return np.asarray(np.tensordot(weighted, minus_jacobian, axes=([0, 1], [0, 1])))
 
     def initial(self, start: Array) -> Array:
         """E u_s for start values in scaled states (n_differential, r): (n, K, r)."""

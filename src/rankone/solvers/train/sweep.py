@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.solvers.train.constants import BLOCK_COUNT, BLOCK_MULTIPLICATIONS, GROUP_COST
+from rankone.solvers.train.options import BLOCK_COUNT, BLOCK_MULTIPLICATIONS, GROUP_COST
 from rankone.solvers.train.slab import (
     CONSTANT,
     LINEAR,
@@ -65,20 +65,10 @@ def _blocks(rank: int, work: float) -> list[tuple[int, int]]:
 
 
 def right_products(env: Array, core: Array, vector: Array) -> Array:
-    """Two trial cores against an environment on their right.
+    """Two trial cores (r, size, s) against a fully symmetric environment (s, s, s) on their right.
 
-    Parameters
-    ----------
-    env : ndarray (s, s, s)
-        Fully symmetric: test index, two trial indices.
-    core : ndarray (r, size, s)
-    vector : ndarray (size,)
-        Diagonal operator of the parameter.
-
-    Returns
-    -------
-    ndarray (packed pairs of r, size * s)
-        ``sum_ab vector[n] core[i, n, a] core[j, n, b] env[c, a, b]`` at (ij, (n, c)).
+    With the diagonal operator ``vector`` (size,) of the parameter, (packed pairs of r, size * s):
+    ``sum_ab vector[n] core[i, n, a] core[j, n, b] env[c, a, b]`` at (ij, (n, c)).
     """
     r, size, s = core.shape
     nodes = np.ascontiguousarray(core.transpose(1, 0, 2))
@@ -101,21 +91,11 @@ def right_products(env: Array, core: Array, vector: Array) -> Array:
 
 
 def left_products(env: Array, core: Array, vector: Array) -> Array:
-    """Two trial cores against an environment on their left.
+    """Two trial cores (r, size, s) against an environment (tests, r, r) on their left.
 
-    Parameters
-    ----------
-    env : ndarray (tests, r, r)
-        Symmetric in the two trial indices.
-    core : ndarray (r, size, s)
-    vector : ndarray (size,)
-        Diagonal operator of the parameter.
-
-    Returns
-    -------
-    ndarray (tests * size, packed pairs of s)
-        ``sum_ab vector[n] env[c, a, b] core[a, n, i] core[b, n, j]`` at ((c, n), ij), times the
-        multiplicity of the pair.
+    It is symmetric in the trial indices. With the diagonal operator ``vector`` (size,) of the
+    parameter, (tests * size, packed pairs of s): ``sum_ab vector[n] env[c, a, b] core[a, n, i]
+    core[b, n, j]`` at ((c, n), ij), times the multiplicity of the pair.
     """
     tests = env.shape[0]
     r, size, s = core.shape
@@ -143,20 +123,9 @@ def left_products(env: Array, core: Array, vector: Array) -> Array:
 class Sweeper:
     """The state of the sweeps on one slab.
 
-    Parameters
-    ----------
-    operator : SlabOperator
-        Kernels and preconditioner.
-    groups : tuple of GroupKernels
-        The term groups of the system.
-    parameters : ParameterOperators
-        Diagonal parameter operators on the current bases.
-    cores : list of ndarray
-        Core 0 (n, K, r_1), the centre; cores j >= 1 (r_j, n_j, r_{j+1}), right-orthonormal.
-    source : Train
-        The train U_s at the start of the slab: core 0 (n_differential, r), the rest alike.
-    max_rank : int
-        Largest rank kept by the splits.
+    Core 0 (n, K, r_1) is the centre, the cores j >= 1 (r_j, n_j, r_{j+1}) are right-orthonormal.
+    The train ``source`` is U_s at the start of the slab, with core 0 (n_differential, r). Splits
+    keep ranks up to ``max_rank``.
     """
 
     operator: SlabOperator
@@ -272,9 +241,8 @@ class Sweeper:
 
     def _contract_right(self, b: int) -> None:
         """``right[b]`` from ``right[b + 1]`` and the orthonormal core b."""
-        core = self.cores[b]
-        r = core.shape[0]
-        flat = core.reshape(r, -1)
+        r = self.cores[b].shape[0]
+        flat = self.cores[b].reshape(r, -1)
         self._right[b] = {}
         for key in self._keys[b]:
             degree, rows = key
