@@ -48,12 +48,8 @@ class Domain:
         """The domain with other intervals of some parameters, or another end of the horizon.
 
         ``names`` are those of all parameters, ``parameters`` maps some of them, or their symbols,
-        to new intervals.
-
-        Raises
-        ------
-        OptionError
-            If there is no such parameter, or an interval is not two finite ascending numbers.
+        to new intervals. An OptionError if there is no such parameter, or an interval is not two
+        finite ascending numbers.
         """
         if not isinstance(parameters, Mapping | None):
             message = f"parameters={parameters!r} is not a mapping from parameters to intervals"

@@ -1,4 +1,4 @@
-"""Features: all that is not smooth, or so narrow that samples may miss it.
+"""All that is not smooth, or so narrow that samples may miss it: features, gaps, jumps.
 
 A *cut* is a point of one coordinate, a *surface* the set of zeros of a function of several
 variables. Features are derived from the equations once, printed into the generated module, and
@@ -8,12 +8,13 @@ used wherever steps, elements, samples and check points are placed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 
 from rankone.support.arrays import Array
+from rankone.support.errors import warn
 
 VectorLike: TypeAlias = "Array | Sequence[float] | Sequence[Array]"
 """States (n, ...) or parameters (d, ...): an array, or a sequence of its rows."""
@@ -21,7 +22,10 @@ OfParameters: TypeAlias = Callable[[VectorLike], Array]
 """A function of p (d, ...)."""
 OfStates: TypeAlias = "Callable[[float | Array, VectorLike, VectorLike], Array]"
 """A function of t, u (n, ...) and p (d, ...)."""
-
+Jumped: TypeAlias = Callable[[int, VectorLike, VectorLike], Array]
+"""States after a jump, from its kind, the states before and the parameters."""
+# In horizons: a jump closer to the end than this is at the end but for rounding
+_DISTANCE_FROM_END = 1e-9
 
 GAP_REMEDY = "add a branch (value, True) for everything else, or let its conditions cover this too"
 """What to do about a gap, wherever it shows."""
@@ -36,27 +40,13 @@ def no_rows(*_: float | VectorLike) -> Array:
 class Features:
     """Where functions of the right-hand side jump, kink or are narrow; empty where nothing does.
 
-    Attributes
-    ----------
-    cuts : tuple of tuple of float
-        For time and each parameter the points at which functions of it alone are not smooth.
-    periodic_cuts : tuple of tuple of (float, float)
-        The same for points that repeat: one of them and the period.
-    n_moving_cuts : int
-        Number of ``moving_cuts``.
-    moving_cuts : callable
-        Times at which functions of time and parameters are not smooth, at p (d, ...): (cuts, ...).
-    n_parameter_surfaces : int
-        Number of ``parameter_surfaces``.
-    parameter_surfaces : callable
-        Functions of several parameters that vanish, or are least, where others are not smooth, at
-        p (d, ...): (surfaces, ...).
-    n_peaks, n_kinks, n_steps : int
-        Numbers of the ``state_surfaces`` of each sort, in this order: those that vanish in the
-        middle of smooth peaks, at kinks, and at steps.
-    state_surfaces : callable
-        Functions that vanish where the rates are not smooth over the states, at t, u (n, ...) and
-        p (d, ...): (surfaces, ...).
+    ``cuts`` are for time and each parameter the points at which functions of it alone are not
+    smooth; ``periodic_cuts`` those that repeat: one of them and the period. ``moving_cuts`` are
+    times at which functions of time and parameters p (d, ...) are not smooth.
+    ``parameter_surfaces`` vanish, or are least, at p where functions of several parameters are not
+    smooth; ``state_surfaces`` vanish where the rates are not smooth over the states, at t, u
+    (n, ...) and p. The latter are ``n_peaks`` that vanish in the middle of smooth peaks, then
+    ``n_kinks`` and ``n_steps``. All functions return (count, ...).
     """
 
     cuts: tuple[tuple[float, ...], ...]
@@ -78,14 +68,10 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Where piecewise functions of the states have no branch.
+    """Where piecewise functions of the states have no branch, with what to say of each gap.
 
-    Attributes
-    ----------
-    texts : tuple of str
-        What to say of each gap.
-    inside : callable
-        For each gap one inside of it, else zero, at t, u (n, ...) and p (d, ...): (gaps, ...).
+    ``inside`` is for each gap one inside of it, else zero, at t, u (n, ...) and p (d, ...):
+    (gaps, ...).
     """
 
     texts: tuple[str, ...] = ()
@@ -97,3 +83,43 @@ class Gaps:
             return None
         inside = np.broadcast_to(self.inside(t, u, p), (len(self.texts), 1))[:, 0]
         return next((text for text, here in zip(self.texts, inside, strict=True) if here), None)
+
+
+def unchanged(_kind: int, u: VectorLike, _p: VectorLike) -> Array:
+    """The states before: nothing is reset."""
+    return np.array(u, dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """The jumps of a system, by ascending times; empty where states are never reset.
+
+    ``jumped`` returns the states right after a jump, (n, ...), from its kind, the states u (n, ...)
+    before it and p (d, ...). ``rough_kinds`` are the kinds whose values are not polynomials of the
+    states; ``gaps`` say where piecewise functions in what is reset have no branch.
+    """
+
+    times: tuple[float, ...] = ()
+    kinds: tuple[int, ...] = ()
+    rough_kinds: tuple[int, ...] = ()
+    jumped: Jumped = unchanged
+    gaps: Gaps = field(default_factory=Gaps)
+
+    def inside(self, start: float, end: float) -> tuple[float, ...]:
+        """The times inside of a horizon, ascending."""
+        last = end - _DISTANCE_FROM_END * (end - start)
+        return tuple(time for time in self.times if start < time < last)
+
+    def kind_at(self, time: float) -> int | None:
+        """The kind of the jump at a time; None if there is none."""
+        pairs = zip(self.times, self.kinds, strict=True)
+        return next((kind for at, kind in pairs if at == time), None)
+
+    def warn_of_last(self, start: float, end: float) -> None:
+        """Warn of a jump that is so close to the end of the horizon that it is not taken."""
+        before_end = [time for time in self.times if start < time < end]
+        if len(before_end) > len(self.inside(start, end)):
+            warn(
+                f"the jump at {before_end[-1]!r} is at the end of the horizon, {end!r}, but for "
+                "rounding, and is not taken; remedy: move the end"
+            )

@@ -53,12 +53,9 @@ class Coordinate:
 class State:
     """One scalar function of time.
 
-    Attributes
-    ----------
-    name : str
-        The unknown's name, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``).
-    expression : Expr
-        The applied function, its derivative or the product of states, as the user would write it.
+    Its name is the unknown's, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``);
+    the expression is the applied function, its derivative or the product of states, as the user
+    writes it.
     """
 
     name: str
@@ -70,12 +67,8 @@ class State:
 class Jump:
     """States that are reset at a known time, such as a dose.
 
-    Attributes
-    ----------
-    time : float
-    values : tuple of Expr
-        For each differential state its value right after that time, in the values of the states
-        before, ``x(t)``, and the parameters.
+    ``values`` has for each differential state its value right after that time, in the values of the
+    states before, ``x(t)``, and the parameters.
     """
 
     time: float
@@ -100,20 +93,12 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One separated term of an equation, or of an initial condition.
+    """One separated term of an equation, or of an initial condition, of one state.
 
-    Attributes
-    ----------
-    equation : int
-        Index of the state whose equation (or initial value) the term belongs to.
-    coefficient : Fraction or float
-        Number in front; exact if it is rational.
-    factors : tuple of int
-        For each dimension the index into the ``factors`` of that dimension; 0 is "one".
-    monomial : tuple of int
-        Indices of the states multiplied, ascending, repeated for powers; empty for a constant.
-    derivative : int
-        Order of d/dt on the monomial: 1 for the terms u', 0 for all others.
+    The coefficient is exact if it is rational. ``factors`` are for each dimension the index of its
+    factor; 0 is "one". ``monomial`` has the indices of the states multiplied, ascending, repeated
+    for powers; it is empty for a constant. ``derivative`` is the order of d/dt on it: 1 for the
+    terms u'.
     """
 
     equation: int
@@ -298,20 +283,9 @@ class SeparatedForm:
 class Group:
     """Terms of degree at most two that share their parameter factors, and so a contraction.
 
-    Quadratic monomials ``x_a x_b`` are evaluated as ``x_a`` times a contraction of ``x_b``.
-
-    Attributes
-    ----------
-    index : int
-        Position of the group.
-    signature : tuple of int
-        For each parameter the factor's row; 0 is one.
-    constant, linear, quadratic : tuple of Term
-        The terms by degree.
-    paired : tuple of int
-        Second states b of the quadratic monomials.
-    blocks : tuple of tuple of int
-        For each paired state b the first states a of the monomials ``x_a x_b``, ascending.
+    ``signature`` is for each parameter the factor's row; 0 is one. Quadratic monomials ``x_a x_b``
+    are evaluated as ``x_a`` times a contraction of ``x_b``: ``paired`` are the second states b,
+    ``blocks`` for each of them the first states a, ascending.
     """
 
     index: int

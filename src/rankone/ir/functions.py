@@ -85,15 +85,7 @@ def _new_class(
 
 
 class Table(DataFunction):
-    """A function given by values at ascending points; NaN outside of them.
-
-    Attributes
-    ----------
-    points, values : tuple of float
-    kind : {"linear", "cubic", "previous"}
-    order : int
-        Order of the derivative of a cubic spline.
-    """
+    """A function given by values at ascending points, NaN outside; ``order`` is of derivatives."""
 
     points: ClassVar[tuple[float, ...]]
     values: ClassVar[tuple[float, ...]]
@@ -214,13 +206,7 @@ def _table_class(
 
 
 class UserFunction(DataFunction):
-    """A function of the user, evaluated by a callable on arrays.
-
-    Attributes
-    ----------
-    derivatives : tuple of callable
-        One for each argument; none if this is a derivative itself.
-    """
+    """A function of the user, by a callable on arrays; derivatives have none themselves."""
 
     derivatives: ClassVar[tuple[Callable[..., object], ...]]
 
@@ -409,9 +395,6 @@ def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
         "])",
         "# fmt: on",
     ]
-
-
-# -- functions of a whole function of time ----------------------------------------------------
 
 
 class maximum(sp.Function):  # type: ignore[misc]

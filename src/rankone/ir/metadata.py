@@ -27,44 +27,15 @@ class Role(StrEnum):
 class SolutionMetadata:
     """The problem and the request as plain data: a solution needs neither SymPy nor the problem.
 
-    Attributes
-    ----------
-    states : tuple of str
-        Names of all states in the order of the slabs' states; derivatives that became states are
-        called ``x_t``, ``x_tt``, ...
-    roles : tuple of Role
-        What each state is.
-    parameters : tuple of str
-        Names of the parameters, in the order of the slabs' cores.
-    box : tuple of (float, float)
-        The interval of each parameter.
-    time : str
-        Name of time.
-    horizon : (float, float)
-        Start and end asked for; a partial solution ends earlier.
-    rtol : float
-        Relative tolerance asked for.
-    method : str
-        Name of the engine.
-    equations : tuple of str
-        The problem as text, one line for each equation and initial value.
-    version : str
-        Version of rankone that solved it.
-    source : str or None
-        Text of the generated module.
-    timeless : bool
-        Whether the values do not depend on time, which then is no coordinate.
-    units : tuple of (str, str)
-        Names of coordinates and states, and the unit of each.
-    distributions : tuple of (str, str)
-        Names of parameters and the distribution of each as text, ``norm(1.0, 0.1)``; the others
-        are uniform.
-    correlations : tuple of (str, str, float)
-        Pairs of parameters and the correlation of their Gaussian copula; others are independent.
-    fixed : tuple of (str, float)
-        Coordinates that ``fix`` or ``at`` has set, and their values.
-    name : str
-        Of the problem; empty if it has none.
+    ``states`` are in the order of the slabs' states, with derivatives that became states as
+    ``x_t``, ``x_tt``, ...; ``parameters`` in the order of the slabs' cores. ``horizon`` is what was
+    asked for; a partial solution ends earlier. ``equations`` are the problem as text, a line for
+    each equation and initial value; ``source`` is the text of the generated module, ``version`` the
+    rankone that solved it. ``timeless`` says that no value depends on time, which then is no
+    coordinate. ``units`` has names of coordinates and states. ``distributions`` are texts,
+    ``norm(1.0, 0.1)``; other parameters are uniform. ``correlations`` are pairs of parameters and
+    the correlation of their Gaussian copula. ``fixed`` has the coordinates that ``fix`` or ``at``
+    set. ``name`` is empty if the problem has none.
     """
 
     states: tuple[str, ...]
@@ -104,9 +75,6 @@ class SolutionMetadata:
     def unknown_rows(self) -> tuple[int, ...]:
         """Positions of the unknowns among the states."""
         return tuple(row for row, role in enumerate(self.roles) if role == Role.UNKNOWN)
-
-
-# --- units: shown and passed on, never converted -------------------------------------------------
 
 
 def per(unit: str, by: str, times: int = 1) -> str:

@@ -11,23 +11,11 @@ from rankone.tensors.slab import SlabTrain
 
 @dataclass(frozen=True, slots=True)
 class SlabRecord:
-    """One accepted or rejected slab.
+    """One accepted or rejected slab, with the train's ranks and parameter nodes at the end.
 
-    Attributes
-    ----------
-    attempt : int
-        Index of the attempt, from 0: a solve is repeated with a tighter inner tolerance when
-        the check asks for it.
-    start, end : float
-        The slab.
-    tolerance : float
-        Inner tolerance of the slab, in units of each state's size.
-    residuals : tuple of float
-        Largest change of the train in each sweep, in the same unit.
-    ranks : tuple of int
-        Ranks at the end of the sweeps.
-    nodes : tuple of int
-        Parameter nodes in each dimension.
+    ``attempt`` counts from 0: a solve is repeated with a tighter inner tolerance when the check
+    asks for it. ``tolerance``, and ``residuals``, the largest change of the train in each sweep,
+    are in units of each state's size.
     """
 
     attempt: int
@@ -44,28 +32,12 @@ class SlabRecord:
 class Measured:
     """Errors against SciPy trajectories over the whole horizon, relative to each state's size.
 
-    Attributes
-    ----------
-    interior : tuple of float
-        For each state the largest error over interior parameter points, and over the corners of
-        the box where they count.
-    corners : tuple of float
-        For each state the largest error over corners of the box; empty without parameters.
-    points : int
-        Number of trajectories compared.
-    method : str
-        The SciPy method of the reference.
-    cover : {"interior", "box"}
-        Whether the corners are among the errors in ``interior``.
-    quantile : float or None
-        95 % of the points that count are no worse.
-    worst : tuple of float
-        The worst of them.
-    counted : tuple of int or None
-        The states that success is for; None for all.
-    drift : float or None
-        Largest difference between lifted states and what they stand for, relative to their sizes;
-        None where none are lifted.
+    ``interior`` has for each state the largest error over interior parameter points, and over the
+    corners of the box where ``cover`` is "box"; ``corners`` that over corners, empty without
+    parameters. ``points`` trajectories by the SciPy ``method`` were compared; 95 % of those that
+    count are no worse than ``quantile``, and ``worst`` is the worst of them. ``counted`` are the
+    states that success is for, None for all. ``drift`` is the largest difference between lifted
+    states and what they stand for, relative to their sizes; None where none are lifted.
     """
 
     interior: tuple[float, ...]
@@ -103,14 +75,8 @@ class Measured:
 class SafeInterval:
     """A shorter interval of one parameter on which no trajectory was seen to end early.
 
-    Attributes
-    ----------
-    parameter : int
-    lower, upper : float
-    below : bool
-        Whether the upper end was moved, and not the lower one.
-    share : float
-        Its length over that of the whole interval.
+    ``below`` says that the upper end was moved, not the lower one; ``share`` is its length over
+    that of the whole interval.
     """
 
     parameter: int
@@ -129,30 +95,13 @@ class SafeInterval:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of an engine.
+    """The result of an engine: consecutive slabs of all differential states, and how it ended.
 
-    Attributes
-    ----------
-    slabs : tuple of SlabTrain
-        Consecutive slabs, all differential states.
-    status : Status
-        How it ended.
-    measured : Measured or None
-        None when no check was made.
-    timings : dict of str to float
-        Seconds by stage: ``reference``, ``march``, ``check``.
-    work : dict of str to float
-        Operations counted in the same stages: shares of the budget that ``effort`` sets.
-    blow_up : tuple or None
-        Time and parameter values near which a trajectory blows up.
-    safe : tuple of SafeInterval
-        Where the box would have to end instead, the one that keeps most of it first.
-    switching : int or None
-        The state whose rate switches to and fro where the reference trajectories came to an end.
-    cause : Cause or None
-        Why it ended, where the status does not say enough.
-    notes : tuple of Note
-        What else matters: the error, limits, other engines, what to do.
+    ``measured`` is None when no check was made. ``timings`` are seconds, and ``work`` operations of
+    the budget that ``effort`` sets, by stage: ``reference``, ``march``, ``check``. ``blow_up`` has
+    time and parameter values near which a trajectory blows up, ``safe`` where the box would have to
+    end instead, the one that keeps most of it first. ``switching`` is the state whose rate switches
+    to and fro where the reference trajectories came to an end.
     """
 
     slabs: tuple[SlabTrain, ...]

@@ -44,14 +44,9 @@ EngineOptions = TypeVar("EngineOptions", bound=Options)
 class Check:
     """How a solution is compared with reference trajectories.
 
-    Attributes
-    ----------
-    points : int
-        Number of check points in the interior; 0 skips the check.
-    cover : {"interior", "box"} or None
-        Whether success covers the corners of the box. None: it does where there are few parameters.
-    states : tuple of int or None
-        The states whose error counts; None for all.
+    ``points`` in the interior are checked, none with 0. ``cover`` is "interior" or "box", whether
+    success covers the corners too; None: it does where there are few parameters. ``states`` are
+    those whose error counts; None for all.
     """
 
     points: int = _USUAL_POINTS
@@ -79,15 +74,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Limits:
-    """The budget of a solve.
-
-    Attributes
-    ----------
-    operations : float
-        Operations of counted work.
-    seconds : float
-        Seconds on the clock; infinite unless a user set a limit.
-    """
+    """The budget of a solve: operations of counted work, and seconds if a user set a limit."""
 
     operations: float = math.inf
     seconds: float = math.inf
@@ -112,16 +99,8 @@ class Limits:
 class SolveRequest:
     """The request of a solve, with all arguments checked.
 
-    Attributes
-    ----------
-    rtol : float
-        Largest measured error asked for, relative to the size of each unknown.
-    domain : Domain
-        Horizon and box.
-    check : Check
-    limits : Limits
-    options : tuple of Options
-        One group for each engine that may be tried.
+    ``rtol`` is the largest measured error, relative to the size of each unknown; ``options`` has
+    one group for each engine that may be tried.
     """
 
     rtol: float
@@ -147,20 +126,11 @@ class SolveRequest:
         unknowns: object = None,
         arguments: Sequence[str] = (),
     ) -> SolveRequest:
-        """Check the arguments of a ``solve``.
+        """Check the arguments of a ``solve``; an OptionError if one is unknown or out of its range.
 
-        Parameters
-        ----------
-        groups : sequence of type
-            The options of the engines that may be tried. Several engines take each the ``options``
-            that they know; a single one has to know all of them.
-        arguments : sequence of str
-            What the caller's ``solve`` takes beside ``SOLVE_ARGUMENTS``.
-
-        Raises
-        ------
-        OptionError
-            If an argument or an option is unknown or out of its range.
+        Several engines, by the ``groups`` of their options, take each the ``options`` that they
+        know; a single one has to know all of them. ``arguments`` are what the caller's ``solve``
+        takes beside ``SOLVE_ARGUMENTS``.
         """
         rtol = checked_number("rtol", rtol, _TIGHTEST_RTOL, _LOOSEST_RTOL, float)
         compared = Check.of(system, check, cover, unknowns)

@@ -43,12 +43,13 @@ from rankone.ir.features import (
     GAP_REMEDY,
     Features,
     Gaps,
+    Jumps,
     OfParameters,
     OfStates,
     VectorLike,
     no_rows,
+    unchanged,
 )
-from rankone.ir.jumps import Jumps, unchanged
 from rankone.support.arrays import Array
 from rankone.support.errors import ProblemError
 
@@ -75,14 +76,9 @@ class ModuleSpecification(Protocol):
 class Kernels:
     """The separated right-hand side, group by group; no groups where it does not separate.
 
-    Attributes
-    ----------
-    signatures : tuple of tuple of int
-        For each group and parameter the row of ``parameter_factors``; row 0 is one.
-    paired : tuple of tuple of int
-        For each group the second states of its quadratic monomials (the order of z and v).
-    constant, linear, linear_adjoint, quadratic, quadratic_adjoint : tuple of callable or None
-        For each group its kernels; None where it has no such terms.
+    ``signatures`` has for each group and parameter the row of ``parameter_factors``, row 0 is one;
+    ``paired`` for each group the second states of its quadratic monomials, the order of z and v.
+    Each kernel is None for groups that have no such terms.
     """
 
     signatures: tuple[tuple[int, ...], ...] = ()
@@ -98,59 +94,28 @@ class Kernels:
 class System:
     """A system to be solved. Every member is there, empty where the system has nothing of it.
 
-    Attributes
-    ----------
-    separated : bool
-        Whether the right-hand side separates. Where it does not, there are no kernels and no terms.
-    states : tuple of str
-        Differential states, then the auxiliary products.
-    n_differential : int
-        Number of differential states.
-    n_lifted : int
-        How many of the differential states, the last, are functions of the others.
-    products : tuple of (int, int)
-        For each auxiliary state the indices (a, b) of the states multiplied.
-    parameters : tuple of str
-    horizon : (float, float)
-    box : tuple of (float, float)
-        The range of each parameter.
-    terms : tuple of (float, int, tuple of int, tuple of int)
-        Right-hand sides term by term, of any degree: (coefficient, differential state, rows of the
-        time factor and of the factor of each parameter, differential states multiplied).
-    initial_terms : tuple of (float, int, tuple of int)
-        Initial values, as far as they separate: (coefficient, differential state, row for each
-        parameter).
-    initial_separates : bool
-        Whether ``initial_terms`` are all of the initial values.
-    unseparated_initial : callable
-        What of the initial values does not separate, all of them if the system does not, at
-        p (d, ...): shape (n_differential, ...).
-    time_factors : callable
-        Time factors at the points t (P,): shape (number of factors, P); row 0 is one.
-    parameter_factors : callable
-        Factors of one parameter, given by its index, at the points p (N,): shape (number, N); row
-        0 is one.
-    rhs : callable
-        Pointwise f(t, u, p): u (n_differential, ...), p (d, ...) -> (n_differential, ...).
-    jacobian : callable
-        Pointwise df/du, shape (n_differential, n_differential, ...).
-    with_products : callable
-        Append the products to u: (n_differential, ...) -> (len(states), ...).
-    quadratic_jacobian : callable
-        Jacobian of the quadratic system at t, x (len(states), ...) and p, shape (n, n, ...). Rows
-        of the differential states hold f with products as states; the row of a product holds the
-        derivative of ``s_a s_b - w``.
-    meanings : callable
-        What the lifted states stand for at t, u (n_differential, ...) and p: (n_lifted, ...).
-    kernels : Kernels
-    features : Features
-        Where the system is not smooth.
-    jumps : Jumps
-        Where its states are reset.
-    gaps : Gaps
-        Where piecewise functions in its rates have no branch.
-    specification : ModuleSpecification or None
-        What it is loaded from, if rankone compiled it.
+    ``states`` are the ``n_differential`` differential states, of which the last ``n_lifted`` are
+    functions of the others, then one state for each of the ``products`` (a, b) of two states. Where
+    the right-hand side is not ``separated``, there are no kernels and no terms.
+
+    ``terms`` are the right-hand sides term by term, of any degree: (coefficient, differential
+    state, rows of the time factor and of the factor of each parameter, differential states
+    multiplied). ``initial_terms`` are the initial values: (coefficient, differential state, row for
+    each parameter). ``unseparated_initial`` adds what does not separate, or gives all of them where
+    the system does not separate, at p (d, ...): (n_differential, ...); it is empty where
+    ``initial_separates``.
+
+    Functions of one coordinate take points (N,) and return (factors, N); row 0 is one.
+    ``parameter_factors`` takes the index of the parameter first. Functions of t, u
+    (n_differential, ...) and p (d, ...) are f itself, ``rhs``; its ``jacobian`` df/du
+    (n_differential, n_differential, ...); and the ``meanings`` of lifted states, (n_lifted, ...).
+    ``with_products`` appends the products to u. ``quadratic_jacobian`` takes all states and is
+    (n, n, ...): rows of differential states hold f with products as states, the row of a product
+    the derivative of ``s_a s_b - w``.
+
+    ``features`` say where the system is not smooth, ``jumps`` where its states are reset, ``gaps``
+    where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
+    from, if rankone compiled it.
     """
 
     separated: bool

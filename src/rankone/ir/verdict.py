@@ -57,28 +57,24 @@ class Status(Enum):
         return cls.WORK_LIMIT if isinstance(error, OutOfWorkError) else cls.TIME_LIMIT
 
 
-class Cause(Tagged):
-    """Why a solve ended, where the status does not say enough."""
+class Remark:
+    """A cause or a note; ``text`` is its sentence, with its fields and the status in braces."""
 
     text: ClassVar[str]
-    """What the message says in place of the status, with the fields of the cause in braces."""
-
-    def sentence(self, status: Status) -> str:
-        """What the message says in place of the status."""
-        return self.text.format(**vars(self), status=status.value)
-
-
-class Note(Tagged):
-    """What else matters about how a solve ended."""
-
-    lead: ClassVar[str] = "; "
-    """What stands between the note and the text before it."""
-    text: ClassVar[str]
-    """What the message says, with the fields of the note in braces."""
 
     def sentence(self, status: Status) -> str:
         """What the message says."""
-        return self.text.format(**vars(self))
+        return self.text.format(**vars(self), status=status.value)
+
+
+class Cause(Remark, Tagged):
+    """Why a solve ended, where the status does not say enough: in place of the status."""
+
+
+class Note(Remark, Tagged):
+    """What else matters about how a solve ended; ``lead`` stands before it."""
+
+    lead: ClassVar[str] = "; "
 
 
 @dataclass(frozen=True)
@@ -154,22 +150,11 @@ class UnsettledTerms(Cause):
 
 @dataclass(frozen=True)
 class SteepParameter(Cause):
-    """A parameter on which the solution depends steeply, and where.
+    """A parameter on which the solution depends steeply, between ``lower`` and ``upper``.
 
-    Attributes
-    ----------
-    parameter, unknown : str
-        The parameter, and the unknown that changes most.
-    lower, upper : float
-        The interval over which it changes.
-    change : float
-        By how much, in sizes of the unknown.
-    jump : bool
-        Whether the interval is too short to be told from a point.
-    at_end : bool
-        Whether the states at the end of the horizon differ as well.
-    others : tuple of (str, float)
-        Values of the other parameters.
+    ``unknown`` changes most, by ``change`` times its size. ``jump`` says that the interval is too
+    short to be told from a point, ``at_end`` that the states at the end of the horizon differ as
+    well. ``others`` are values of the other parameters.
     """
 
     parameter: str
