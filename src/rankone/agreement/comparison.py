@@ -13,26 +13,23 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 from rankone.support.wording import quote
 
+# Step of difference quotients: half of the hundred digits remain in the difference
 _STEP = number(1e-35)
-"""Step of difference quotients: half of the hundred digits remain in the difference."""
+# Residuals below this share of the terms are rounding. A larger one is compared with the effect of
+# relative errors of this size in all intermediate results.
 _TOLERANCE = 1e-13
-"""Residuals below this share of the terms are rounding. A larger one is compared with the effect of
-relative errors of this size in all intermediate results."""
+# Relative error of the evaluation itself, in which log(1 + 1e-178) has no digits either
 _LAST_DIGITS = 1e-90
-"""Relative error of the evaluation itself, in which log(1 + 1e-178) has no digits either."""
-_RUNS = 4
-"""Evaluations with disturbed intermediate results: few, as only the largest effect counts."""
+_RUNS = 4  # Evaluations with disturbed intermediate results: few, as only the largest effect counts
 _SEED = 1914
-_SPREAD_RATIO = 10.0
-"""Largest residual over that effect: a few runs do not meet the worst errors."""
+_SPREAD_RATIO = 10.0  # Largest residual over that effect: a few runs do not meet the worst errors
 LOST_SHARE = 0.01
 """A residual above this share of the largest value leaves no digits that count."""
+# Residuals below this share of the terms do not matter, for example between two steep steps
 _NEGLIGIBLE_SHARE = 1e-30
-"""Residuals below this share of the terms do not matter, for example between two steep steps."""
-_TINY_SHARE = 1e-120
-"""Residuals below this share of the largest terms are underflow."""
+_TINY_SHARE = 1e-120  # Residuals below this share of the largest terms are underflow
+# Residuals below this are underflow: products of floating-point numbers end near 1e-308
 _UNDERFLOW = 1e-280
-"""Residuals below this are underflow: products of floating-point numbers end near 1e-308."""
 
 
 def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:

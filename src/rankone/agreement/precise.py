@@ -20,11 +20,9 @@ PRECISION = 336
 """Bits of the numbers: a hundred decimal digits."""
 _CONTEXT = mpmath.MPContext()
 _CONTEXT.dps = _DIGITS
+# Arguments and logarithms up to which growing functions are evaluated: mpmath takes forever beyond
 _LARGEST_ARGUMENT = 1e300
-"""Arguments and logarithms up to which growing functions are evaluated: mpmath takes forever
-beyond."""
-_MOST_MULTIPLIED_POWER = 1000
-"""Integer exponents up to which powers are products."""
+_MOST_MULTIPLIED_POWER = 1000  # Integer exponents up to which powers are products
 
 Number = tuple[int, int, int, int]
 """A floating-point number of mpmath: sign, mantissa, exponent, bits."""

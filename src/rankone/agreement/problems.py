@@ -20,32 +20,27 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 
+# Points at which a problem is compared: over the horizon, the box and plausible states
 _POINTS = 20
-"""Points at which a problem is compared: over the horizon, the box and plausible states."""
-_FEWEST_POINTS = 3
-"""Points for equations of very many operations."""
-_MOST_OPERATIONS = 12000
-"""Operations at a hundred digits for all rates: some tenths of a second."""
+_FEWEST_POINTS = 3  # Points for equations of very many operations
+_MOST_OPERATIONS = 12000  # Operations at a hundred digits for all rates: some tenths of a second
+# Shares of the horizon over which states have moved from the start, at their first rate
 _DRIFTS = (0.0, 1e-3, 0.03, 0.3)
-"""Shares of the horizon over which states have moved from the start, at their first rate."""
+# Relative distances of states from there. Zero states move too, except at still points.
 _NOISE = (1e-9, 1e-5, 0.01, 0.3)
-"""Relative distances of states from there. Zero states move too, except at still points."""
+# One point of this many is still: its states are those at the start, apart from the noise
 _STILL_PERIOD = len(_DRIFTS)
-"""One point of this many is still: its states are those at the start, apart from the noise."""
+# Largest drift of a state, over its largest initial value: a first rate may be a short peak
 _LARGEST_DRIFT = 10.0
-"""Largest drift of a state, over its largest initial value: a first rate may be a short peak."""
-_JACOBIANS = 3
-"""Points at which the Jacobian is compared; each takes four evaluations."""
-_SLOPE_TOLERANCE = 1e-6
-"""Derivatives may be off by this share of their terms."""
-_NEGLIGIBLE_SLOPE = 1e-15
-"""Derivatives may be off by this share of the change of the states."""
+_JACOBIANS = 3  # Points at which the Jacobian is compared; each takes four evaluations
+_SLOPE_TOLERANCE = 1e-6  # Derivatives may be off by this share of their terms
+_NEGLIGIBLE_SLOPE = 1e-15  # Derivatives may be off by this share of the change of the states
+# Derivatives may be off by this many times the effect of relative errors of 1e-13, so of 1e-8
 _SLOPE_SPREAD_RATIO = 1e5
-"""Derivatives may be off by this many times the effect of relative errors of 1e-13, so of 1e-8."""
+# Share of its size by which an error of a rate may move a state over the horizon
 _NEGLIGIBLE_CHANGE = 1e-13
-"""Share of its size by which an error of a rate may move a state over the horizon."""
+# Difference of a lifted rate, over the largest rate of the state, that exceeds rounding
 _LIFTED_TOLERANCE = 1e-6
-"""Difference of a lifted rate, over the largest rate of the state, that exceeds rounding."""
 _SEED = 1937
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 

@@ -28,20 +28,18 @@ from rankone.ir.forms import Coordinate
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
 
+# Points of an interval, evenly spaced and at Chebyshev points: enough to bracket sign changes
 _SAMPLES = 501
-"""Points of an interval, evenly spaced and at Chebyshev points: enough to bracket sign changes."""
+# Refinements around a sample, each by a factor of about 250: the last spacing is rounding
 _ZOOMS = 6
-"""Refinements around a sample, each by a factor of about 250: the last spacing is rounding."""
-_VANISHES = 1e-13
-"""Value at a zero, relative to the samples beside it: what rounding leaves."""
+_VANISHES = 1e-13  # Value at a zero, relative to the samples beside it: what rounding leaves
+# Distance from a zero, in widths of the interval, at which the function is evaluated again
 _BESIDE_ZERO = 1e-12
-"""Distance from a zero, in widths of the interval, at which the function is evaluated again."""
+# Least value over that beside it which tells a flat minimum above zero from a zero
 _FLAT_RATIO = 0.5
-"""Least value over that beside it which tells a flat minimum above zero from a zero."""
+# Cells of several comparisons that are examined; conditions with more stay as they are
 _MOST_CELLS = 1 << 14
-"""Cells of several comparisons that are examined; conditions with more stay as they are."""
-_SAME_LEVEL = 1e-14
-"""Relative distance below which two levels are one but for rounding."""
+_SAME_LEVEL = 1e-14  # Relative distance below which two levels are one but for rounding
 _WITH_EQUALITY = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}
 Truth = NDArray[np.bool_]
 

@@ -15,14 +15,12 @@ from sympy.printing.str import StrPrinter
 
 from rankone.support.wording import clip, written
 
-_DIGITS = 17
-"""Decimal digits that tell all floating-point numbers apart."""
+_DIGITS = 17  # Decimal digits that tell all floating-point numbers apart
+# From this denominator on a fraction is written as a decimal: nobody reads it as a fraction
 _LARGEST_DENOMINATOR = 10**6
-"""From this denominator on a fraction is written as a decimal: nobody reads it as a fraction."""
+# Above this an integer is written as a decimal: a floating-point number holds no more digits
 _LARGEST_INTEGER = 10**15
-"""Above this an integer is written as a decimal: a floating-point number holds no more digits."""
-_LONGEST_SIDE = 400
-"""Characters of one side of an equation; longer ones are cut in the middle."""
+_LONGEST_SIDE = 400  # Characters of one side of an equation; longer ones are cut in the middle
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

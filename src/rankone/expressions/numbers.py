@@ -15,16 +15,15 @@ import sympy as sp
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
-_DIGITS = 15
-"""Significant decimal digits that every floating-point number holds."""
+_DIGITS = 15  # Significant decimal digits that every floating-point number holds
+# Numbers beyond, or below its reciprocal, go back into the exponential they came from
 _EXTREME_RATIO = 1e30
-"""Numbers beyond, or below its reciprocal, go back into the exponential they came from."""
+# Decimal logarithm of the largest scale s in powers (x/s)**n: units rarely differ by more
 _LARGEST_SCALE_DIGITS = 6
-"""Decimal logarithm of the largest scale s in powers (x/s)**n: units rarely differ by more."""
+# Units in the last place by which sums of a few decimal numbers miss their decimal result
 _SUM_ERROR_ULPS = 2
-"""Units in the last place by which sums of a few decimal numbers miss their decimal result."""
+# Logarithm beyond which a function of numbers is not evaluated: floats end near 710
 _LARGEST_LOGARITHM = 1e5
-"""Logarithm beyond which a function of numbers is not evaluated: floats end near 710."""
 _GROWING = (sp.exp, sp.cosh, sp.sinh)
 _FACTORIALS = (sp.gamma, sp.factorial, sp.loggamma)
 

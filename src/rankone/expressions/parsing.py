@@ -44,8 +44,8 @@ CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
 """Constants by name, unless the user gives the name another meaning."""
 
 _VARIADIC = {"min", "Min", "max", "Max", "Mod"}
+# Operators that join any number of terms to one sum, or of factors to one product
 _CHAINED = ((ast.Add, ast.Sub), (ast.Mult, ast.Div))
-"""Operators that join any number of terms to one sum, or of factors to one product."""
 _COMPARED: dict[type[ast.cmpop], Callable[[sp.Expr, sp.Expr], sp.Basic]] = {
     ast.Lt: sp.Lt,
     ast.LtE: sp.Le,
@@ -58,30 +58,24 @@ _LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
 }
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
+# Bits of a power of numbers; far more than any floating-point number needs
 _LARGEST_POWER_BITS = 4096
-"""Bits of a power of numbers; far more than any floating-point number needs."""
+# Bits of the power of a number in front of a variable, as in (x/310.15)**125
 _LARGEST_SCALE_BITS = 100_000
-"""Bits of the power of a number in front of a variable, as in (x/310.15)**125."""
+# Largest power of numbers: near the largest floating-point number, with room for a factor
 _LARGEST_NUMBER = 10**300
-"""Largest power of numbers: near the largest floating-point number, with room for a factor."""
+# Largest decimal number, and with its reciprocal the smallest: the range of floating point
 _LARGEST_DECIMAL = 10**308
-"""Largest decimal number, and with its reciprocal the smallest: the range of floating point."""
-_LARGEST_EXPONENT_DIGITS = 4
-"""Digits of the exponent of a decimal number; more take SymPy forever."""
+_LARGEST_EXPONENT_DIGITS = 4  # Digits of the exponent of a decimal number; more take SymPy forever
+# Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time
 _LARGEST_ROOT = 12
-"""Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time."""
-_DEEPEST_NESTING = 24
-"""Functions inside one another; SymPy takes exponentially long for more."""
-_LONG_FORMULA = 1000
-"""Characters from which on a formula is parsed in pieces."""
-_TERMS_PER_PIECE = 50
-"""Terms of one piece: Python's parser recurses as deep as a sum is long."""
+_DEEPEST_NESTING = 24  # Functions inside one another; SymPy takes exponentially long for more
+_LONG_FORMULA = 1000  # Characters from which on a formula is parsed in pieces
+_TERMS_PER_PIECE = 50  # Terms of one piece: Python's parser recurses as deep as a sum is long
+# Terms inside parentheses that Python's parser takes in any case; named in the message
 _SAFE_INNER_TERMS = 500
-"""Terms inside parentheses that Python's parser takes in any case; named in the message."""
-_LARGEST_GAMMA_ARGUMENT = 172
-"""Beyond it the gamma function exceeds all floating-point numbers."""
-_MOST_ARGUMENTS = 20
-"""Arguments of a maximum; SymPy compares all pairs of them."""
+_LARGEST_GAMMA_ARGUMENT = 172  # Beyond it the gamma function exceeds all floating-point numbers
+_MOST_ARGUMENTS = 20  # Arguments of a maximum; SymPy compares all pairs of them
 
 
 def parse_expression(

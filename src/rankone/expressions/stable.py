@@ -17,17 +17,14 @@ import numpy as np
 import sympy as sp
 from scipy import special
 
+# Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied
 _ORDINARY_RATIO = sp.Integer(10) ** 30
-"""Numbers up to this, and down to its reciprocal, stand as they are: ten such may be multiplied."""
-_HIGH_POWER = 8
-"""From this power on a quotient of powers is written as the power of a quotient."""
-_MOST_DENOMINATOR_TERMS = 20
-"""Terms of a denominator up to which it is compared with the numerator."""
-_DIGITS = 20
-"""Decimal digits of computed numbers: a few more than floating point holds."""
+_HIGH_POWER = 8  # From this power on a quotient of powers is written as the power of a quotient
+_MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compared with the numerator
+_DIGITS = 20  # Decimal digits of computed numbers: a few more than floating point holds
 _LARGEST_INTEGER = 10**_DIGITS
+# Relative difference of coefficients that are one number but for rounding
 _SAME_RATIO = sp.Rational(1, 10**15)
-"""Relative difference of coefficients that are one number but for rounding."""
 
 
 class _Real(sp.Function):  # type: ignore[misc]

@@ -13,8 +13,7 @@ from rankone.frontend.box import Time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
 
-_MOST_TERMS = 5000
-"""Terms of the longest sum: each takes some milliseconds to compile."""
+_MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 

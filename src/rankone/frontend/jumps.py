@@ -24,17 +24,14 @@ Resets = dict[float, dict[sp.Expr, sp.Expr]]
 Impulses = dict[float, dict[int, sp.Expr]]
 """For each time what is added to states, by the index of the state."""
 
-_SEVERAL = (tuple, range, frozenset, sp.Tuple)
-"""Keys that stand for several times."""
+_SEVERAL = (tuple, range, frozenset, sp.Tuple)  # Keys that stand for several times
 _SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
 _REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
 _LATE = "remedy: remove it, unless `t_final` is to be later"
 _AS_JUMPS = "give the values after it as jumps={time: {unknown: value}}"
 _ADD_IMPULSE = "an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))"
-_LEAST_GAP = 1e-9
-"""Least time between two jumps, in horizons: closer ones differ by rounding alone."""
-_BESIDE = 1e-9
-"""Relative distance to either side of an impulse at which its factor is compared."""
+_LEAST_GAP = 1e-9  # Least time between two jumps, in horizons: closer ones differ by rounding alone
+_BESIDE = 1e-9  # Relative distance to either side of an impulse at which its factor is compared
 
 
 def check_jumps(jumps: object, symbols: Symbols) -> Resets:

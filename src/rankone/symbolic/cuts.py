@@ -27,22 +27,15 @@ from rankone.support.budget import check_time
 from rankone.symbolic.derivatives import slope
 from rankone.symbolic.surfaces import boundaries, peaks, steps
 
-__all__ = ["Cuts", "cuts_of"]
-
+# Degree of polynomials whose roots SymPy isolates exactly; above it this takes seconds
 _MAX_DEGREE = 12
-"""Degree of polynomials whose roots SymPy isolates exactly; above it this takes seconds."""
-_COEFFICIENT_DIGITS = 25
-"""Decimal digits of irrational coefficients: more than a float holds."""
-_SAMPLES = 4096
-"""Samples of a boundary equation that is not solved."""
-_MAX_LEVELS = 1000
-"""Levels of a ``floor`` of a nonlinear function that are solved for."""
+_COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
+_SAMPLES = 4096  # Samples of a boundary equation that is not solved
+_MAX_LEVELS = 1000  # Levels of a ``floor`` of a nonlinear function that are solved for
+# A function that changes over the interval divided by this is narrow: samples would miss it
 _NARROW_PARTS = 3e4
-"""A function that changes over the interval divided by this is narrow: samples would miss it."""
-_NARROW_CHANGE = 0.01
-"""Relative change over that distance from which a function is narrow."""
-_HUGE = 1e300
-"""Stands for infinite function values, so that their differences are numbers."""
+_NARROW_CHANGE = 0.01  # Relative change over that distance from which a function is narrow
+_HUGE = 1e300  # Stands for infinite function values, so that their differences are numbers
 
 
 @dataclass(frozen=True)
@@ -75,8 +68,8 @@ class _Unsolved(Exception):
     """A boundary equation has no solution in closed form."""
 
 
+# What the search for exact roots raises if there are none in closed form
 _FAILURES = (_Unsolved, NotImplementedError, ValueError, TypeError, sp.PolynomialError)
-"""What the search for exact roots raises if there are none in closed form."""
 
 
 def cuts_of(coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]) -> tuple[Cuts, ...]:
@@ -248,14 +241,15 @@ def _arc(y: float, function: Callable[[float], float]) -> list[float]:
     return [function(y)] if abs(y) <= 1.0 else []
 
 
+# Functions that take a level on whole intervals or never
 _PIECEWISE_CONSTANT = ("Heaviside", "sign", "floor", "ceiling")
-"""Functions that take a level on whole intervals or never."""
+# Periodic functions: where they take a level, and their period
 _PERIODIC: dict[str, tuple[Callable[[float], list[float]], float]] = {
     "sin": (lambda y: [a for v in _arc(y, math.asin) for a in (v, math.pi - v)], 2.0 * math.pi),
     "cos": (lambda y: [a for v in _arc(y, math.acos) for a in (v, -v)], 2.0 * math.pi),
     "tan": (lambda y: [math.atan(y)], math.pi),
 }
-"""Periodic functions: where they take a level, and their period."""
+# Inverses of monotone functions; they raise a ValueError for levels that are never taken
 _INVERSES: dict[str, Callable[[float], float]] = {
     "log": math.exp,
     "sinh": math.asinh,
@@ -264,7 +258,6 @@ _INVERSES: dict[str, Callable[[float], float]] = {
     "atan": lambda y: math.tan(y) if abs(y) < 0.5 * math.pi else math.log(-1.0),
     "erf": lambda y: float(scipy.special.erfinv(y)) if abs(y) < 1.0 else math.log(-1.0),
 }
-"""Inverses of monotone functions; they raise a ValueError for levels that are never taken."""
 
 
 def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:

@@ -13,14 +13,11 @@ from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
-__all__ = ["Differentiator", "slope"]
-
+# Functions that are constant between their jumps
 _STEPS = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling)
-"""Functions that are constant between their jumps."""
-_JUMPING = (*_STEPS, sp.Mod, sp.frac, sp.Piecewise)
-"""Functions that may jump."""
+_JUMPING = (*_STEPS, sp.Mod, sp.frac, sp.Piecewise)  # Functions that may jump
+# What SymPy leaves in a derivative that it does not know
 _UNEVALUATED = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
-"""What SymPy leaves in a derivative that it does not know."""
 
 
 def slope(expression: sp.Expr, variable: sp.Expr) -> sp.Expr:

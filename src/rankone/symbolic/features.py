@@ -32,12 +32,9 @@ from rankone.symbolic.surfaces import (
     valleys,
 )
 
-__all__ = ["SymbolicFeatures", "features_of", "switching_term"]
-
-_MAX_SURFACES = 64
-"""Surfaces of each sort: every check point and step evaluates them all."""
+_MAX_SURFACES = 64  # Surfaces of each sort: every check point and step evaluates them all
+# Second derivative of an exponent times the squared horizon: above this, steps may miss a peak
 _NARROW_CURVATURE = 1e4
-"""Second derivative of an exponent times the squared horizon: above this, steps may miss a peak."""
 
 
 @dataclass(frozen=True)

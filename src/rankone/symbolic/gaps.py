@@ -25,20 +25,16 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic.cuts import cuts_of
 
-__all__ = ["Gap", "NamedExpression", "check_gaps", "gaps_in_unknowns"]
-
 NamedExpression: TypeAlias = "tuple[str, int | None, sp.Expr]"
 """What an expression is, the user's equation it comes from, and the expression."""
+# Gaps narrower than this, relative to the ends of the interval, are rounding errors
 _ROUNDING = 1e-12
-"""Gaps narrower than this, relative to the ends of the interval, are rounding errors."""
+# Cells between the boundaries of several coordinates that are checked: a few megabytes
 _MAX_CELLS = 1 << 18
-"""Cells between the boundaries of several coordinates that are checked: a few megabytes."""
-_MAX_REPEATS = 1 << 14
-"""Boundaries of one period inside an interval that are checked."""
-_SAMPLES = 4096
-"""Points of the box at which conditions that couple coordinates are checked."""
+_MAX_REPEATS = 1 << 14  # Boundaries of one period inside an interval that are checked
+_SAMPLES = 4096  # Points of the box at which conditions that couple coordinates are checked
+# Halvings of the lines between such points: enough to come within rounding of a boundary
 _BISECTIONS = 40
-"""Halvings of the lines between such points: enough to come within rounding of a boundary."""
 
 
 @dataclass(frozen=True)

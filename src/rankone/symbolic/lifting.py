@@ -24,11 +24,11 @@ from rankone.support.wording import count
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.splitting import Indivisible, Splitter
 
+# Unknowns that may be added; a right-hand side that needs more gains nothing from lifting
 _MOST_UNKNOWNS = 60
-"""Unknowns that may be added; a right-hand side that needs more gains nothing from lifting."""
+# Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q: the degree
+# of z' grows with q
 _MOST_ROOT = 3
-"""Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q: the
-degree of z' grows with q."""
 
 
 class NotLiftable(Exception):
@@ -427,6 +427,7 @@ _RATIOS: dict[str, Callable[..., sp.Expr]] = {
     "coth": lambda a: sp.cosh(a) / sp.sinh(a),
     "erfc": lambda a: 1 - sp.erf(a),
 }
+# How functions are lifted, by name
 _RULES: dict[str, Callable[[_Lifter, sp.Expr], sp.Expr]] = {
     "exp": lambda lifter, a: lifter.exponential(a),
     "sin": lambda lifter, a: lifter.circular(a, sp.sin, -1),
@@ -444,4 +445,3 @@ _RULES: dict[str, Callable[[_Lifter, sp.Expr], sp.Expr]] = {
         sp.erf, "g", lambda lifter, y, a: 2 / sp.sqrt(sp.pi) * lifter.polynomial(sp.exp(-(a**2)))
     ),
 }
-"""How functions are lifted, by name."""

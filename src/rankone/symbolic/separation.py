@@ -25,11 +25,11 @@ from rankone.symbolic.gaps import check_gaps
 from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
 from rankone.symbolic.well_posed import check_known, check_tables
 
+# Largest coefficient of a separated term, and with its reciprocal the smallest: the product of two
+# is still a floating-point number
 _LARGEST_COEFFICIENT = sp.Integer(10) ** 150
-"""Largest coefficient of a separated term, and with its reciprocal the smallest: the product of
-two is still a floating-point number."""
+# Least power that explains an extreme coefficient; units of lower powers do not reach it
 _HIGH_POWER = 8
-"""Least power that explains an extreme coefficient; units of lower powers do not reach it."""
 _AS_IT_IS = "method='cross' takes it as it is; for the other methods"
 
 

@@ -78,23 +78,22 @@ def _times(a: Powers, b: Powers) -> Powers:
     return tuple(sorted((state, exponent) for state, exponent in powers.items() if exponent))
 
 
+# Addition theorems f(a + b) = sum of sign g(a) h(b), as (g, h, sign)
 _ADDITION = {
     sp.sin: ((sp.sin, sp.cos, 1), (sp.cos, sp.sin, 1)),
     sp.cos: ((sp.cos, sp.cos, 1), (sp.sin, sp.sin, -1)),
     sp.sinh: ((sp.sinh, sp.cosh, 1), (sp.cosh, sp.sinh, 1)),
     sp.cosh: ((sp.cosh, sp.cosh, 1), (sp.sinh, sp.sinh, 1)),
 }
-"""Addition theorems f(a + b) = sum of sign g(a) h(b), as (g, h, sign)."""
+# Exponents above this are counted from their largest value, so that no factor overflows
 _LARGE_EXPONENT = 30
-"""Exponents above this are counted from their largest value, so that no factor overflows."""
+# Powers up to which SymPy factors a sum in no time; it takes minutes for higher ones
 _MOST_FACTORED_POWER = 20
-"""Powers up to which SymPy factors a sum in no time; it takes minutes for higher ones."""
+# Numbers up to this, and down to its reciprocal, are pulled out of factors
 _ORDINARY_RATIO = sp.Integer(10) ** 30
-"""Numbers up to this, and down to its reciprocal, are pulled out of factors."""
+# Products that two multiplied sums may come to: each takes some milliseconds to compile
 _MOST_TERMS = 1500
-"""Products that two multiplied sums may come to: each takes some milliseconds to compile."""
-_MOST_MULTIPLIED_POWER = 64
-"""Highest power of a mixed expression that is multiplied out."""
+_MOST_MULTIPLIED_POWER = 64  # Highest power of a mixed expression that is multiplied out
 
 Reason = Literal["couples", "not polynomial", "not real", "out of range", "too many terms"]
 

@@ -17,27 +17,15 @@ from sympy.core.relational import Relational
 from rankone.ir.functions import Table
 from rankone.symbolic.derivatives import slope
 
-__all__ = [
-    "CONTINUOUS",
-    "DISCONTINUOUS",
-    "Variables",
-    "boundaries",
-    "peaks",
-    "steps",
-    "subexpressions",
-    "valleys",
-]
-
 Variables = Callable[[sp.Basic], Iterable[sp.Expr]]
 """The variables of an expression that count."""
 CONTINUOUS = (sp.Abs, sp.Max, sp.Min, sp.asin, sp.acos, sp.Pow)
 """Functions that are continuous, but not smooth everywhere."""
 DISCONTINUOUS = (Relational, sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.frac, sp.Mod, Table)
 """Functions that may jump."""
+# Functions that change most where their argument vanishes
 _STEEPEST_AT_ZERO = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
-"""Functions that change most where their argument vanishes."""
-_SHIFT_DIGITS = 20
-"""Decimal digits of a logarithm in a threshold: more than a float holds."""
+_SHIFT_DIGITS = 20  # Decimal digits of a logarithm in a threshold: more than a float holds
 
 
 def boundaries(

@@ -25,12 +25,11 @@ from rankone.support.errors import OptionError, ProblemError, RankoneWarning
 from rankone.support.wording import number, quote
 from rankone.symbolic.first_order import FirstOrderSystem
 
+# Points of an interval at which the argument of a table is compared with the table's ends
 _TABLE_SAMPLES = 257
-"""Points of an interval at which the argument of a table is compared with the table's ends."""
+# Corners of the box at which the start is evaluated: all of them up to six parameters
 _MOST_CORNERS = 64
-"""Corners of the box at which the start is evaluated: all of them up to six parameters."""
-_RANDOM_STARTS = 64
-"""Random points of the box at which the start is evaluated."""
+_RANDOM_STARTS = 64  # Random points of the box at which the start is evaluated
 _SEED = 20140
 
 
