@@ -13,7 +13,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.codegen import generate_source, quadratic_system
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact
 from rankone.symbolic import first_order, separate, weak_form
 from tests.problems import REFERENCE
 

@@ -7,8 +7,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.ir.forms import Coordinate
-from rankone.symbolic.cuts import cuts_of
-from rankone.symbolic.features import features_of
+from rankone.symbolic.features import cuts_of, features_of
 
 t, k = sp.symbols("t k")
 x = sp.Function("x")(t)

@@ -6,9 +6,9 @@ therefore compared with an evaluation of the user's own expressions at a hundred
 shares nothing with the printer of generated code.
 
 =====================================  ============================================================
-:class:`~.precise.Program`             values of expressions at a hundred digits
+:class:`~.comparison.Program`          values of expressions at a hundred digits
 :class:`~.comparison.Comparison`       residuals, and whether they are more than rounding
 :func:`~.problems.check_problem`       rates, their Jacobian, initial values and jumps of a problem
-:func:`~.comparison.check_outputs`     quantities of interest
+:func:`~.problems.check_outputs`       quantities of interest
 =====================================  ============================================================
 """

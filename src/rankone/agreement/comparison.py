@@ -1,20 +1,48 @@
-"""Residuals of expressions at a hundred digits, and whether they are more than rounding."""
+"""Values of expressions at a hundred digits, and residuals that are more than rounding.
+
+The values come from the expression tree alone, by mpmath. Nothing here is shared with the printer
+of generated code: this is what that code is compared with.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from typing import cast
 
+import mpmath
 import numpy as np
 import sympy as sp
-from mpmath.libmp import fzero, mpf_abs, mpf_add, mpf_div, mpf_mul, mpf_neg, mpf_sub, to_float
+from mpmath.libmp import (
+    fone,
+    from_float,
+    fzero,
+    mpf_abs,
+    mpf_add,
+    mpf_div,
+    mpf_mul,
+    mpf_neg,
+    mpf_pow_int,
+    mpf_sub,
+    to_float,
+)
+from sympy.core.relational import Relational
 
-from rankone.agreement.precise import PRECISION, NoValueError, Number, Program, number
-from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
-from rankone.support.wording import quote
+Number = tuple[int, int, int, int]
+"""A floating-point number of mpmath: sign, mantissa, exponent, bits."""
+Operation = Callable[..., Number | bool]
+"""A function of the values of subexpressions; conditions have truth values."""
 
+_DIGITS = 100
+PRECISION = 336
+"""Bits of the numbers: a hundred decimal digits."""
+_CONTEXT = mpmath.MPContext()
+_CONTEXT.dps = _DIGITS
+# Arguments and logarithms up to which growing functions are evaluated: mpmath takes forever beyond
+_LARGEST_ARGUMENT = 1e300
+_MOST_MULTIPLIED_POWER = 1000  # Integer exponents up to which powers are products
 # Step of difference quotients: half of the hundred digits remain in the difference
-_STEP = number(1e-35)
+_STEP = from_float(1e-35)
 # Residuals below this share of the terms are rounding. A larger one is compared with the effect of
 # relative errors of this size in all intermediate results.
 _TOLERANCE = 1e-13
@@ -30,6 +58,255 @@ _NEGLIGIBLE_SHARE = 1e-30
 _TINY_SHARE = 1e-120  # Residuals below this share of the largest terms are underflow
 # Residuals below this are underflow: products of floating-point numbers end near 1e-308
 _UNDERFLOW = 1e-280
+
+
+class NoValueError(Exception):
+    """An expression has no real value, or one that is too large to be computed."""
+
+
+class Program:
+    """Expressions as a list of operations, each subexpression once.
+
+    Parameters
+    ----------
+    expressions : sequence of Expr
+    leaves : sequence of Expr
+        Symbols, functions of time and derivatives, whose values are given.
+    """
+
+    def __init__(self, expressions: Sequence[sp.Basic], leaves: Sequence[sp.Expr]) -> None:
+        self._register: dict[sp.Basic, int] = {leaf: i for i, leaf in enumerate(leaves)}
+        self._inputs = len(self._register)
+        self._steps: list[tuple[Operation, tuple[int, ...]]] = []
+        self._outputs = [self._added(expression) for expression in expressions]
+
+    @property
+    def operations(self) -> int:
+        """How many operations there are."""
+        return len(self._steps)
+
+    def __call__(
+        self, leaves: Sequence[Number], noise: np.random.Generator | None = None, size: float = 0.0
+    ) -> list[Number]:
+        """The values of the expressions.
+
+        Parameters
+        ----------
+        leaves : sequence of Number
+            The values of the leaves.
+        noise : Generator, optional
+            Every intermediate result is off by a random part of up to ``size``, which shows what
+            rounding does to the final ones (Parker, Monte Carlo arithmetic, UCLA 1997).
+        """
+        registers: list[Number | bool] = list(leaves)
+        if noise is not None:
+            errors = noise.uniform(-size, size, len(leaves) + len(self._steps)).tolist()
+            registers = [_disturbed(x, e) for x, e in zip(leaves, errors, strict=False)]
+        for step, (function, sources) in enumerate(self._steps):
+            try:
+                outcome = function(*(registers[i] for i in sources))
+            except (ArithmeticError, ValueError, MemoryError) as error:
+                raise NoValueError from error
+            if noise is not None and type(outcome) is tuple:
+                outcome = _disturbed(outcome, errors[self._inputs + step])
+            registers.append(outcome)
+        return cast(list[Number], [registers[i] for i in self._outputs])
+
+    def _added(self, root: sp.Basic) -> int:
+        """The register of an expression, after those of its operands; without recursion."""
+        waiting = [root]
+        while waiting:
+            expression = waiting[-1]
+            if expression in self._register:
+                waiting.pop()
+                continue
+            operands = _operands(expression)
+            missing = [operand for operand in operands if operand not in self._register]
+            if missing:
+                waiting += missing
+                continue
+            self._register[expression] = self._inputs + len(self._steps)
+            sources = tuple(self._register[operand] for operand in operands)
+            self._steps.append((_operation(expression), sources))
+            waiting.pop()
+        return self._register[root]
+
+
+def number(real: float) -> Number:
+    """A floating-point number as one of mpmath."""
+    converted: Number = from_float(float(real))
+    return converted
+
+
+def _folding(operation: Callable[..., Number], neutral: Number) -> Callable[..., Number]:
+    """A sum or a product of any number of operands."""
+
+    def fold(*operands: Number) -> Number:
+        accumulated = neutral
+        for operand in operands:
+            accumulated = operation(accumulated, operand, PRECISION, "n")
+        return accumulated
+
+    return fold
+
+
+total = _folding(mpf_add, fzero)
+product = _folding(mpf_mul, fone)
+
+
+def _disturbed(exact: Number, error: float) -> Number:
+    disturbed: Number = mpf_mul(exact, mpf_add(fone, from_float(error)), PRECISION, "n")
+    return disturbed
+
+
+def _operands(expression: sp.Basic) -> tuple[sp.Basic, ...]:
+    """The subexpressions that an operation is applied to."""
+    if isinstance(expression, sp.Piecewise):
+        return tuple(operand for branch in expression.args for operand in branch.args)
+    if isinstance(expression, sp.Number | sp.NumberSymbol):
+        return ()
+    return expression.args[:1] if _is_integer_power(expression) else tuple(expression.args)
+
+
+def _is_integer_power(expression: sp.Basic) -> bool:
+    """Whether the exponent of a power is an integer that allows multiplication."""
+    whole = expression.is_Pow and expression.exp.is_Integer
+    return bool(whole and abs(expression.exp) <= _MOST_MULTIPLIED_POWER)
+
+
+def _operation(expression: sp.Basic) -> Operation:
+    """The function of the values of the operands."""
+    if not _operands(expression):
+        return _constant(expression)
+    if expression.is_Add:
+        return total
+    if expression.is_Mul:
+        return product
+    if expression.is_Pow:
+        return _integer_power(int(expression.exp)) if _is_integer_power(expression) else _power
+    if isinstance(expression, Relational):
+        return _RELATIONS[expression.rel_op]
+    if hasattr(expression, "_imp_"):
+        return _of_user(expression)
+    return _FUNCTIONS.get(type(expression).__name__) or _by_sympy(expression.func)
+
+
+def _constant(expression: sp.Basic) -> Operation:
+    if expression in (sp.true, sp.false):
+        truth = bool(expression)
+        return lambda: truth
+    if isinstance(expression, sp.Rational):
+        p, q = (_CONTEXT.mpf(int(n))._mpf_ for n in (expression.p, expression.q))
+        constant: Number = mpf_div(p, q, PRECISION, "n")
+    else:
+        constant = _real(sp.N(expression, _DIGITS))
+    return lambda: constant
+
+
+def _real(decimal: sp.Expr) -> Number:
+    """A number of SymPy as one of mpmath."""
+    if not decimal.is_Float and not decimal.is_Rational:
+        raise NoValueError
+    return cast(Number, _CONTEXT.mpf(decimal._to_mpmath(PRECISION))._mpf_)
+
+
+def _integer_power(exponent: int) -> Operation:
+    def power(base: Number) -> Number:
+        if exponent < 0 and base == fzero:
+            raise NoValueError
+        raised: Number = mpf_pow_int(base, exponent, PRECISION, "n")
+        return raised
+
+    return power
+
+
+def _power(base: Number, exponent: Number) -> Number:
+    x, n = _CONTEXT.make_mpf(base), _CONTEXT.make_mpf(exponent)
+    if x and abs(n * _CONTEXT.log(abs(x))) > _LARGEST_ARGUMENT:
+        raise NoValueError
+    return _unwrapped(x**n)
+
+
+def _unwrapped(wrapped: mpmath.mpf) -> Number:
+    """A real number of mpmath as a tuple."""
+    if not isinstance(wrapped, _CONTEXT.mpf) or not _CONTEXT.isfinite(wrapped):
+        raise NoValueError
+    unwrapped: Number = wrapped._mpf_
+    return unwrapped
+
+
+def _called(function: Callable[..., mpmath.mpf], *, growing: bool = False) -> Operation:
+    """A function of mpmath; growing ones have arguments up to a limit."""
+
+    def call(*arguments: Number) -> Number:
+        wrapped = [_CONTEXT.make_mpf(argument) for argument in arguments]
+        if growing and abs(wrapped[0]) > _LARGEST_ARGUMENT:
+            raise NoValueError
+        return _unwrapped(function(*wrapped))
+
+    return call
+
+
+def _by_sympy(function: Callable[..., sp.Expr]) -> Operation:
+    """A function that SymPy evaluates."""
+
+    def call(*arguments: Number) -> Number:
+        floats = [sp.Float(_CONTEXT.make_mpf(argument), _DIGITS) for argument in arguments]
+        return _real(sp.N(function(*floats), _DIGITS))
+
+    return call
+
+
+def _of_user(expression: sp.Basic) -> Operation:
+    """A function of the user, or a table, at ordinary precision."""
+    function = type(expression)._imp_
+
+    def call(*arguments: Number) -> Number:
+        height = function(*(float(_CONTEXT.make_mpf(argument)) for argument in arguments))
+        return _unwrapped(_CONTEXT.mpf(float(np.asarray(height))))
+
+    return call
+
+
+def _piecewise(*branches: Number | bool) -> Number:
+    for expression, condition in zip(branches[::2], branches[1::2], strict=True):
+        if condition:
+            return cast(Number, expression)
+    raise NoValueError
+
+
+def _compared(relation: Callable[[mpmath.mpf, mpmath.mpf], bool]) -> Operation:
+    return lambda a, b: bool(relation(_CONTEXT.make_mpf(a), _CONTEXT.make_mpf(b)))
+
+
+_RELATIONS = {
+    "<": _compared(operator.lt),
+    "<=": _compared(operator.le),
+    ">": _compared(operator.gt),
+    ">=": _compared(operator.ge),
+    "==": _compared(operator.eq),
+    "!=": _compared(operator.ne),
+}
+_ALIKE = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "asinh", "acosh", "atanh", "log")
+_FUNCTIONS: dict[str, Operation] = {
+    **{name: _called(getattr(_CONTEXT, name)) for name in (*_ALIKE, "erf", "erfc", "sign")},
+    **{name: _called(getattr(_CONTEXT, name), growing=True) for name in ("exp", "sinh", "cosh")},
+    "gamma": _called(_CONTEXT.gamma, growing=True),
+    "Abs": _called(abs),
+    "floor": _called(_CONTEXT.floor),
+    "ceiling": _called(_CONTEXT.ceil),
+    "Max": _called(max),
+    "Min": _called(min),
+    "Mod": _called(lambda a, b: a - b * _CONTEXT.floor(a / b)),
+    "frac": _called(lambda a: a - _CONTEXT.floor(a)),
+    "atan2": _called(_CONTEXT.atan2),
+    "Heaviside": _called(lambda x, middle: middle if x == 0 else _CONTEXT.mpf(int(x > 0))),
+    "DiracDelta": lambda *_: fzero,  # impulses are jumps
+    "Piecewise": _piecewise,
+    "And": lambda *truths: all(truths),
+    "Or": lambda *truths: any(truths),
+    "Not": lambda truth: not truth,
+}
 
 
 def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:
@@ -167,39 +444,3 @@ class Comparison:
             if i in self._computed:
                 computed = mpf_add(computed, signed, PRECISION, "n")
         return residual, size, computed
-
-
-def check_outputs(
-    expressions: Mapping[str, sp.Expr],
-    values: Mapping[sp.Expr, Array],
-    function: Callable[[int], Sequence[Array]],
-) -> None:
-    """Raise an OptionError unless quantities of interest are computed as their expressions say.
-
-    Parameters
-    ----------
-    expressions : mapping of str to Expr
-        The quantities, by their names in messages.
-    values : mapping of Expr to ndarray (m,)
-        The values of the symbols at the points.
-    function : callable
-        From the index of a point to the computed value of each quantity.
-    """
-    computed = sp.Dummy()
-    leaves = [*values, computed]
-    count = len(next(iter(values.values())))
-    outputs = np.array([[float(np.ravel(x)[0]) for x in function(k)] for k in range(count)])
-    for i, (name, expression) in enumerate(expressions.items()):
-        columns = [*values.values(), outputs[:, i]]
-        finite = np.flatnonzero(np.isfinite(columns).all(axis=0))
-        points = ([number(column[k]) for column in columns] for k in finite)
-        comparison = Comparison(computed, expression, leaves, [computed])
-        disagreement = comparison.beyond_rounding(points)
-        if disagreement is not None:
-            raise OptionError(
-                f"{name}, {quote(expression)}, is not computed as it is written: it is off by "
-                f"{disagreement[1]:.3g}",
-                term=expression,
-                remedy="write it in another way, or change the units so that its numbers are "
-                "closer to 1",
-            )

@@ -1,8 +1,8 @@
-"""The generated functions of a problem compared with its equations as they were written."""
+"""The generated functions of problems and outputs compared with their expressions as written."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +10,20 @@ import sympy as sp
 from mpmath.libmp import to_float
 from sympy.core.function import AppliedUndef
 
-from rankone.agreement.comparison import LOST_SHARE, Comparison, sides
-from rankone.agreement.precise import NoValueError, Number, number, total
+from rankone.agreement.comparison import (
+    LOST_SHARE,
+    Comparison,
+    NoValueError,
+    Number,
+    number,
+    sides,
+    total,
+)
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Jump
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError
+from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 
@@ -268,6 +275,36 @@ class _ProblemCheck:
         named += zip((c.name for c in parameters), points.parameters[:, k], strict=True)
         named += zip((s.name for s in self.first_order.states), points.states[:, k], strict=True)
         return ", ".join(f"{name} = {coordinate:.6g}" for name, coordinate in named)
+
+
+def check_outputs(
+    expressions: Mapping[str, sp.Expr],
+    values: Mapping[sp.Expr, Array],
+    function: Callable[[int], Sequence[Array]],
+) -> None:
+    """Raise an OptionError unless quantities of interest are computed as their expressions say.
+
+    ``expressions`` are the quantities by their names in messages, ``values`` (m,) those of the
+    symbols at the points; ``function`` gives the computed quantities from the index of a point.
+    """
+    computed = sp.Dummy()
+    leaves = [*values, computed]
+    count = len(next(iter(values.values())))
+    outputs = np.array([[float(np.ravel(x)[0]) for x in function(k)] for k in range(count)])
+    for i, (name, expression) in enumerate(expressions.items()):
+        columns = [*values.values(), outputs[:, i]]
+        finite = np.flatnonzero(np.isfinite(columns).all(axis=0))
+        points = ([number(column[k]) for column in columns] for k in finite)
+        comparison = Comparison(computed, expression, leaves, [computed])
+        disagreement = comparison.beyond_rounding(points)
+        if disagreement is not None:
+            raise OptionError(
+                f"{name}, {quote(expression)}, is not computed as it is written: it is off by "
+                f"{disagreement[1]:.3g}",
+                term=expression,
+                remedy="write it in another way, or change the units so that its numbers are "
+                "closer to 1",
+            )
 
 
 def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:

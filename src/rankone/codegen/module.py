@@ -31,7 +31,7 @@ from rankone.support.progress import timed
 from rankone.support.wording import number
 from rankone.symbolic.features import SymbolicFeatures, features_of
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.symbolic.gaps import Gap, NamedExpression, gaps_in_unknowns
+from rankone.symbolic.well_posed import Gap, NamedExpression, gaps_in_unknowns
 
 Block = Sequence[str]
 """Source lines that stand together."""

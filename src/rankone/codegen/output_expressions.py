@@ -11,12 +11,11 @@ import sympy as sp
 from scipy import special
 from sympy.core.function import AppliedUndef
 
-from rankone.agreement.comparison import check_outputs
+from rankone.agreement.problems import check_outputs
 from rankone.codegen.printer import numpy_text
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.admissible import closed, gaps
-from rankone.expressions.notation import plain_text
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact, plain_text
 from rankone.expressions.parsing import parse_expression
 from rankone.expressions.stable import stable
 from rankone.ir.forms import Coordinate
@@ -26,9 +25,9 @@ from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError, RankoneError
 from rankone.support.wording import did_you_mean, listing, quote, shown
-from rankone.symbolic.cuts import cuts_of
-from rankone.symbolic.gaps import Gap, check_gaps
+from rankone.symbolic.features import cuts_of
 from rankone.symbolic.surfaces import boundaries, peaks, steps
+from rankone.symbolic.well_posed import Gap, check_gaps
 
 # What makes one number of a function of time
 _REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)

@@ -26,7 +26,7 @@ from rankone.ir.forms import QuadraticSystem, Term
 from rankone.support.errors import ProblemError, SeparationError
 from rankone.symbolic.derivatives import Differentiator
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.symbolic.gaps import NamedExpression
+from rankone.symbolic.well_posed import NamedExpression
 
 
 class SeparatedWriter(PointwiseWriter):

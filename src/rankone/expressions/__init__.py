@@ -2,8 +2,7 @@
 
 ===================  =============================================================================
 :mod:`~.parsing`     text to expressions
-:mod:`~.numbers`     exact numbers in place of floating-point ones
-:mod:`~.notation`    expressions as text and LaTeX for people
+:mod:`~.notation`    exact numbers in place of floating-point ones; text and LaTeX for people
 :mod:`~.admissible`  where an expression is defined: poles, roots, gaps between branches
 :mod:`~.stable`      the same value without overflow and cancellation
 ===================  =============================================================================

@@ -18,7 +18,7 @@ from functools import reduce
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import Boolean
@@ -150,16 +150,16 @@ def zero(expression: sp.Expr, coordinate: Coordinate) -> float | None:
     return None
 
 
-def numeric(expression: sp.Expr, coordinate: Coordinate) -> Callable[[Array], Array]:
+def numeric(expression: sp.Expr, coordinate: Coordinate) -> Callable[[ArrayLike], Array]:
     """Compile a function of one coordinate; it gives nan where it is not real."""
     function = sp.lambdify(coordinate.symbol, stable(expression), [NUMPY, "numpy", "scipy"])
 
-    def evaluate(points: Array) -> Array:
+    def evaluate(points: ArrayLike) -> Array:
         with np.errstate(all="ignore"):
             heights = np.asarray(function(points))
         if np.iscomplexobj(heights):
             heights = np.where(heights.imag == 0, heights.real, np.nan)
-        return np.broadcast_to(heights.astype(np.float64), points.shape)
+        return np.broadcast_to(heights.astype(np.float64), np.shape(points))
 
     return evaluate
 

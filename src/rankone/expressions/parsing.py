@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import sympy as sp
 
-from rankone.expressions.numbers import check_size, exact
+from rankone.expressions.notation import check_size, exact
 from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import clip, did_you_mean, quote

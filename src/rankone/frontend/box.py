@@ -11,7 +11,7 @@ from typing import Any
 import sympy as sp
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.numbers import check_size
+from rankone.expressions.notation import check_size
 from rankone.ir.domain import LEAST_WIDTH
 from rankone.ir.metadata import per
 from rankone.statistics.distributions import as_text, from_text, interval_of

@@ -10,8 +10,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.notation import latex_of, text_of
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact, latex_of, text_of
 from rankone.frontend.box import Time, real_number
 from rankone.frontend.equations import Symbols, as_expression, check_value
 from rankone.ir.forms import Jump

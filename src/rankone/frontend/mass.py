@@ -14,7 +14,7 @@ from sympy.core.function import AppliedUndef
 from sympy.polys.matrices import DomainMatrix
 
 from rankone.expressions.admissible import zero
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact
 from rankone.frontend.equations import highest_orders
 from rankone.ir.forms import Coordinate
 from rankone.support.errors import ProblemError

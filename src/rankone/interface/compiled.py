@@ -74,7 +74,7 @@ from rankone.symbolic import (
     symbolic_forms,
 )
 from rankone.symbolic.features import switching_term
-from rankone.symbolic.gaps import check_gaps
+from rankone.symbolic.well_posed import check_gaps
 
 logger = logging.getLogger("rankone")
 # Error of separated terms, over the largest rate, up to which the separated form is used

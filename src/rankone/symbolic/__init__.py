@@ -5,9 +5,9 @@
 :mod:`~.separation`   the separated form: terms, factors, and what does not separate
 :mod:`~.splitting`    one expression as a sum of products of functions of one coordinate
 :mod:`~.lifting`      functions of the unknowns become unknowns, so that the system separates
-:mod:`~.well_posed`   is everything finite on a domain, also on one that a problem is moved to?
-:mod:`~.features`     where a system is not smooth: its :mod:`~.cuts`, :mod:`~.surfaces`
-:mod:`~.gaps`         where a piecewise function has no branch
+:mod:`~.features`     where a system is not smooth: cuts of each coordinate
+:mod:`~.surfaces`     functions that vanish at kinks, jumps, narrow peaks and steep steps
+:mod:`~.well_posed`   is everything finite on a domain, and has every function a branch there?
 :mod:`~.derivatives`  the derivatives that a Jacobian needs
 ====================  ============================================================================
 

@@ -1,40 +1,82 @@
 """The features of a system: all that is not smooth, or so narrow that samples may miss it.
 
 They are derived here once, as expressions, and printed into the generated module; numeric code sees
-them as :class:`rankone.ir.features.Features`. Switches whose times move with parameters are cuts of
-each trajectory. Functions of the unknowns, such as a pulse ``Piecewise((1, (x > 2) & (x < 2.001)),
-(0, True))``, are looked at where a step crosses them. Surfaces in the space of the parameters are
-where further trajectories are checked.
+them as :class:`rankone.ir.features.Features`. Cuts are points of one coordinate at which functions
+of it alone are not smooth, solved for exactly: ``Heaviside(t - 60)``, ``Abs(k - 1/3)``,
+``Piecewise((1, t < 8), (0, True))`` and their like change where an argument vanishes or two of them
+meet. SymPy solves these boundary equations where they are polynomials, or compositions of
+elementary functions with known inverses. A boundary that repeats, as in ``floor(t)`` or
+``sign(sin(w*t))``, becomes one point and a period. All other features are
+:mod:`~rankone.symbolic.surfaces`.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 
+import numpy as np
+import scipy.optimize
+import scipy.special
 import sympy as sp
+from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
+from rankone.expressions.admissible import numeric
 from rankone.ir.forms import Coordinate
 from rankone.ir.verdict import SwitchingTerm
+from rankone.support.arrays import Array
+from rankone.support.budget import check_time
 from rankone.support.wording import quote, written
-from rankone.symbolic.cuts import Cuts, cuts_of
 from rankone.symbolic.derivatives import slope
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.surfaces import (
-    CONTINUOUS,
     DISCONTINUOUS,
     boundaries,
+    moving_cuts,
+    parameter_surfaces,
     peaks,
+    state_surfaces,
     steps,
-    subexpressions,
-    valleys,
 )
 
-_MAX_SURFACES = 64  # Surfaces of each sort: every check point and step evaluates them all
-# Second derivative of an exponent times the squared horizon: above this, steps may miss a peak
-_NARROW_CURVATURE = 1e4
+# Degree of polynomials whose roots SymPy isolates exactly; above it this takes seconds
+_MAX_DEGREE = 12
+_COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
+_SAMPLES = 4096  # Samples of a boundary equation that is not solved
+_MAX_LEVELS = 1000  # Levels of a ``floor`` of a nonlinear function that are solved for
+# A function that changes over the interval divided by this is narrow: samples would miss it
+_NARROW_PARTS = 3e4
+_NARROW_CHANGE = 0.01  # Relative change over that distance from which a function is narrow
+_HUGE = 1e300  # Stands for infinite function values, so that their differences are numbers
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """Points of one coordinate at which known functions of it are not smooth.
+
+    Attributes
+    ----------
+    points : set of float
+        Those that do not repeat, on the whole real line; outside of the interval of the coordinate
+        perhaps not all.
+    periodic : set of (float, float)
+        A point and a period for those that do.
+    """
+
+    points: set[float] = field(default_factory=set)
+    periodic: set[tuple[float, float]] = field(default_factory=set)
+
+    def inside(self, lower: float, upper: float, max_repeats: int) -> list[float]:
+        """The points, and those that repeat, from the first in an interval to its end."""
+        inside = [*self.points]
+        for point, period in self.periodic:
+            first = math.ceil((lower - point) / period)
+            count = min(math.floor((upper - point) / period) - first + 1, max_repeats)
+            inside += [point + period * (first + k) for k in range(max(count, 0))]
+        return inside
 
 
 @dataclass(frozen=True)
@@ -80,112 +122,10 @@ def features_of(
     expressions = [*rates, *further]
     return SymbolicFeatures(
         cuts_of(coordinates, expressions),
-        _moving_cuts(coordinates, rates),
-        _parameter_surfaces(coordinates, expressions),
-        *_state_surfaces(coordinates[0].symbol, rates),
+        moving_cuts(coordinates, rates),
+        parameter_surfaces(coordinates, expressions),
+        *state_surfaces(coordinates[0].symbol, rates),
     )
-
-
-def _moving_cuts(
-    coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]
-) -> tuple[sp.Expr, ...]:
-    """Times, as functions of the parameters, at which functions of both switch or are narrow.
-
-    Boundaries that are linear in time, and the middles of narrow exponentials of squares.
-    """
-    t, symbols = coordinates[0].symbol, {c.symbol for c in coordinates}
-    times = set(_moving_peaks(coordinates, rates))
-    for boundary, levels in boundaries(rates):
-        rate, involved = slope(boundary, t), boundary.free_symbols
-        if boundary.has(AppliedUndef) or len(involved) < 2 or not involved <= symbols:
-            continue
-        if rate not in (0, sp.nan) and not rate.has(t):
-            times.update((sp.Rational(v) - boundary.subs(t, 0)) / rate for v in levels or ())
-    return tuple(sorted(times, key=sp.default_sort_key))
-
-
-def _moving_peaks(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> Iterator[sp.Expr]:
-    """Times, as functions of the parameters, of the peaks of narrow exponentials of squares."""
-    clock, *parameters = coordinates
-    t, symbols = clock.symbol, {c.symbol for c in coordinates}
-    centre = {p.symbol: sp.Float(0.5 * (p.lower + p.upper)) for p in parameters}
-    for node in subexpressions(rates, sp.exp):
-        exponent, involved = node.exp, node.exp.free_symbols
-        if len(involved) < 2 or not involved <= symbols or exponent.has(AppliedUndef):
-            continue
-        rate = slope(exponent, t)
-        curvature = slope(rate, t)
-        if curvature in (0, sp.nan) or curvature.has(t):
-            continue
-        size = abs(curvature.subs(centre)) * (clock.upper - clock.lower) ** 2
-        if size.is_number and size > _NARROW_CURVATURE:
-            yield -rate.subs(t, 0) / curvature
-
-
-def _state_surfaces(
-    time: sp.Symbol, rates: Sequence[sp.Expr]
-) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
-    """Functions of the unknowns, or of time, that vanish in peaks, at kinks and at steps.
-
-    Each is in the first of these only; there are at most 64 in all.
-    """
-
-    def moving(expression: sp.Basic) -> set[sp.Expr]:
-        unknowns = set(expression.atoms(AppliedUndef))
-        return unknowns | (expression.free_symbols & {time} if not unknowns else set())
-
-    of_steps = (middle for _, middle in steps(rates, moving))
-    sorts = (
-        (middle for _, middle in peaks(rates, moving)),
-        _zeros(rates, CONTINUOUS),
-        itertools.chain(of_steps, _zeros(rates, DISCONTINUOUS)),
-    )
-    surfaces: set[sp.Expr] = set()
-    by_sort = []
-    for functions in sorts:
-        distinct = (f for f in _distinct(filter(moving, functions)) if not surfaces & {f, -f})
-        by_sort.append(tuple(itertools.islice(distinct, _MAX_SURFACES - len(surfaces))))
-        surfaces.update(by_sort[-1])
-    middles, kinks, jumps = by_sort
-    return middles, kinks, jumps
-
-
-def _parameter_surfaces(
-    coordinates: Sequence[Coordinate], expressions: Sequence[sp.Expr]
-) -> tuple[sp.Expr, ...]:
-    """Functions of several parameters that vanish, or are least, where others are narrow."""
-    parameters = {coordinate.symbol for coordinate in coordinates[1:]}
-
-    def variables(expression: sp.Basic) -> list[sp.Expr]:
-        return sorted(expression.free_symbols & parameters, key=str)
-
-    narrow = itertools.chain(peaks(expressions, variables), steps(expressions, variables))
-    surfaces = itertools.chain(
-        (middle for _, middle in narrow),
-        valleys(expressions),
-        _zeros(expressions, (*CONTINUOUS, *DISCONTINUOUS)),
-    )
-    of_parameters = (f for f in surfaces if f.free_symbols <= parameters)
-    several = (f for f in of_parameters if len(f.free_symbols) > 1 and not f.has(AppliedUndef))
-    return tuple(_distinct(several)[:_MAX_SURFACES])
-
-
-def _zeros(expressions: Sequence[sp.Expr], functions: tuple[type, ...]) -> Iterator[sp.Expr]:
-    """Functions whose zeros are where some functions are not smooth."""
-    for boundary, levels in boundaries(expressions, functions):
-        if levels is None:
-            yield sp.sin(sp.pi * boundary)
-        elif len(levels) <= _MAX_SURFACES:
-            yield from (boundary - sp.Rational(level) for level in levels)
-
-
-def _distinct(functions: Iterable[sp.Expr]) -> list[sp.Expr]:
-    """Each once up to its sign, in SymPy's order."""
-    kept: dict[sp.Expr, None] = {}
-    for function in sorted(set(functions), key=sp.default_sort_key):
-        if -function not in kept:
-            kept[function] = None
-    return list(kept)
 
 
 def switching_term(system: FirstOrderSystem, state: int | None = None) -> SwitchingTerm | None:
@@ -216,3 +156,223 @@ def switching_term(system: FirstOrderSystem, state: int | None = None) -> Switch
             smooth = f"tanh({boundary}/w)" if boundary.is_Symbol else f"tanh(({boundary})/w)"
             return SwitchingTerm(written(term.xreplace(plain)), equation, written(boundary), smooth)
     return None
+
+
+class _Unsolved(Exception):
+    """A boundary equation has no solution in closed form."""
+
+
+# What the search for exact roots raises if there are none in closed form
+_FAILURES = (_Unsolved, NotImplementedError, ValueError, TypeError, sp.PolynomialError)
+
+
+def cuts_of(coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]) -> tuple[Cuts, ...]:
+    """For each coordinate the cuts of functions of it alone."""
+    expressions = list(expressions)
+    by_symbol = {c.symbol: c for c in coordinates}
+    cuts = {c.symbol: Cuts() for c in coordinates}
+    for boundary, levels in boundaries(expressions):
+        symbols = boundary.free_symbols
+        if len(symbols) == 1 and not boundary.has(AppliedUndef) and symbols <= by_symbol.keys():
+            (symbol,) = symbols
+            _solve(boundary, levels, by_symbol[symbol], cuts[symbol])
+    for symbol, coordinate in by_symbol.items():
+        _add_narrow(expressions, coordinate, cuts[symbol])
+    return tuple(cuts.values())
+
+
+def _add_narrow(expressions: Sequence[sp.Basic], coordinate: Coordinate, cuts: Cuts) -> None:
+    """Add the middles of peaks and steps that are too narrow for samples."""
+    x = coordinate.symbol
+
+    def alone(expression: sp.Basic) -> set[sp.Expr]:
+        of_x = expression.free_symbols == {x} and not expression.has(AppliedUndef)
+        return {x} if of_x else set()
+
+    for node, middle in itertools.chain(peaks(expressions, alone), steps(expressions, alone)):
+        if not alone(node) or not alone(middle):
+            continue
+        try:
+            points, periodic = _roots(middle, x)
+        except _FAILURES:
+            points, periodic = _sampled(middle, coordinate), set()
+        function = numeric(node, coordinate)
+        cuts.points.update(at for at in points if _is_narrow(function, coordinate, at))
+        for first, period in periodic:
+            inside = first + period * math.ceil((coordinate.lower - first) / period)
+            if _is_narrow(function, coordinate, inside):
+                cuts.periodic.add((first, period))
+
+
+def _is_narrow(function: Callable[[ArrayLike], Array], coordinate: Coordinate, at: float) -> bool:
+    """Whether a function changes over a distance that samples would not see."""
+    near = (coordinate.upper - coordinate.lower) / _NARROW_PARTS
+    if not coordinate.lower <= at <= coordinate.upper:
+        return False
+    heights = function(np.array([at - near, at, at + near]))
+    if not np.isfinite(heights[1]):
+        return False
+    heights = np.nan_to_num(heights, nan=_HUGE, posinf=_HUGE, neginf=-_HUGE)
+    return bool(np.ptp(heights) > _NARROW_CHANGE * np.abs(heights).max())
+
+
+def _solve(
+    boundary: sp.Expr, levels: Sequence[float] | None, coordinate: Coordinate, cuts: Cuts
+) -> None:
+    """Add the points at which a boundary expression takes one of the levels."""
+    check_time()
+    x = coordinate.symbol
+    rate = slope(boundary, x)
+    if rate.is_number and rate is not sp.nan:  # linear
+        rate, start = float(rate), float(boundary.subs(x, 0))
+        if rate and levels is None:
+            cuts.periodic.add((0.0 - start / rate, 1.0 / abs(rate)))
+        elif rate:
+            cuts.points.update((level - start) / rate for level in levels or ())
+        return
+    for level in _integers(boundary, coordinate) if levels is None else levels:
+        equation = boundary - sp.Rational(level)
+        try:
+            points, periodic = _roots(equation, x)
+        except _FAILURES:
+            points, periodic = _sampled(equation, coordinate), set()
+        cuts.points.update(points)
+        cuts.periodic.update(periodic)
+
+
+def _roots(equation: sp.Expr, x: sp.Symbol) -> tuple[set[float], set[tuple[float, float]]]:
+    """Real zeros of an expression: those that are alone, and first ones with periods.
+
+    Raises
+    ------
+    _Unsolved
+        If it is neither a polynomial nor a polynomial of one function with a known inverse.
+    """
+    if equation.is_Mul:
+        pairs = [_roots(factor, x) for factor in equation.args if factor.has(x)]
+        return set().union(*(p for p, _ in pairs)), set().union(*(q for _, q in pairs))
+    if equation.is_polynomial(x):
+        return set(_polynomial_roots(equation, x)), set()
+    outer = sp.Dummy("y", real=True)
+    inner_nodes = [node for node in equation.atoms(sp.Function, sp.Pow) if node.has(x)]
+    for node in sorted(inner_nodes, key=lambda a: (-a.count_ops(), sp.default_sort_key(a))):
+        polynomial = equation.xreplace({node: outer})
+        if polynomial.has(x) or not polynomial.is_polynomial(outer):
+            continue
+        points: set[float] = set()
+        periodic: set[tuple[float, float]] = set()
+        for root in _polynomial_roots(polynomial, outer):
+            inner, levels, period = _inverse(node, root)
+            for y in levels:
+                roots = _roots(inner - y, x) if period is None else _repeated(inner, y, period, x)
+                points |= roots[0]
+                periodic |= roots[1]
+        return points, periodic
+    raise _Unsolved
+
+
+def _polynomial_roots(equation: sp.Expr, x: sp.Symbol) -> list[float]:
+    polynomial = sp.Poly(equation, x)
+    if polynomial.degree() > _MAX_DEGREE:
+        raise _Unsolved
+    floats = (c if c.is_Float else sp.Float(c, _COEFFICIENT_DIGITS) for c in polynomial.coeffs())
+    exact = map(sp.Rational, floats)
+    rational = sp.Poly.from_dict(dict(zip(polynomial.monoms(), exact, strict=True)), x)
+    return [float(root) for root in sp.real_roots(rational)]
+
+
+def _inverse(node: sp.Expr, y: float) -> tuple[sp.Expr, list[float], float | None]:
+    """The argument of a function, its levels where the function is y, and their period."""
+    argument = node.args[0]
+    if isinstance(node, sp.exp):
+        return node.exp, [math.log(y)] if y > 0.0 else [], None
+    if node.is_Pow:
+        return _inverse_power(node, y)
+    name = node.func.__name__
+    if name in _PIECEWISE_CONSTANT:  # it changes at its own boundaries only
+        return argument, [], None
+    if name == "Abs":
+        return argument, [y, -y] if y >= 0.0 else [], None
+    if name in _PERIODIC:
+        inverse, period = _PERIODIC[name]
+        return argument, inverse(y), period
+    if name in _INVERSES:
+        try:
+            return argument, [_INVERSES[name](y)], None
+        except (ValueError, OverflowError):
+            return argument, [], None
+    raise _Unsolved
+
+
+def _inverse_power(power: sp.Expr, y: float) -> tuple[sp.Expr, list[float], None]:
+    """The base of a power that is y, if its exponent is a number, or the exponent."""
+    base, exponent = power.as_base_exp()
+    if base.is_number and base.is_positive:
+        return exponent, [math.log(y) / math.log(base)] if y > 0.0 else [], None
+    if not exponent.is_Rational:
+        raise _Unsolved
+    if y == 0.0:
+        return base, [0.0] if exponent > 0 else [], None
+    root = abs(y) ** (1.0 / float(exponent))
+    if exponent.p % 2 == 0:
+        return base, [root, -root] if y > 0.0 else [], None
+    if exponent.q % 2 == 0:
+        return base, [root] if y > 0.0 else [], None
+    return base, [math.copysign(root, y)], None
+
+
+def _repeated(
+    inner: sp.Expr, level: float, period: float, x: sp.Symbol
+) -> tuple[set[float], set[tuple[float, float]]]:
+    """Where a linear function takes a level, up to multiples of a period."""
+    rate = slope(inner, x)
+    if not rate.is_number or rate == 0 or rate is sp.nan:
+        raise _Unsolved
+    return set(), {((level - float(inner.subs(x, 0))) / float(rate), period / abs(float(rate)))}
+
+
+def _arc(y: float, function: Callable[[float], float]) -> list[float]:
+    return [function(y)] if abs(y) <= 1.0 else []
+
+
+# Functions that take a level on whole intervals or never
+_PIECEWISE_CONSTANT = ("Heaviside", "sign", "floor", "ceiling")
+# Periodic functions: where they take a level, and their period
+_PERIODIC: dict[str, tuple[Callable[[float], list[float]], float]] = {
+    "sin": (lambda y: [a for v in _arc(y, math.asin) for a in (v, math.pi - v)], 2.0 * math.pi),
+    "cos": (lambda y: [a for v in _arc(y, math.acos) for a in (v, -v)], 2.0 * math.pi),
+    "tan": (lambda y: [math.atan(y)], math.pi),
+}
+# Inverses of monotone functions; they raise a ValueError for levels that are never taken
+_INVERSES: dict[str, Callable[[float], float]] = {
+    "log": math.exp,
+    "sinh": math.asinh,
+    "tanh": math.atanh,
+    "asinh": math.sinh,
+    "atan": lambda y: math.tan(y) if abs(y) < 0.5 * math.pi else math.log(-1.0),
+    "erf": lambda y: float(scipy.special.erfinv(y)) if abs(y) < 1.0 else math.log(-1.0),
+}
+
+
+def _sampled(equation: sp.Expr, coordinate: Coordinate) -> set[float]:
+    """Changes of sign on the interval of the coordinate."""
+    function = numeric(equation, coordinate)
+    points = np.linspace(coordinate.lower, coordinate.upper, _SAMPLES)
+    heights = function(points)
+    changes = np.flatnonzero(heights[:-1] * heights[1:] < 0.0)
+    roots = {float(x) for x in points[heights == 0.0]} if np.any(heights) else set()
+    tight = {"xtol": 1e-300, "rtol": 4.0 * np.finfo(float).eps}
+    for i in changes:
+        root = scipy.optimize.brentq(lambda at: float(function(at)), *points[i : i + 2], **tight)
+        roots.add(float(root))
+    return roots
+
+
+def _integers(boundary: sp.Expr, coordinate: Coordinate) -> list[float]:
+    """The integers between the least and the largest value on the interval."""
+    points = np.linspace(coordinate.lower, coordinate.upper, _SAMPLES)
+    heights = numeric(boundary, coordinate)(points)
+    heights = heights[np.isfinite(heights)]
+    if not heights.size or np.ptp(heights) > _MAX_LEVELS:
+        return []
+    return [float(n) for n in range(math.ceil(heights.min()), math.floor(heights.max()) + 1)]

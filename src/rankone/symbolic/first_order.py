@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 import sympy as sp
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact, initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.mass import MassForm
 from rankone.frontend.problem import Problem

@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import sympy as sp
 from sympy.core.relational import Relational
 
-from rankone.expressions.notation import text_of
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact, text_of
 from rankone.ir.forms import Jump, State
 from rankone.ir.metadata import Role
 from rankone.support.budget import check_time

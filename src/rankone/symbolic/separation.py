@@ -21,9 +21,8 @@ from rankone.support.errors import ProblemError, check_kind
 from rankone.support.progress import timed
 from rankone.support.wording import listing, quote
 from rankone.symbolic.first_order import FirstOrderSystem, WeakForm, first_order, weak_form
-from rankone.symbolic.gaps import check_gaps
 from rankone.symbolic.splitting import Indivisible, Monomial, MonomialSum, Splitter
-from rankone.symbolic.well_posed import check_known, check_tables
+from rankone.symbolic.well_posed import check_gaps, check_known, check_tables
 
 # Largest coefficient of a separated term, and with its reciprocal the smallest: the product of two
 # is still a floating-point number

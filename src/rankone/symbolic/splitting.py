@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import sympy as sp
 
 from rankone.expressions.admissible import largest, sign
-from rankone.expressions.numbers import exact
+from rankone.expressions.notation import exact
 from rankone.ir.forms import Coordinate
 from rankone.support.budget import check_time
 

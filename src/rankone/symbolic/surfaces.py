@@ -4,6 +4,11 @@
 Smooth functions have *peaks*, such as ``exp(-((t - 60)/1e-3)**2)``, ``1/(1 + (k/1e-4)**2)`` and
 ``1/cosh(x/1e-3)**2``, and steep *steps*: ``tanh``, ``erf``, ``atan`` and ``1/(1 + exp(...))``, two
 of which make a pulse.
+
+*Moving cuts* are switches whose times move with parameters: cuts of each trajectory. *State
+surfaces* are functions of the unknowns, such as a pulse ``Piecewise((1, (x > 2) & (x < 2.001)),
+(0, True))``, looked at where a step crosses them. *Parameter surfaces* are where further
+trajectories are checked.
 """
 
 from __future__ import annotations
@@ -12,8 +17,10 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import sympy as sp
+from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
+from rankone.ir.forms import Coordinate
 from rankone.ir.functions import Table
 from rankone.symbolic.derivatives import slope
 
@@ -25,6 +32,9 @@ DISCONTINUOUS = (Relational, sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.fra
 """Functions that may jump."""
 # Functions that change most where their argument vanishes
 _STEEPEST_AT_ZERO = (sp.tanh, sp.erf, sp.erfc, sp.atan, sp.cosh, sp.sech)
+_MAX_SURFACES = 64  # Surfaces of each sort: every check point and step evaluates them all
+# Second derivative of an exponent times the squared horizon: above this, steps may miss a peak
+_NARROW_CURVATURE = 1e4
 _SHIFT_DIGITS = 20  # Decimal digits of a logarithm in a threshold: more than a float holds
 
 
@@ -100,6 +110,106 @@ def subexpressions(expressions: Iterable[sp.Basic], *functions: type) -> list[sp
     """The applications of some functions, each once, in SymPy's order."""
     nodes = {node for expression in expressions for node in expression.atoms(*functions)}
     return sorted(nodes, key=sp.default_sort_key)
+
+
+def moving_cuts(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
+    """Times, as functions of the parameters, at which functions of both switch or are narrow.
+
+    Boundaries that are linear in time, and the middles of narrow exponentials of squares.
+    """
+    t, symbols = coordinates[0].symbol, {c.symbol for c in coordinates}
+    times = set(_moving_peaks(coordinates, rates))
+    for boundary, levels in boundaries(rates):
+        rate, involved = slope(boundary, t), boundary.free_symbols
+        if boundary.has(AppliedUndef) or len(involved) < 2 or not involved <= symbols:
+            continue
+        if rate not in (0, sp.nan) and not rate.has(t):
+            times.update((sp.Rational(v) - boundary.subs(t, 0)) / rate for v in levels or ())
+    return tuple(sorted(times, key=sp.default_sort_key))
+
+
+def _moving_peaks(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> Iterator[sp.Expr]:
+    """Times, as functions of the parameters, of the peaks of narrow exponentials of squares."""
+    clock, *parameters = coordinates
+    t, symbols = clock.symbol, {c.symbol for c in coordinates}
+    centre = {p.symbol: sp.Float(0.5 * (p.lower + p.upper)) for p in parameters}
+    for node in subexpressions(rates, sp.exp):
+        exponent, involved = node.exp, node.exp.free_symbols
+        if len(involved) < 2 or not involved <= symbols or exponent.has(AppliedUndef):
+            continue
+        rate = slope(exponent, t)
+        curvature = slope(rate, t)
+        if curvature in (0, sp.nan) or curvature.has(t):
+            continue
+        size = abs(curvature.subs(centre)) * (clock.upper - clock.lower) ** 2
+        if size.is_number and size > _NARROW_CURVATURE:
+            yield -rate.subs(t, 0) / curvature
+
+
+def state_surfaces(
+    time: sp.Symbol, rates: Sequence[sp.Expr]
+) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
+    """Functions of the unknowns, or of time, that vanish in peaks, at kinks and at steps.
+
+    Each is in the first of these only; there are at most 64 in all.
+    """
+
+    def moving(expression: sp.Basic) -> set[sp.Expr]:
+        unknowns = set(expression.atoms(AppliedUndef))
+        return unknowns | (expression.free_symbols & {time} if not unknowns else set())
+
+    of_steps = (middle for _, middle in steps(rates, moving))
+    sorts = (
+        (middle for _, middle in peaks(rates, moving)),
+        _zeros(rates, CONTINUOUS),
+        itertools.chain(of_steps, _zeros(rates, DISCONTINUOUS)),
+    )
+    surfaces: set[sp.Expr] = set()
+    by_sort = []
+    for functions in sorts:
+        distinct = (f for f in _distinct(filter(moving, functions)) if not surfaces & {f, -f})
+        by_sort.append(tuple(itertools.islice(distinct, _MAX_SURFACES - len(surfaces))))
+        surfaces.update(by_sort[-1])
+    middles, kinks, jumps = by_sort
+    return middles, kinks, jumps
+
+
+def parameter_surfaces(
+    coordinates: Sequence[Coordinate], expressions: Sequence[sp.Expr]
+) -> tuple[sp.Expr, ...]:
+    """Functions of several parameters that vanish, or are least, where others are narrow."""
+    parameters = {coordinate.symbol for coordinate in coordinates[1:]}
+
+    def variables(expression: sp.Basic) -> list[sp.Expr]:
+        return sorted(expression.free_symbols & parameters, key=str)
+
+    narrow = itertools.chain(peaks(expressions, variables), steps(expressions, variables))
+    surfaces = itertools.chain(
+        (middle for _, middle in narrow),
+        valleys(expressions),
+        _zeros(expressions, (*CONTINUOUS, *DISCONTINUOUS)),
+    )
+    of_parameters = (f for f in surfaces if f.free_symbols <= parameters)
+    several = (f for f in of_parameters if len(f.free_symbols) > 1 and not f.has(AppliedUndef))
+    return tuple(_distinct(several)[:_MAX_SURFACES])
+
+
+def _zeros(expressions: Sequence[sp.Expr], functions: tuple[type, ...]) -> Iterator[sp.Expr]:
+    """Functions whose zeros are where some functions are not smooth."""
+    for boundary, levels in boundaries(expressions, functions):
+        if levels is None:
+            yield sp.sin(sp.pi * boundary)
+        elif len(levels) <= _MAX_SURFACES:
+            yield from (boundary - sp.Rational(level) for level in levels)
+
+
+def _distinct(functions: Iterable[sp.Expr]) -> list[sp.Expr]:
+    """Each once up to its sign, in SymPy's order."""
+    kept: dict[sp.Expr, None] = {}
+    for function in sorted(set(functions), key=sp.default_sort_key):
+        if -function not in kept:
+            kept[function] = None
+    return list(kept)
 
 
 def _thresholds(base: sp.Expr, variables: Variables) -> Iterator[sp.Expr]:
