@@ -21,14 +21,8 @@ from rankone.symbolic.lifting import Lifting, NotLiftable, lift
 class LiftedProblem:
     """A system with functions of its states as further states, so that its terms separate.
 
-    Attributes
-    ----------
-    lifting : Lifting
-        The lifted states, with their equations and initial values, and invariants.
-    separated : SeparatedForm
-    quadratic : QuadraticSystem
-    name : str
-        Of the problem.
+    ``lifting`` has the lifted states, with their equations and initial values, and invariants;
+    ``name`` is of the problem.
     """
 
     lifting: Lifting

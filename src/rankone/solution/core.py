@@ -50,19 +50,8 @@ class SolutionCore:
     - ``solution[x](t=times, x0=9, y0=5)`` has the broadcast shape alone;
     - ``solution.grid(t=times, x0=..., y0=...)`` evaluates every combination.
 
-    Values outside of the box or of the horizon are errors; nothing is extrapolated.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        What the engine returned.
-    metadata : SolutionMetadata
-        What was asked.
-
-    Attributes
-    ----------
-    outcome, metadata
-        As given.
+    Values outside of the box or of the horizon are errors; nothing is extrapolated. ``outcome`` is
+    what the engine returned, ``metadata`` what was asked.
     """
 
     def __init__(self, outcome: Outcome, metadata: SolutionMetadata) -> None:
@@ -261,13 +250,7 @@ class SolutionCore:
 
 @dataclass(frozen=True, repr=False)
 class UnknownView:
-    """One unknown of a solution, as a function of time and the parameters.
-
-    Attributes
-    ----------
-    name : str
-        Name of the unknown, or of a derivative that is a state.
-    """
+    """One unknown, or derivative that is a state, as a function of time and the parameters."""
 
     solution: SolutionCore
     name: str

@@ -117,13 +117,9 @@ def _some(texts: Iterable[str]) -> str:
 
 
 def dataset(solution: SolutionCore, coordinates: Mapping[Any, ArrayLike]) -> xarray.Dataset:
-    """The unknowns on the grid of all combinations; numbers become scalar coordinates.
+    """The unknowns on the grid of all combinations of coordinates.
 
-    Parameters
-    ----------
-    solution : SolutionCore
-    coordinates : mapping
-        For coordinates, by names, a number or one-dimensional values.
+    Each coordinate, by name, is a number, which becomes a scalar coordinate, or one-dimensional.
     """
     module = optional_module("xarray", "labelled values need xarray", "pip install xarray")
     start, end = solution.time

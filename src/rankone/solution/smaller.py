@@ -109,13 +109,7 @@ def with_restricted(
 
 
 def merged(by_symbol: object, named: Mapping[str, object]) -> dict[str, Any]:
-    """Arguments given by symbols and by keywords, all by name.
-
-    Raises
-    ------
-    OptionError
-        If it is no mapping, or a name is given twice.
-    """
+    """Arguments by symbols and by keywords, all by name; an OptionError if one is given twice."""
     if not isinstance(by_symbol, Mapping | None):
         raise OptionError(
             f"{by_symbol!r} is not a mapping from names to values",

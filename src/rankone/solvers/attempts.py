@@ -6,7 +6,7 @@ import itertools
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
@@ -103,13 +103,7 @@ class Attempt:
 
 @dataclass
 class Progress:
-    """How the error fell from attempt to attempt.
-
-    Attributes
-    ----------
-    stalls : int
-        Attempts in a row, the last ones, that hardly lowered the error.
-    """
+    """How the error fell from attempt to attempt; ``stalls`` at the end hardly lowered it."""
 
     stalls: int = 0
     _recent: tuple[bool, ...] = ()
@@ -209,7 +203,8 @@ def solve_in_attempts(
         if best.result.stopped is None:
             notes += unknowns_notes(request.rtol, best.measured, system.states)
         else:
-            notes.append(_extent(best.result))
+            end = float(best.result.slabs[-1].end) if best.result.slabs else None
+            notes.append(NothingInterpolated() if best.result.whole else StoppedAt(end))
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
         notes += Budget.of(stages.named, stages.budget)
@@ -266,13 +261,6 @@ def unknowns_notes(rtol: float, measured: Measured | None, states: Sequence[str]
     accurate = tuple(states[i] for i in sorted(order) if errors[i] <= rtol)
     inaccurate = tuple(states[i] for i in order if errors[i] > rtol)
     return [AccurateUnknowns(accurate, inaccurate)] if accurate and inaccurate else []
-
-
-def _extent(result: MarchResult) -> Note:
-    """How much of the horizon or of the box was solved."""
-    if result.whole:
-        return NothingInterpolated()
-    return StoppedAt(float(result.slabs[-1].end) if result.slabs else None)
 
 
 def _attempts(
@@ -357,11 +345,9 @@ def _further_points(
     return np.concatenate(further) if further else None
 
 
-@contextmanager
-def _keeping_some() -> Iterator[None]:
+def _keeping_some() -> AbstractContextManager[object]:
     """Keep a part of the budget back to explain a failure."""
     work, seconds = work_left(), seconds_left()
     work -= min(EXPLANATION_OPERATIONS, EXPLANATION_SHARE * work)
     seconds -= min(EXPLANATION_SECONDS, EXPLANATION_SHARE * seconds)
-    with limited(work, seconds):
-        yield
+    return limited(work, seconds)

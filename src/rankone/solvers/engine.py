@@ -34,17 +34,9 @@ _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was wr
 class Engine:
     """A way to solve a generated system for a whole box.
 
-    Attributes
-    ----------
-    name : str
-        The ``method`` of ``rankone.solve``.
-    options : type
-        Its options.
-    record : type
-        The items of its history.
-    marcher : callable
-        What it does in an attempt, made from a request, its reference set, and the workers that
-        integrate trajectories.
+    ``name`` is the ``method`` of ``rankone.solve``, ``record`` the class of the items of its
+    history. ``marcher`` makes what it does in an attempt from a request, its reference set, and the
+    workers that integrate trajectories.
     """
 
     name: str
@@ -87,22 +79,9 @@ def solve_with(
 ) -> tuple[Outcome, SolutionMetadata]:
     """Solve with one engine after another until the error is within the tolerance.
 
-    Parameters
-    ----------
-    truth : System, optional
-        The system as it was before functions of its states were lifted: the solution is measured
-        against its trajectories.
-
-    Returns
-    -------
-    Outcome
-    SolutionMetadata
-        That of the problem, with what was asked of this solve.
-
-    Raises
-    ------
-    OptionError
-        If a known factor is not finite somewhere on the domain.
+    ``truth`` is the system as it was before functions of its states were lifted: the solution is
+    measured against its trajectories. The metadata are those of the problem, with what was asked of
+    this solve. An OptionError if a known factor is not finite somewhere on the domain.
     """
     domain, limits = request.domain, request.limits
     check_factors(system, domain)

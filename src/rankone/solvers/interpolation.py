@@ -30,15 +30,14 @@ _ATTEMPTS = 5  # Most attempts: the last one has 144 random left points
 
 @dataclass(frozen=True)
 class PlainNodes:
-    """Nodes without weights."""
+    """Nodes of weight one."""
 
     size: int
-    weights: Array
 
-    @classmethod
-    def of(cls, count: int) -> PlainNodes:
-        """Nodes of weight one."""
-        return cls(count, np.ones(count))
+    @property
+    def weights(self) -> Array:
+        """The weights, (size,)."""
+        return np.ones(self.size)
 
 
 def interpolated(
@@ -46,19 +45,9 @@ def interpolated(
 ) -> Train:
     """A train through the values of a function at nodes of each parameter.
 
-    Parameters
-    ----------
-    function : callable
-        Values at indices (m, d) of nodes: shape (n, m).
-    nodes : sequence of Nodes
-    tolerance : float
-        Largest error, in sizes of the values.
-
-    Returns
-    -------
-    Train
-        Core 0 (n, r_1), core j (r_j, N_j, r_{j+1}), scaled by the roots of the weights and
-        right-orthonormal.
+    ``function`` takes indices (m, d) of nodes and returns (n, m); ``tolerance`` is the largest
+    error, in sizes of these values. Core 0 is (n, r_1), core j (r_j, N_j, r_{j+1}), scaled by the
+    roots of the weights and right-orthonormal.
     """
     if not nodes:
         return Train((function(np.zeros((1, 0), dtype=np.int64)),))
@@ -94,4 +83,4 @@ def interpolated_initial(system: System, nodes: Sequence[Array]) -> Train:
     def at_nodes(indices: Integers) -> Array:
         return system.initial(np.stack([x[indices[:, j]] for j, x in enumerate(nodes)]))
 
-    return interpolated(at_nodes, [PlainNodes.of(x.size) for x in nodes], _INITIAL_TOLERANCE)
+    return interpolated(at_nodes, [PlainNodes(x.size) for x in nodes], _INITIAL_TOLERANCE)

@@ -30,10 +30,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Trial:
-    """A slab that was tried, and the limits that it met.
-
-    ``record.accepted`` says whether the slab is solved.
-    """
+    """A slab that was tried, solved if ``record.accepted``, and the limits that it met."""
 
     record: SlabRecord
     limits: set[Status]
@@ -69,18 +66,10 @@ class SlabSolver(Protocol[AcceptedSpan, SomeTrial]):
 class MarchResult:
     """Slabs solved so far, records of all trials, and the limits met on the way.
 
-    Attributes
-    ----------
-    stopped : Status or None
-        Why the march ended early; None if it reached the end.
-    points : ndarray (m, d) or None
-        Further parameter points at which the error is measured.
-    doubtful : ndarray (k, d) or None
-        Points at which the residual suggests an error above the tolerance.
-    whole : bool
-        Whether the slabs reach the end although the march was stopped.
-    sampled : float
-        Operations that went into trajectories.
+    ``stopped`` says why the march ended early; with ``whole`` the slabs reach the end all the same.
+    ``points`` (m, d) are further parameter points at which the error is measured, ``doubtful``
+    (k, d) those at which the residual suggests an error above the tolerance. ``sampled`` operations
+    went into trajectories.
     """
 
     slabs: list[SlabTrain] = field(default_factory=list)

@@ -38,12 +38,8 @@ def engines_for(
     greedy  separated systems    never, only by ``method="greedy"``
     ======  ===================  ================================================================
 
-    An option that only one engine has leaves the other engine out; ``executor`` does not count.
-
-    Raises
-    ------
-    OptionError
-        If there is no such method, or an option belongs to another one.
+    An option that only one engine has leaves the other engine out; ``executor`` does not count. An
+    OptionError if there is no such method, or an option belongs to another one.
     """
     if isinstance(method, str) and method == AUTO:
         order = ("train", "cross") if parameters <= _FEW_PARAMETERS else ("cross", "train")

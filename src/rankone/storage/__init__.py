@@ -31,11 +31,8 @@ SUFFIXES = (".npz", netcdf.SUFFIX)
 def target(path: str | PathLike[str], overwrite: bool) -> Path:
     """The path of a file that a solution can be written to.
 
-    Raises
-    ------
-    StorageError
-        If its name ends in neither ``.npz`` nor ``.nc``, it exists and is not to be replaced, it
-        cannot be written, or a package that it needs is not installed.
+    A StorageError if its name ends in neither ``.npz`` nor ``.nc``, it exists and is not to be
+    replaced, it cannot be written, or a package that it needs is not installed.
     """
     place = as_path(path, StorageError)
     if place.suffix not in SUFFIXES:
@@ -66,20 +63,11 @@ def write(
 def read(
     path: str | PathLike[str], records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """Read a solution from a file written by :func:`write`, whatever its name.
+    """Read a solution from a file written by :func:`write`, whatever its name; nothing is executed.
 
-    Nothing in the file is executed.
-
-    Parameters
-    ----------
-    records : mapping of str to type
-        For each method the class of its records.
-
-    Raises
-    ------
-    StorageError
-        If there is no such file, it is not a rankone solution, it is damaged, a newer version of
-        rankone wrote it, its method is none of these, or a package that it needs is not installed.
+    ``records`` has for each method the class of its records. A StorageError if there is no such
+    file, it is not a rankone solution, it is damaged, a newer version of rankone wrote it, its
+    method is none of these, or a package that it needs is not installed.
     """
     container_read = netcdf.read if _is_netcdf(as_path(path, StorageError)) else npz.read
     return container_read(path, records)

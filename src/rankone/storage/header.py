@@ -91,9 +91,6 @@ def not_a_solution(path: Path) -> StorageError:
     )
 
 
-# --- writing -----------------------------------------------------------------------------------
-
-
 def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
     """The arrays of a file by name: header, cores and digest."""
     bases: dict[Basis1D, int] = {}
@@ -127,16 +124,10 @@ def digest_of(arrays: Arrays) -> str:
     return digest.hexdigest()
 
 
-# --- reading -----------------------------------------------------------------------------------
-
-
 def unpacked(
     arrays: Arrays, path: Path, records: Mapping[str, type[SlabRecord]]
 ) -> tuple[Outcome, SolutionMetadata]:
-    """The solution in the arrays of a file, checked.
-
-    ``records`` has for each method the class of its records.
-    """
+    """The solution in the arrays of a file, checked; ``records`` has a class for each method."""
     header = _header(arrays, path)
     metadata = _metadata(header["metadata"])
     if metadata.method not in records:
@@ -147,7 +138,10 @@ def unpacked(
         )
     outcome = _outcome(header, records[metadata.method], arrays)
     _check(outcome, metadata)
-    _check_digest(arrays)
+    if "digest" not in arrays:
+        raise ValueError("it has no digest, so whether it is as it was saved is not known")
+    if str(arrays["digest"][()]) != digest_of(arrays):
+        raise ValueError("its contents do not fit their digest: it was changed after it was saved")
     return outcome, metadata
 
 
@@ -218,14 +212,6 @@ def _slab(
     return SlabTrain(
         rebuilt(float, fields["start"]), rebuilt(float, fields["end"]), Train(cores), bases
     )
-
-
-def _check_digest(arrays: Arrays) -> None:
-    """Raise a ValueError unless the contents are those that were written."""
-    if "digest" not in arrays:
-        raise ValueError("it has no digest, so whether it is as it was saved is not known")
-    if str(arrays["digest"][()]) != digest_of(arrays):
-        raise ValueError("its contents do not fit their digest: it was changed after it was saved")
 
 
 def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:

@@ -99,9 +99,6 @@ def _module(name: str, path: Path) -> Any:
     )
 
 
-# --- writing -----------------------------------------------------------------------------------
-
-
 def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) -> None:
     """Write everything into an open file; ``text`` is the type of texts."""
     arrays = packed(outcome, metadata)
@@ -188,9 +185,6 @@ def _text(text: str) -> str:
 
 def _texts(texts: Iterable[str]) -> list[str]:
     return [_text(text) for text in texts]
-
-
-# --- reading -----------------------------------------------------------------------------------
 
 
 class _Variables(Mapping[str, Array]):

@@ -29,10 +29,7 @@ _OPERATION_SECONDS = 1e-9
 
 
 class Reached(NamedTuple):
-    """How far an integration came before a limit.
-
-    ``chattering`` is the state whose rate switches to and fro there, or None.
-    """
+    """How far an integration came before a limit; ``chattering`` is a state that switches there."""
 
     time: float
     steps: int
@@ -61,14 +58,8 @@ class OutOfTimeError(OutOfBudgetError):
 class Account:
     """The work that was counted, and the limits on it.
 
-    Attributes
-    ----------
-    done : float
-        Operations counted.
-    most : float
-        Operations that may be counted in all.
-    end : float
-        The deadline, by ``time.perf_counter``; infinite unless a user asked for one.
+    ``done`` operations are counted, at most ``most`` may be. ``end`` is the deadline, by
+    ``time.perf_counter``; infinite unless a user asked for one.
     """
 
     __slots__ = ("done", "end", "most")
@@ -131,12 +122,8 @@ def preparing(seconds: object) -> Iterator[None]:
 def charge(operations: float) -> None:
     """Count operations that are about to be made.
 
-    Raises
-    ------
-    OutOfWorkError
-        They are more than the budget has left.
-    OutOfTimeError
-        They would hardly end before the deadline.
+    An OutOfWorkError if they are more than the budget has left; an OutOfTimeError if they would
+    hardly end before the deadline.
     """
     account = _ACCOUNT.get()
     if account is None:
@@ -186,13 +173,7 @@ def effort_of(text: str) -> str | float:
 
 
 def operations_for(effort: str | float) -> float:
-    """The operations of an effort: a name, or a factor on the normal budget.
-
-    Raises
-    ------
-    OptionError
-        If it is neither.
-    """
+    """The operations of an effort: a name, or a factor on the normal budget; or an OptionError."""
     if isinstance(effort, str):
         if effort not in _EFFORTS:
             remedy = "choose 'low', 'normal', 'high' or a positive factor"

@@ -46,19 +46,10 @@ def plain(value: Any) -> Any:
 def rebuilt(annotation: Any, content: Any) -> Any:
     """Turn plain data into an object of an annotated type.
 
-    Parameters
-    ----------
-    annotation : type or annotation
-        A dataclass, an enumeration (of texts by value, others by name), ``float``, ``int``,
-        ``bool``, ``str``, ``None``, and tuples, dictionaries and optional ones of them.
-    content : object
-        Plain data.
-
-    Raises
-    ------
-    TypeError, ValueError, LookupError
-        If the content does not fit. Entries that a dataclass does not have are ignored; fields
-        that the content lacks need a default.
+    That is a dataclass, an enumeration (of texts by value, others by name), ``float``, ``int``,
+    ``bool``, ``str``, ``None``, and tuples, dictionaries and optional ones of them. Entries that a
+    dataclass does not have are ignored; fields that the content lacks need a default. Content that
+    does not fit is a TypeError, ValueError or LookupError.
     """
     inner: tuple[Any, ...] = get_args(annotation)
     origin = get_origin(annotation)

@@ -80,20 +80,10 @@ def progress_bar() -> Iterator[Report]:
 
 
 def resolve_progress(progress: bool | Report) -> AbstractContextManager[Report]:
-    """Turn the option ``progress`` into a context that gives a callback.
+    """Turn the option ``progress`` into a context that gives a callback, or an OptionError.
 
-    Parameters
-    ----------
-    progress : bool or callable
-        False: nothing; True: a bar on standard error; otherwise called with each event.
+    False is nothing, True a bar on standard error; a callable is called with each event.
 
-    Raises
-    ------
-    OptionError
-        If it is none of these.
-
-    Examples
-    --------
     >>> with resolve_progress(print) as report:
     ...     report(ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7))
     ProgressEvent(time=1.0, fraction=0.5, attempt=0, slabs=2, rank=7)

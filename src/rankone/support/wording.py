@@ -86,9 +86,6 @@ def number(value: Fraction | float) -> str:
     return text
 
 
-# --- names -------------------------------------------------------------------------------------
-
-
 def is_line(text: object) -> bool:
     """Whether an object is text that can be printed in one line and written to a file."""
     return is_text(text) and str.isprintable(str(text))
@@ -97,10 +94,7 @@ def is_line(text: object) -> bool:
 def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
     """The first name that cannot be printed or occurs twice, and the reason.
 
-    Parameters
-    ----------
-    named : iterable of (str, str)
-        Each name and its owner: ``("k", "parameter `k`")``.
+    ``named`` has each name and its owner: ``("k", "parameter `k`")``.
     """
     owners: dict[str, str] = {}
     for name, owner in named:
@@ -110,9 +104,6 @@ def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
             return name, f"the name {quote(name)} belongs both to {owners[name]} and to {owner}"
         owners[name] = owner
     return None
-
-
-# --- tables and equations ----------------------------------------------------------------------
 
 
 def text_table(summary: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

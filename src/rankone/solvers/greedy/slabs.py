@@ -341,7 +341,7 @@ class LaggedSlabs:
                 kind, before, points.reshape(len(nodes), len(indices))
             )
 
-        plain = [PlainNodes.of(x.size) for x in nodes]
+        plain = [PlainNodes(x.size) for x in nodes]
         return self._of_train(interpolated(values, plain, JUMP_SHARE * tolerance), tolerance)
 
     def _at_end(self, value: RankOneSum, modes: RankOneSum, tolerance: float) -> RankOneSum:
