@@ -59,8 +59,6 @@ class LagrangeElements:
         starts = np.arange(self.elements)[:, None]
         return np.concatenate([[self.lower], self.lower + self.width * (starts + inside).ravel()])
 
-    # --- quadrature ----------------------------------------------------------------------------
-
     @cached_property
     def _rule(self) -> tuple[Array, Array]:
         """Gauss points in [-1, 1] and weights: products of three shape functions are exact."""
@@ -83,7 +81,8 @@ class LagrangeElements:
     @cached_property
     def values(self) -> Array:
         """Shape functions at the quadrature points, shape (Q, size)."""
-        return self._scattered(self._local(self._rule[0]))
+        polynomials = legendre_values(self._rule[0], self.order + 1)
+        return self._scattered(polynomials @ self._to_legendre)
 
     @cached_property
     def derivatives(self) -> Array:
@@ -109,8 +108,6 @@ class LagrangeElements:
         integrals[1:] += np.cumsum(whole[:-1], axis=0)[:, None]
         return np.asarray(integrals.reshape(values.shape))
 
-    # --- modes ---------------------------------------------------------------------------------
-
     @property
     def modes(self) -> LegendreBasis:
         """The piecewise Legendre basis that holds the same functions."""
@@ -130,10 +127,6 @@ class LagrangeElements:
         """From values at the nodes of one element to its Legendre coefficients."""
         nodal = legendre_values(lobatto_points(self.order), self.order + 1)
         return np.asarray(np.linalg.inv(nodal))
-
-    def _local(self, xi: Array) -> Array:
-        """Shape functions of one element at points of [-1, 1], (N, order + 1)."""
-        return np.asarray(legendre_values(xi, self.order + 1) @ self._to_legendre)
 
     def _scattered(self, local: Array) -> Array:
         """Repeat a local table (q, order + 1) for every element: (Q, size)."""

@@ -106,7 +106,8 @@ class Polynomials:
 
     def __init__(self, grid: TimeGrid, values: Array) -> None:
         local = values.reshape(grid.slabs, grid.count, -1)
-        self.grid, self.modes = grid, np.asarray(np.linalg.solve(_at_nodes(grid.count), local))
+        at_nodes = legendre_values(_nodes(grid.count)[0], grid.count)
+        self.grid, self.modes = grid, np.asarray(np.linalg.solve(at_nodes, local))
         self.breaks = np.array(grid.breaks)
         self.half = 0.5 * np.diff(self.breaks)
 
@@ -128,10 +129,8 @@ class Polynomials:
         points = _dense_points(self.grid.count)
         dense = legendre_values(points, self.grid.count) @ self.modes
         best = dense.argmax(axis=1)
-        lower, upper = (
-            points[np.maximum(best - 1, 0)],
-            points[np.minimum(best + 1, points.size - 1)],
-        )
+        lower = points[np.maximum(best - 1, 0)]
+        upper = points[np.minimum(best + 1, points.size - 1)]
         slope = legendre_derivative(self.grid.count)
         first = slope @ self.modes
         second = slope @ first
@@ -225,11 +224,6 @@ class Polynomials:
             over = self.at(middle, columns) * sign > 0.0
             left, right = np.where(over, left, middle), np.where(over, middle, right)
         return np.asarray(0.5 * (left + right))
-
-
-def _at_nodes(count: int) -> Array:
-    """Values of the Legendre polynomials at the nodes of a slab."""
-    return legendre_values(leggauss(count)[0], count)
 
 
 def _from_start(count: int) -> Array:

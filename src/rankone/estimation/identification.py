@@ -336,12 +336,9 @@ def _scaled(row: Array) -> list[tuple[int, str]]:
         near = [Fraction(float(v * scale)).limit_denominator(_LARGEST_DENOMINATOR) for v in row]
         pairs = zip(near, row * scale, strict=True)
         if all(abs(float(simple) - v) <= _FRACTION_TOLERANCE * abs(v) for simple, v in pairs):
-            return [((v > 0) - (v < 0), _fraction(abs(v))) for v in near]
+            texts = [f"{abs(v)}" if v.denominator == 1 else f"({abs(v)})" for v in near]
+            return [((v > 0) - (v < 0), text) for v, text in zip(near, texts, strict=True)]
     return [(int(np.sign(v)), f"{abs(v):.3g}") for v in row]
-
-
-def _fraction(power: Fraction) -> str:
-    return str(power) if power.denominator == 1 else f"({power})"
 
 
 def _product(names: Sequence[str], row: Array) -> str:

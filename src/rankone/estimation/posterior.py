@@ -51,11 +51,6 @@ class LogPosterior:
     measures: tuple[Measure, ...]
 
     @property
-    def dimension(self) -> int:
-        """Number of free parameters."""
-        return len(self.measures)
-
-    @property
     def unit(self) -> tuple[Array, Array]:
         """Lower bounds and widths of the parameters."""
         return self.problem.free.lower, self.problem.free.width
@@ -255,7 +250,7 @@ def posterior(
     names = [name for name, identified in best.identifiable.items() if not identified]
     limits = f"; the data do not identify {listing(names)} alone: box and prior limit them"
     boxed = limits if names else ""
-    if log_density.dimension > _MOST_QUADRATURE_PARAMETERS:
+    if len(log_density.measures) > _MOST_QUADRATURE_PARAMETERS:
         links = chain(log_density, likely, seed, steps)
         message = links.message + boxed
         return Posterior(best, "mcmc", math.nan, links.success, message, log_density, links)
@@ -295,7 +290,7 @@ def _without_fixed(fit: Fit) -> LeastSquares:
 
 def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
     """Points where the posterior is large (k, n), and its extents there (n,), others held."""
-    problem, n = log_density.problem, log_density.dimension
+    problem, n = log_density.problem, len(log_density.measures)
     generator = np.random.default_rng(11)
     unit = max(fit._unit, 1e-12) if math.isfinite(fit._unit) else 1.0
     minima = problem.minima(np.vstack([fit._z, spread(_MODE_STARTS, n, generator)]))

@@ -29,9 +29,6 @@ def check_solution(function: str, given: object) -> None:
         )
 
 
-# --- unknowns ------------------------------------------------------------------------------------
-
-
 def states_of(solution: Solution, given: object) -> list[str]:
     """Names of one or several unknowns or derivatives that are states; all unknowns for None."""
     if given is None:
@@ -86,9 +83,6 @@ def _one(given: object) -> object:
             f"unknown={shown(given)} names several", term=given, remedy="plot one after another"
         )
     return given
-
-
-# --- times ---------------------------------------------------------------------------------------
 
 
 def times_of(solution: Solution, t: ArrayLike | None, count: int) -> Array:

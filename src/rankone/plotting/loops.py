@@ -57,10 +57,16 @@ def plot_history(
         If there is no such slab, or ``ax`` are not as many axes as there are panels.
     """
     check_solution("plot_history", solution)
-    records = _last_attempt(solution)
+    if not solution.history:
+        raise EvaluationError("there is no history to plot")
+    last = max(record.attempt for record in solution.history)
+    records = [record for record in solution.history if record.attempt == last]
     if isinstance(records[-1], CrossRecord):
         return _plot_attempts(solution, records[-1].slabs, ax)
-    chosen = _chosen(records, slab)
+    accepted = [record for record in records if record.accepted] or records
+    if not -len(accepted) <= slab < len(accepted):
+        raise OptionError(f"slab={slab!r} is out of range", remedy=f"there are {len(accepted)}")
+    chosen = accepted[slab]
     if isinstance(chosen, GreedySlabRecord) and chosen.equations:
         over = f"slab [{chosen.start:.3g}, {chosen.end:.3g}]"
         title = f"{solution.metadata.method}, {over}; updates of all slabs"
@@ -75,9 +81,6 @@ def plot_history(
     _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
     _plot_ranks(axes[1], records)
     return axes
-
-
-# --- panels ------------------------------------------------------------------------------------
 
 
 def _plot_fixed_points(axes: Axes, equations: Sequence[EquationRecord]) -> None:
@@ -165,17 +168,3 @@ def _plot_ranks(axes: Axes, records: Sequence[SlabRecord]) -> None:
 def _positive(sizes: Sequence[float]) -> list[float]:
     """Sizes for a logarithmic axis: zeros and infinities leave gaps."""
     return [size if 0.0 < size < float("inf") else float("nan") for size in sizes]
-
-
-def _last_attempt(solution: Solution) -> list[SlabRecord]:
-    if not solution.history:
-        raise EvaluationError("there is no history to plot")
-    last = max(record.attempt for record in solution.history)
-    return [record for record in solution.history if record.attempt == last]
-
-
-def _chosen(records: Sequence[SlabRecord], slab: int) -> SlabRecord:
-    accepted = [record for record in records if record.accepted] or list(records)
-    if not -len(accepted) <= slab < len(accepted):
-        raise OptionError(f"slab={slab!r} is out of range", remedy=f"there are {len(accepted)}")
-    return accepted[slab]

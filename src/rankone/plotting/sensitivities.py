@@ -205,9 +205,6 @@ def _title(shares: Mapping[str, Array], name: str) -> str:
     return " ".join([*kinds, f"Sobol indices of {name}"])
 
 
-# --- forms of the indices ----------------------------------------------------------------------
-
-
 def _draw_bars(ax: Axes, parameters: Sequence[str], shares: Mapping[str, Array]) -> None:
     """Horizontal bars, the largest on top; first-order indices inside of total ones."""
     order = np.argsort(next(iter(shares.values())), kind="stable")

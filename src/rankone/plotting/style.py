@@ -35,9 +35,6 @@ _PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
 _LINE_HEIGHT = 1.25  # Height of a line of labels, in units of the size of their letters
 
 
-# --- figures and axes ----------------------------------------------------------------------------
-
-
 def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_], bool]:
     """Axes of some panels (count,), and whether they are in a new figure.
 
@@ -120,9 +117,6 @@ def _pyplot() -> ModuleType:
     return pyplot
 
 
-# --- colours and legends -------------------------------------------------------------------------
-
-
 def colours_for(ax: Axes, count: int) -> list[str]:
     """Colours of new lines: the next ones of the palette, or of a scale for many lines."""
     if count > len(PALETTE):
@@ -197,9 +191,6 @@ def _apart(heights: Array, gap: float) -> Array:
     places = np.empty(len(order))
     places[order] = scipy.optimize.isotonic_regression(heights[order] - steps).x + steps
     return places
-
-
-# --- labels --------------------------------------------------------------------------------------
 
 
 def label_of(solution: Solution, name: str) -> str:

@@ -38,19 +38,12 @@ _BAND_POINTS = 2**14  # Points over the box for quantiles
 _STROKES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 
 
-# --- for given values of the parameters ----------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Family:
     """Points (names, curves) of the parameters that vary, each of which is a curve."""
 
     names: tuple[str, ...]
     points: Array
-
-    def titles(self) -> list[str]:
-        pairs = (zip(self.names, point, strict=True) for point in self.points.T)
-        return [", ".join(f"{name} = {x:.4g}" for name, x in point) for point in pairs]
 
 
 def plot_trajectories(
@@ -111,7 +104,10 @@ def plot_trajectories(
     axes = style.axes_for(ax)
     axes.set(xlabel=style.label_of(solution, time), ylabel=style.labels_of(solution, names))
     if not family.names:
-        _draw_single(axes, names, times, [rows[0] for rows in curves])
+        coloured = zip(names, curves, style.colours_for(axes, len(names)), strict=True)
+        lines = [axes.plot(times, rows[0], color=c, label=name)[0] for name, rows, c in coloured]
+        if len(lines) > 1:
+            style.name_ends(axes, lines, names)
     else:
         _draw_family(axes, solution, names, times, curves, family)
     axes.margins(x=0.0)
@@ -130,14 +126,6 @@ def _family(solution: Solution, values: Mapping[str, Any]) -> _Family:
     return _Family(tuple(names[j] for j in varying), points[varying])
 
 
-def _draw_single(ax: Axes, names: Sequence[str], times: Array, curves: Sequence[Array]) -> None:
-    """One curve for each unknown, named at its end."""
-    drawn = zip(names, curves, style.colours_for(ax, len(names)), strict=True)
-    lines = [ax.plot(times, row, color=colour, label=name)[0] for name, row, colour in drawn]
-    if len(lines) > 1:
-        style.name_ends(ax, lines, names)
-
-
 def _draw_family(
     ax: Axes,
     solution: Solution,
@@ -151,7 +139,8 @@ def _draw_family(
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.lines import Line2D
 
-    titles = family.titles()
+    pairs = (zip(family.names, point, strict=True) for point in family.points.T)
+    titles = [", ".join(f"{name} = {x:.4g}" for name, x in point) for point in pairs]
     few = len(titles) <= style.MOST_NAMED
     colours = _colours(family)
     strokes = [_STROKES[i % len(_STROKES)] for i in range(len(names))]
@@ -161,8 +150,8 @@ def _draw_family(
             ax.plot(times, row, color=colour, linestyle=stroke, label=label, linewidth=1.3)
     handles = []
     if len(names) > 1:
-        pairs = zip(names, strokes, strict=True)
-        handles = [Line2D([], [], color="0.3", linestyle=s, label=name) for name, s in pairs]
+        styled = zip(names, strokes, strict=True)
+        handles = [Line2D([], [], color="0.3", linestyle=s, label=name) for name, s in styled]
     if few:
         named = zip(titles, colours, strict=True)
         handles += [Line2D([], [], color=colour, label=title) for title, colour in named]
@@ -187,9 +176,6 @@ def _colours(family: _Family) -> Sequence[ColorType]:
     from matplotlib.colors import to_rgba
 
     return [to_rgba(style.PALETTE[0], 0.35)] * count
-
-
-# --- over the box --------------------------------------------------------------------------------
 
 
 def plot_bands(

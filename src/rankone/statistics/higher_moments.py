@@ -112,7 +112,8 @@ class HigherMoments:
             )
         first, *cores = train.cores
         third, fourth = self._contracted(cores)
-        pairs = _pairs(first)
+        i, j = np.triu_indices(first.shape[1])  # each pair of entries once, with its number
+        pairs = first[:, i] * first[:, j] * np.where(i == j, 1.0, 2.0)
         return np.stack(
             [
                 np.einsum("tr,rs,ts->t", pairs, third, first, optimize=True),
@@ -147,12 +148,6 @@ def _centred(cores: Sequence[Array], means: Sequence[Array], after: Sequence[Arr
         block[left, :, right] = 1.0
         blocks.append(block)
     return [*blocks[:-1], *(block[:, :, -1:] for block in blocks[-1:])]
-
-
-def _pairs(rows: Array) -> Array:
-    """Products of two entries of rows (T, r), each pair once with its number: (T, r (r + 1)/2)."""
-    i, j = np.triu_indices(rows.shape[1])
-    return np.asarray(rows[:, i] * rows[:, j] * np.where(i == j, 1.0, 2.0))
 
 
 def _squares(core: Array) -> tuple[Iterator[Array], Iterator[Array]]:

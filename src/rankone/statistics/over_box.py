@@ -271,10 +271,8 @@ class StatisticsOverBox(SolutionCore):
         count = checked_count("count", count, 1, self._numbers_each())
         statistics = self._statistics(under, correlation)
 
-        def quantiles(times: Array) -> Array:
-            return statistics.quantiles(times, probabilities.ravel(), count)
-
-        table = self._at(t, quantiles)
+        flat = probabilities.ravel()
+        table = self._at(t, lambda times: statistics.quantiles(times, flat, count))
         return table.reshape(*probabilities.shape, *table.shape[1:])
 
     # --- for one joint distribution of the parameters ------------------------------------------
@@ -367,9 +365,8 @@ class StatisticsOverBox(SolutionCore):
         if correlation is None:
             correlation = {(a, b): number for a, b, number in self.metadata.correlations}
         copula = copula_of(names, correlation)
-        return JointDistribution(
-            measures_of(names, box, under, self._problem_distributions), copula
-        )
+        measures = measures_of(names, box, under, self._problem_distributions)
+        return JointDistribution(measures, copula)
 
     def _statistics(
         self, under: Distributions = None, correlation: Correlations = None

@@ -89,7 +89,6 @@ class Statistics:
 
     @cached_property
     def _moments(self) -> list[TrainMoments]:
-        """Of each slab; those that share their cores share them."""
         moments = TrainMoments if self.parameters.copula is None else ConditionalMoments
         return self._of_slabs(lambda slab: moments(slab, self.parameters))
 
@@ -169,11 +168,8 @@ class Statistics:
 
     def quantiles(self, times: Array, probabilities: Array, count: int) -> Array:
         """Quantiles of values at evenly spread points, (probabilities, states, times)."""
-
-        def of(samples: Array) -> Array:
-            return np.quantile(samples, probabilities, axis=1)
-
-        return self.over_points(times, self.parameters.even_points(count), of)
+        points = self.parameters.even_points(count)
+        return self.over_points(times, points, lambda s: np.quantile(s, probabilities, axis=1))
 
     def over_points(
         self,
