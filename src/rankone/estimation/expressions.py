@@ -80,7 +80,6 @@ def gradient(function: Quantity, point: Mapping[str, float], widths: Mapping[str
 
 
 def _from_text(text: str, names: Sequence[str]) -> Quantity:
-    """Arithmetic in a text as a function."""
     try:
         body = ast.parse(text.replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError):

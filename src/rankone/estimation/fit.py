@@ -305,7 +305,6 @@ def quantile_of(level: float, sigma_known: bool, dof: int) -> float:
 
 
 def _findings(fit: Fit) -> Iterator[str]:
-    """Reasons not to trust a fit, in sentences."""
     if not fit.converged:
         yield "the search did not converge; remedy: give a start, or more starts"
     names = [name for name, identified in fit.identifiable.items() if not identified]

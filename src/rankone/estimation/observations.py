@@ -140,7 +140,6 @@ def checked_times(solution: SolutionCore, times: ArrayLike | None) -> Array:
 
 
 def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, ...]:
-    """The states observed."""
     if observe is None:
         observe = list(data) if isinstance(data, Mapping) else list(solution.unknowns)
     keys = observe if isinstance(observe, list | tuple) else [observe]
@@ -161,7 +160,6 @@ def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, 
 
 
 def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
-    """The data of each output."""
     if table.ndim < 2 and len(names) == 1:
         return [np.atleast_1d(table)]
     if table.ndim == 2 and len(table) == len(names):
@@ -175,7 +173,6 @@ def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
 
 
 def _times_of(solution: SolutionCore, times: Measurements, name: str) -> Array:
-    """Times of one output."""
     if not isinstance(times, Mapping):
         return checked_times(solution, times)
     by_name = {name_of(key, solution.metadata.time): clock for key, clock in times.items()}

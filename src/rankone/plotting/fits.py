@@ -98,7 +98,6 @@ class _Output:
 
 
 def _output(fit: Fit, solution: Solution, index: int) -> _Output:
-    """One output of a fit."""
     observed = fit.observations
     name, here = observed.names[index], observed.owner == index
     times, data = observed.times[here], observed.values[here]
@@ -125,7 +124,6 @@ def _half_widths(fit: Fit, name: str, times: Array) -> Array:
 
 
 def _axes(ax: object) -> tuple[Axes, ...]:
-    """One or two axes."""
     if ax is None:
         return style.stacked(0.9, 0.35)
     several = tuple(np.ravel(ax)) if isinstance(ax, list | tuple | np.ndarray) else (ax,)
@@ -184,7 +182,6 @@ def _legend(ax: Axes, colour: str, band: str | None) -> None:
 
 
 def _draw_residuals(ax: Axes, outputs: Sequence[_Output]) -> None:
-    """Residuals of each output."""
     for output, colour in zip(outputs, style.colours_for(ax, len(outputs)), strict=True):
         ax.plot(output.times, output.residuals, "o", color=colour, markersize=4, label=output.name)
     scaled = outputs[0].sigma is not None

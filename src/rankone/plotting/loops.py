@@ -70,14 +70,14 @@ def plot_history(
     if isinstance(chosen, GreedySlabRecord) and chosen.equations:
         over = f"slab [{chosen.start:.3g}, {chosen.end:.3g}]"
         title = f"{solution.metadata.method}, {over}; updates of all slabs"
-        axes, _ = several_axes(ax, 4, title)
+        axes = several_axes(ax, 4, title)
         _plot_fixed_points(axes[0], chosen.equations)
         _plot_residuals(axes[1], chosen.equations, chosen.tolerance)
         _plot_amplitudes(axes[2], chosen.equations)
         _plot_changes(axes[3], records, "update of the lagged terms")
         return axes
     title = f"{solution.metadata.method}, {count(len(records), 'slab')}"
-    axes, _ = several_axes(ax, 2, title)
+    axes = several_axes(ax, 2, title)
     _plot_changes(axes[0], records, "sweep" if solution.metadata.method == "train" else "update")
     _plot_ranks(axes[1], records)
     return axes
@@ -139,7 +139,7 @@ def _plot_attempts(solution: Solution, slabs: int, ax: object) -> NDArray[np.obj
     """For each parameter its highest modes and the rank before it, a line for each attempt."""
     records = solution.history
     title = f"cross, {count(slabs, 'slab')}, {count(len(records), 'attempt')}"
-    axes, _ = several_axes(ax, 2, title)
+    axes = several_axes(ax, 2, title)
     names = solution.metadata.parameters
     for record in records:
         label = f"{record.attempt + 1}"

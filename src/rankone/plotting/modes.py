@@ -65,7 +65,7 @@ def plot_modes(
     name = state_of(solution, unknown, "plot_modes")
     form = solution.to_canonical(rtol)[name]
     title = f"{name}: {form.rank} modes, mean square error {form.error:.1e}"
-    axes, in_new_figure = several_axes(ax, len(form.axes) + 1, title)
+    axes = several_axes(ax, len(form.axes) + 1, title)
     shown = min(modes, form.rank)
     for panel, axis in zip(axes, form.axes, strict=False):
         points = np.linspace(axis.breaks[0], axis.breaks[-1], _POINTS)
@@ -75,7 +75,7 @@ def plot_modes(
         panel.set(xlabel=axis.name, title=f"functions of {axis.name}")
     if shown:
         lines = axes[0].get_lines()[-shown:]
-        if in_new_figure:
+        if ax is None:
             figure_of(axes[0]).legend(handles=lines, title="mode", loc="outside right upper")
         else:
             axes[0].legend(handles=lines, title="mode", fontsize="small")

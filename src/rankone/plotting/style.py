@@ -35,8 +35,8 @@ _PANEL_SIZE = (3.7, 2.9)  # Width and height of each panel of several, in inches
 _LINE_HEIGHT = 1.25  # Height of a line of labels, in units of the size of their letters
 
 
-def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_], bool]:
-    """Axes of some panels (count,), and whether they are in a new figure.
+def several_axes(ax: object, count: int, title: str) -> NDArray[np.object_]:
+    """Axes of some panels, (count,): those given, or those of a new figure.
 
     A new figure has a title, and at most three panels in a row (four as two by two).
     """
@@ -50,7 +50,7 @@ def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_
                 remedy=f"give {count}, or leave ax out",
             )
         axes[:] = [axes_for(one) for one in several]
-        return axes, False
+        return axes
     columns = 2 if count in (2, 4) else min(count, 3)
     rows = -(-count // columns)
     width, height = _PANEL_SIZE
@@ -61,7 +61,7 @@ def several_axes(ax: object, count: int, title: str) -> tuple[NDArray[np.object_
         unused.remove()
     axes[:] = [_dressed(one) for one in [*grid.flat][:count]]
     figure.suptitle(title)
-    return axes, True
+    return axes
 
 
 def stacked(*heights: float) -> tuple[Axes, ...]:
@@ -102,7 +102,6 @@ def figure_of(ax: Axes) -> Figure | SubFigure:
 
 
 def _dressed(ax: Axes) -> Axes:
-    """Axes with a light grid and without a box around."""
     ax.set_prop_cycle(color=PALETTE)
     ax.grid(True, color="0.9", linewidth=0.7)
     ax.set_axisbelow(True)

@@ -91,7 +91,6 @@ def plot_surface(
 
 
 def _coordinate(solution: Solution, key: object) -> str:
-    """Name of a coordinate along an axis."""
     coordinates = solution.metadata.coordinates
     name = name_of(key)
     if name not in coordinates:
@@ -104,7 +103,6 @@ def _coordinate(solution: Solution, key: object) -> str:
 
 
 def _fixed(values: Mapping[str, float], across: str, up: str) -> dict[str, float]:
-    """The values of the other coordinates."""
     for name, at in values.items():
         if name in (across, up):
             raise OptionError(

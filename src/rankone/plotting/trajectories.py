@@ -134,7 +134,6 @@ def _draw_family(
     curves: Sequence[Array],
     family: _Family,
 ) -> None:
-    """Several curves for each unknown."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.lines import Line2D
@@ -250,7 +249,6 @@ def plot_bands(
 def _probabilities(
     quantiles: tuple[float, float] | None, sigmas: float | None
 ) -> tuple[float, float]:
-    """The probabilities of the band."""
     if sigmas is not None:
         checked_number("sigmas", sigmas, 0, kind=float)
         if quantiles is not None:

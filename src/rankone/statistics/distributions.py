@@ -149,7 +149,6 @@ def _shown(distribution: Any) -> str:
 
 
 def _parsed(text: str) -> tuple[str, list[float], dict[str, float]]:
-    """Name, numbers and named numbers."""
     call = ast.parse(text.strip(), mode="eval").body
     if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name):
         raise ValueError(text)

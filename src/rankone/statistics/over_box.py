@@ -325,7 +325,6 @@ class StatisticsOverBox(SolutionCore):
         return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), doubts
 
     def _main_effects(self, t: Times, count: int, statistics: Statistics) -> MainEffects:
-        """Means given one parameter."""
         count = checked_count("count", count, 2, self._numbers_each())
         ranges = {name: np.linspace(*ends, count) for name, ends in self.parameters.items()}
 
@@ -354,7 +353,6 @@ class StatisticsOverBox(SolutionCore):
 
     @cached_property
     def _problem_distributions(self) -> dict[str, Distribution]:
-        """The distributions that came with the problem."""
         return {name: from_text(text) for name, text in self.metadata.distributions}
 
     def _joint_distribution(
