@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import Outcome, SlabRecord
-from rankone.ir.request import Check, SolveRequest
+from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.ir.verdict import Status
 from rankone.solvers.attempts import Attempt, Progress, solve_in_attempts
 from rankone.solvers.march import MarchResult

@@ -8,9 +8,8 @@ import typing
 import pytest
 
 import rankone as ro
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import SlabRecord
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest
 from rankone.solvers.greedy import GreedySlabRecord
 from rankone.solvers.registry import ENGINES, engines_for
 from rankone.support.errors import OptionError

@@ -9,7 +9,7 @@ import scipy.integrate
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.solvers.registry import ENGINES
 from rankone.symbolic.lifting import NotLiftable, lift
 from rankone.verification.measure import drift

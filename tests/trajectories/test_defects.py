@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.ir.domain import Domain
 from rankone.ir.forms import Coordinate
+from rankone.ir.request import Domain
 from rankone.symbolic.features import features_of
 from rankone.trajectories.steppers import StackedDOP853, roots
 from rankone.verification.points import check_points, surface_points

@@ -6,7 +6,7 @@ import numpy as np
 
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 from rankone.verification.points import active_points, candidate_points

@@ -6,8 +6,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import rankone as ro
-from rankone.ir.domain import Domain
-from rankone.ir.request import Check, SolveRequest
+from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import rankone as ro
-from rankone.ir.domain import Domain
-from rankone.ir.request import Check, SolveRequest
+from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.verification.measure import ReferenceSet
 from tests.problems import REFERENCE
 

@@ -12,8 +12,8 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import check_size
-from rankone.ir.domain import LEAST_WIDTH
 from rankone.ir.metadata import per
+from rankone.ir.request import LEAST_WIDTH
 from rankone.statistics.distributions import as_text, from_text, interval_of
 from rankone.statistics.joint_distribution import copula_of
 from rankone.support.errors import EvaluationError, OptionError, ProblemError

@@ -44,10 +44,9 @@ from rankone.codegen import (
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution
-from rankone.ir.domain import Domain
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.ir.metadata import SolutionMetadata
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.verdict import Status
 from rankone.solution.core import raise_blow_up

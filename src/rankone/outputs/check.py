@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization.time_grid import TimeGrid
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.support.arrays import Array, corners, spread

@@ -15,9 +15,9 @@ import numpy as np
 
 from rankone.discretization import BASES
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
-from rankone.ir.domain import Domain
 from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome
+from rankone.ir.request import Domain
 from rankone.ir.verdict import (
     EarlyEnd,
     Note,

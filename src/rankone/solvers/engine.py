@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.ir.domain import Domain, check_factors
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest, check_factors
 from rankone.ir.system import System
 from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
 from rankone.solvers.attempts import Marcher, solve_in_attempts

@@ -21,10 +21,10 @@ from sympy.core.relational import Relational
 
 from rankone.expressions.admissible import gaps, known_functions, located_defect, numeric
 from rankone.frontend.problem import Problem
-from rankone.ir.domain import Domain
 from rankone.ir.features import GAP_REMEDY
 from rankone.ir.forms import Coordinate, SeparatedForm, State
 from rankone.ir.functions import Table, known_applied
+from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array, corners, spread
 from rankone.support.errors import OptionError, ProblemError, RankoneWarning

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 
 from rankone.discretization import ChebyshevBasis
-from rankone.ir.domain import Domain, KnownFactors
+from rankone.ir.request import Domain, KnownFactors
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge

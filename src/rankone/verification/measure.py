@@ -15,9 +15,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import Measured
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
 from rankone.ir.verdict import NumericallyZero
 from rankone.support.arrays import Array

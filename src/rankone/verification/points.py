@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rankone.discretization import Basis1D
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.ir.system import System
 from rankone.support.arrays import Array, corners, spread
 from rankone.tensors.slab import SlabTrain

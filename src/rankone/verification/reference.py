@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import SafeInterval
+from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, charge, limited, work_left

@@ -6,8 +6,7 @@ import pytest
 import rankone as ro
 from rankone.discretization import ChebyshevBasis
 from rankone.discretization.time_grid import TimeGrid
-from rankone.ir.domain import Domain
-from rankone.ir.request import Check, SolveRequest
+from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.solvers.cross.trajectories import Trajectories
 from rankone.tensors.cross import Samples
 from rankone.trajectories.integrator import Tolerances

@@ -10,9 +10,8 @@ import pytest
 
 import rankone as ro
 from rankone.discretization import RadauCollocation
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import SlabRecord
-from rankone.ir.request import Check, SolveRequest
+from rankone.ir.request import Check, Domain, SolveRequest
 from rankone.ir.verdict import Status
 from rankone.solvers.train.length import Accuracy, Guess, SlabLengths, TrainSpan
 from rankone.verification.measure import ReferenceSet

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.ir.system import System
 from rankone.ir.verdict import SteepParameter
 from rankone.solvers.cross import constants

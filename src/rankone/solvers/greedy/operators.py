@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rankone.discretization import LegendreBasis
 from rankone.discretization.finite_elements import LagrangeElements
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.ir.system import System
 from rankone.solvers.greedy.options import (
     FEW_PARAMETERS,

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.ir.domain import Domain
 from rankone.ir.outcome import SlabRecord
+from rankone.ir.request import Domain
 from rankone.ir.system import System
 from rankone.ir.verdict import Status
 from rankone.solvers.greedy.enrichment import Enrichment, ModeRecord

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rankone.discretization import BASES, Basis1D
-from rankone.ir.domain import Domain
+from rankone.ir.request import Domain
 from rankone.ir.system import System
 from rankone.solvers.interpolation import interpolated, interpolated_initial
 from rankone.solvers.train.options import (

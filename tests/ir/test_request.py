@@ -7,8 +7,7 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.ir.domain import Domain, check_factors
-from rankone.ir.request import SolveRequest
+from rankone.ir.request import Domain, SolveRequest, check_factors
 from rankone.solvers.engine import solve_with
 from rankone.solvers.registry import ENGINES
 from tests.problems import EXAMPLES, REFERENCE
