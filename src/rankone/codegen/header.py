@@ -51,7 +51,6 @@ def general_header(
 
 
 def _operation_lines(operations: Mapping[str, int]) -> list[str]:
-    """How many operations each function has."""
     counts = (f"{name} {count}" for name, count in operations.items())
     return paragraph(f"Operations: {', '.join(counts)}")
 

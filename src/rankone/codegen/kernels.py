@@ -83,7 +83,8 @@ def kernel_blocks(system: QuadraticSystem) -> list[list[str]]:
     listed: dict[str, list[str]] = {kernel: [] for kernel in KERNELS}
     for writer in writers:
         functions = writer.functions()
-        blocks += [writer.tables(), *functions.values()]
+        matrices = [line for combination in writer.combinations for line in combination.tables()]
+        blocks += [matrices, *functions.values()]
         for kernel, names in listed.items():
             names.append(f"{kernel}_{writer.group.index}" if kernel in functions else "None")
     listing = ["KERNELS = {"]
@@ -106,10 +107,7 @@ def _helpers(writers: Iterable[KernelWriter]) -> list[str]:
 
 
 class KernelWriter:
-    """Writes the kernels of one group.
-
-    ``time_factors`` are written as people write them, for comments.
-    """
+    """Writes the kernels of one group; the time factors, as people write them, are for comments."""
 
     def __init__(self, system: QuadraticSystem, group: Group, time_factors: Sequence[str]) -> None:
         self.group, self.factor = group, signature_text(system, group.signature)
@@ -132,20 +130,11 @@ class KernelWriter:
         self.quadratic_combination = Combination(
             f"QUADRATIC_MATRIX_{index}", rates, self.monomials, quadratic, time_factors
         )
-
-    @property
-    def combinations(self) -> tuple[Combination, Combination]:
-        """The linear and the quadratic one."""
-        return self.linear_combination, self.quadratic_combination
-
-    def tables(self) -> list[str]:
-        """Coefficient matrices of the kernels."""
-        return [line for combination in self.combinations for line in combination.tables()]
+        self.combinations = self.linear_combination, self.quadratic_combination
 
     def functions(self) -> dict[str, list[str]]:
         """Source lines of the kernels the group needs, by kernel."""
         terms = self.group.by_degree
-        needed = [kernel for kernel in KERNELS if terms[kernel.removesuffix("_adjoint")]]
         writers = {
             "constant": self.constant,
             "linear": self.linear,
@@ -153,6 +142,7 @@ class KernelWriter:
             "quadratic": self.quadratic,
             "quadratic_adjoint": self.quadratic_adjoint,
         }
+        needed = (kernel for kernel in KERNELS if terms[kernel.removesuffix("_adjoint")])
         return {kernel: writers[kernel]() for kernel in needed}
 
     def constant(self) -> list[str]:
@@ -195,8 +185,7 @@ class KernelWriter:
         ]
 
     def quadratic_adjoint(self) -> list[str]:
-        n = len(self.monomials)
-        m = len(self.group.paired)
+        n, m = len(self.monomials), len(self.group.paired)
         shape = f"({n}, *w.shape[1:])"
         return [
             *self.head("quadratic_adjoint", "phi, x, w", "Adjoint of the quadratic terms"),
@@ -267,11 +256,8 @@ class Combination:
         entries: Sequence[Entry],
         time_factors: Sequence[str],
     ) -> None:
-        self.name = name
-        self.rows = rows
-        self.columns = columns
-        self.entries = entries
-        self.time_factors = time_factors
+        self.name, self.rows, self.columns = name, rows, columns
+        self.entries, self.time_factors = entries, time_factors
         self.factors = sorted({entry.factor for entry in entries})
         self.uses_matrix = self._matrix_saves() > MATRIX_GAIN
 

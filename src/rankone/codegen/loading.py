@@ -66,18 +66,9 @@ _MAX_LOADED = 8
 class ModuleSpecification:
     """What a generated module is loaded from; modules cannot be pickled, their source can.
 
-    Fulfils :class:`rankone.ir.system.ModuleSpecification`.
-
-    Attributes
-    ----------
-    source, name : str
-        As for :func:`load_module`.
-    namespace : mapping of str to callable
-        Functions of the user, by the names that the source calls them by.
-    key : str
-        Specifications are equal if their keys are.
-    home : int
-        The process that made it.
+    Fulfils :class:`rankone.ir.system.ModuleSpecification`, with the arguments of
+    :func:`load_module`. Specifications are equal if their keys are; ``home`` is the process that
+    made it.
     """
 
     source: str = field(compare=False)

@@ -15,14 +15,7 @@ from fractions import Fraction
 
 from rankone.codegen.sums import Pair, extract_pairs
 from rankone.expressions.admissible import known_functions
-from rankone.ir.forms import (
-    Factor,
-    Group,
-    QuadraticSystem,
-    SeparatedForm,
-    State,
-    Term,
-)
+from rankone.ir.forms import Factor, Group, QuadraticSystem, SeparatedForm, State, Term
 from rankone.ir.metadata import Role
 from rankone.support.errors import SeparationError, check_kind
 
@@ -71,10 +64,7 @@ def _with_jumps(form: SeparatedForm) -> tuple[tuple[Factor, ...], ...]:
 def right_hand_side(form: SeparatedForm) -> tuple[Term, ...]:
     """Terms of f in ``u' = f``, like terms merged, in the order of the form.
 
-    Raises
-    ------
-    SeparationError
-        If the derivative terms of the form are anything but one ``u'`` for each state.
+    A SeparationError if the derivative terms of the form are not one ``u'`` for each state.
     """
     merged: dict[tuple[int, tuple[int, ...], tuple[int, ...]], Fraction | float] = {}
     derivatives = []
@@ -106,13 +96,8 @@ def right_hand_side(form: SeparatedForm) -> tuple[Term, ...]:
 def lower(f: Sequence[Term], n_states: int) -> tuple[tuple[Pair, ...], tuple[Term, ...]]:
     """Rewrite the right-hand side of ``u' = f`` with products of at most two states.
 
-    Returns
-    -------
-    products : tuple of (int, int)
-        Auxiliary state ``n_states + k`` is the product of the states ``products[k]``; none if the
-        system is quadratic already.
-    terms : tuple of Term
-        f, of degree at most two, then ``s_a s_b - w`` of every product.
+    Auxiliary state ``n_states + k`` is the product of the k-th pair of states. The terms are those
+    of f, of degree at most two, then ``s_a s_b - w`` of every product.
     """
     high = list(dict.fromkeys(term.monomial for term in f if len(term.monomial) > 2))
     products, lowered = extract_pairs(high, n_states, degree=2)

@@ -14,15 +14,7 @@ from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.rates import GeneralWriter, SeparatedWriter
-from rankone.codegen.text import (
-    WIDTH,
-    described_table,
-    docstring,
-    literal,
-    nested,
-    quoted,
-    table,
-)
+from rankone.codegen.text import WIDTH, described_table, docstring, literal, nested, quoted, table
 from rankone.expressions.admissible import known_functions
 from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, SeparatedForm, State, Term
 from rankone.ir.functions import known_applied
@@ -84,8 +76,14 @@ def generate_source(
         **_further_sections(writer, features, system.jumps, system.differential, []),
     }
     n, names = len(system.differential), system.names
+    start = number(system.coordinates[0].lower)
+    rates = [(t.coefficient, t.equation, t.factors, t.monomial) for t in system.rhs]
+    starts = [(t.coefficient, t.equation, t.factors[1:]) for t in system.initial]
     tables = _tables(True, names, n, system.products, system.coordinates)
-    tables += [*_rhs_table(system), *_initial_table(system)]
+    tables += described_table("TERMS", rates, _term_texts(system.rhs, "{}'", system))
+    tables += described_table(
+        "INITIAL", starts, _term_texts(system.initial, f"{{}}({start})", system)
+    )
     printed = [*expressions, *writer.printed]
     return _module(
         lambda scipy: header(system, writer.operations, title, scipy), tables, sections, printed
@@ -96,18 +94,8 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
     """Python source of the module for a system that does not separate.
 
     It has what sampling trajectories needs: pointwise functions, features, and the known functions
-    of one coordinate, which say where to look closely. There are no terms and no kernels.
-
-    Parameters
-    ----------
-    system : FirstOrderSystem
-    title : str, optional
-        First line of the module's docstring.
-
-    Raises
-    ------
-    ProblemError
-        If a function cannot be written with NumPy or SciPy, or has no derivative that can.
+    of one coordinate, which say where to look closely. There are no terms and no kernels. A
+    ProblemError if NumPy and SciPy lack a function or its derivative.
     """
     writer = GeneralWriter(system)
     further = [*system.initial, *(value for jump in system.jumps for value in jump.values)]
@@ -139,18 +127,10 @@ def _module(
     sections: Mapping[str, Sequence[Block]],
     printed: Sequence[sp.Expr],
 ) -> str:
-    """The text of a module.
+    """The text of a module; sections without lines are left out.
 
-    Parameters
-    ----------
-    header_of : callable
-        From whether SciPy is imported to the lines of the docstring.
-    tables : sequence of str
-        What describes the system.
-    sections : mapping of str to sequence of Block
-        Those without lines are left out.
-    printed : sequence of Expr
-        All expressions: functions that they apply and that are defined by data come first.
+    ``header_of`` makes the lines of the docstring from whether SciPy is imported. Functions defined
+    by data that the expressions ``printed`` apply come first.
     """
     data = {type(applied).__name__: type(applied) for applied in known_applied(printed)}
     definitions = [function.definition() for _, function in sorted(data.items())]
@@ -192,22 +172,10 @@ def _tables(
     ]
 
 
-def _rhs_table(system: QuadraticSystem) -> list[str]:
-    """The terms of f as rows of numbers, each with what it says."""
-    rows = [(term.coefficient, term.equation, term.factors, term.monomial) for term in system.rhs]
-    return described_table("TERMS", rows, [_term_text(t, "{}'", system) for t in system.rhs])
-
-
-def _initial_table(system: QuadraticSystem) -> list[str]:
-    """The terms of the initial values as rows of numbers, each with what it says."""
-    rows = [(term.coefficient, term.equation, term.factors[1:]) for term in system.initial]
-    left = f"{{}}({number(system.coordinates[0].lower)})"
-    return described_table("INITIAL", rows, [_term_text(t, left, system) for t in system.initial])
-
-
-def _term_text(term: Term, left: str, system: QuadraticSystem) -> str:
-    """One term of an equation: ``x': 1.5*x``."""
-    return f"{left.format(system.names[term.equation])}: {sum_text([term], system)}"
+def _term_texts(terms: Sequence[Term], left: str, system: QuadraticSystem) -> list[str]:
+    """Each term with the left side of its equation: ``x': 1.5*x``."""
+    names = system.names
+    return [f"{left.format(names[t.equation])}: {sum_text([t], system)}" for t in terms]
 
 
 # --- sections ------------------------------------------------------------------------------------

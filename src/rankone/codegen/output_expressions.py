@@ -51,22 +51,11 @@ def quantities_of(
     horizon: tuple[float, float],
     samples: tuple[Array, Array, Array],
 ) -> Quantities:
-    """Outputs of a solution as functions of arrays.
+    """Outputs of a solution, expressions or their texts by name, as functions of arrays.
 
-    Parameters
-    ----------
-    outputs : mapping of str to Expr or str
-    metadata : SolutionMetadata
-        Of the solution.
-    horizon : (float, float)
-        Start and end of what was solved.
-    samples : (m,), (d, m) and (n, m) ndarray
-        Times, parameters and the states there, at which the generated functions are checked.
-
-    Raises
-    ------
-    OptionError
-        If it is no such mapping, or an expression has something that the solution does not hold.
+    The generated functions are checked at ``samples``: times (m,), parameters (d, m) and the states
+    there (n, m). An OptionError if ``outputs`` is no such mapping, or an expression has something
+    that the solution does not hold.
     """
     if not isinstance(outputs, Mapping) or not outputs:
         raise OptionError(

@@ -36,10 +36,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Statements:
-    """Intermediate terms, then the entries of the value that use them.
-
-    ``kind`` is the first argument for which they are executed; None if they always are.
-    """
+    """Intermediate terms, then the entries that use them; for one ``kind``, the first argument."""
 
     intermediate: Shared
     entries: Sequence[Entry]
@@ -48,24 +45,11 @@ class Statements:
 
 @dataclass(frozen=True)
 class PointwiseFunction:
-    """A function of time ``t``, states ``u`` or ``x``, and parameters ``p``, in no language yet.
+    """A function of ``kind``, time ``t``, states ``u`` or ``x``, and parameters ``p``.
 
-    Attributes
-    ----------
-    name : str
-    arguments : tuple of str
-        Of ``kind``, ``t``, ``u`` or ``x``, and ``p``.
-    summary : str
-        First line of its documentation.
-    shape : tuple of int
-        Of the value at one point.
-    start : {"empty", "zeros", "states"}
-        What the entries that are not computed are.
-    parameters, states : sequence of str
-        Local names of all parameters and states; ``_`` for those that are not used.
-    statements : sequence of Statements
-    array_time : bool
-        Whether expressions need the time as an array.
+    It is in no language yet. The value at one point has a ``shape``; the entries that are not
+    computed are what ``start`` says. Parameters and states have local names, ``_`` for those that
+    are not used. ``array_time`` says whether expressions need the time as an array.
     """
 
     name: str
@@ -111,11 +95,9 @@ class NumPyPrinter:
         names: dict[sp.Symbol, str],
         temporaries: Iterator[str],
     ) -> tuple[Shared, list[str]]:
-        """Text of expressions of named symbols, after what they share under fresh names."""
         return common_subexpressions(expressions, names, temporaries)
 
     def function(self, function: PointwiseFunction) -> list[str]:
-        """Source lines of a function."""
         states = "x" if "x" in function.arguments else "u"
         lines = [
             f"def {function.name}({', '.join(function.arguments)}):",
@@ -167,24 +149,11 @@ class NumPyPrinter:
 
 
 class PointwiseWriter:
-    """Writes the pointwise functions of one system.
+    """Writes the pointwise functions of one system; its coordinates are time, then parameters.
 
     Expressions hold the states as ``x(t)``, time and parameters; they are written over real
-    symbols.
-
-    Parameters
-    ----------
-    coordinates : sequence of Coordinate
-        Time, then the parameters.
-    states : sequence of State
-    printer : Printer, optional
-
-    Attributes
-    ----------
-    operations : dict of str to int
-        For each function written so far the number of its operations.
-    printed : list of Expr
-        The expressions written so far.
+    symbols. ``operations`` counts those of each function written so far, and ``printed`` holds the
+    expressions written so far.
     """
 
     def __init__(
@@ -206,10 +175,6 @@ class PointwiseWriter:
         }
         symbols = (self.time, *self.parameters)
         self._real |= {c.symbol: symbol for c, symbol in zip(coordinates, symbols, strict=True)}
-
-    def knows(self, function: sp.Expr) -> bool:
-        """Whether an applied function is a state."""
-        return function in self._real
 
     def state_name(self, row: int) -> str:
         """The name of a state."""

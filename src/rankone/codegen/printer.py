@@ -75,13 +75,7 @@ RECIPROCALS = {
 
 
 class NumPyText(Printer):  # type: ignore[misc]
-    """Prints an expression of real symbols as a NumPy expression.
-
-    Parameters
-    ----------
-    names : dict of Symbol to str
-        How each symbol is written.
-    """
+    """Prints an expression of real symbols, written under ``names``, as a NumPy expression."""
 
     printmethod = "_numpy_text"
 
@@ -263,16 +257,11 @@ def unprintable(name: str, expr: sp.Basic) -> SeparationError:
 
 
 def numpy_text(expr: sp.Expr, names: dict[sp.Symbol, str]) -> str:
-    """NumPy text of an expression.
+    """NumPy text of an expression; a SeparationError if a function has no NumPy counterpart.
 
     >>> k = sp.Symbol("k")
     >>> numpy_text(sp.exp(-k) / (3 * k**2), {k: "k"})
     'np.exp(-k) / (3 * k**2)'
-
-    Raises
-    ------
-    SeparationError
-        If a function has no NumPy counterpart.
     """
     for function, inverse in RECIPROCALS.items():
         if expr.has(function):
@@ -291,14 +280,9 @@ def factor_text(expr: sp.Expr) -> str:
 def common_subexpressions(
     expressions: Sequence[sp.Expr], names: dict[sp.Symbol, str], temporaries: Iterator[str]
 ) -> tuple[list[tuple[str, str]], list[str]]:
-    """NumPy text of several expressions, with what they share named first.
+    """NumPy text of several expressions, after the names and texts of what they share.
 
-    Returns
-    -------
-    shared : list of (str, str)
-        Names taken from ``temporaries`` and their text, each using only what precedes it.
-    texts : list of str
-        One for each expression.
+    Names are taken from ``temporaries``; each text uses only what precedes it.
     """
     symbols = (sp.Dummy(name) for name in temporaries)
     expressions = [stable(expression) for expression in expressions]
@@ -317,13 +301,7 @@ def _is_decimal(rational: sp.Rational) -> bool:
 
 
 def _float(rational: sp.Rational) -> float:
-    """The nearest floating-point number.
-
-    Raises
-    ------
-    ProblemError
-        If the number is too large, or too small to keep its digits.
-    """
+    """The nearest number; a ProblemError if it is too large, or too small to keep its digits."""
     try:
         nearest = int(rational.p) / int(rational.q)
     except OverflowError:

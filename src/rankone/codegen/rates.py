@@ -163,18 +163,13 @@ class SeparatedWriter(PointwiseWriter):
 class GeneralWriter(PointwiseWriter):
     """Writes the rates of a system that does not separate, as they are.
 
-    Raises
-    ------
-    ProblemError
-        If a function cannot be written with NumPy or SciPy.
+    A ProblemError if a function cannot be written with NumPy or SciPy.
     """
 
     def __init__(self, system: FirstOrderSystem, printer: Printer | None = None) -> None:
         super().__init__(system.coordinates, system.states, printer)
         self.system = system
-        self.rates = [
-            self._checked(rate, name, origin) for name, origin, rate in self.named_rates()
-        ]
+        self.rates = [self._checked(f, name, origin) for name, origin, f in self.named_rates()]
         self.starts = [
             self._checked(start, f"the initial value of {self.state_name(i)}", None)
             for i, start in enumerate(system.initial)
@@ -188,7 +183,7 @@ class GeneralWriter(PointwiseWriter):
     def _checked(self, expression: sp.Expr, name: str, origin: int | None) -> sp.Expr:
         """The expression in real symbols; an error that says where, if it cannot be written."""
         for applied in sorted(expression.atoms(AppliedUndef), key=sp.default_sort_key):
-            if not self.knows(applied):
+            if applied not in self._real:
                 raise ProblemError(f"{applied} in {name} is unknown", equation=origin, term=applied)
         real = stable(self.real(expression))
         try:

@@ -22,7 +22,6 @@ Addend = tuple[Fraction | float, tuple[int, ...]]
 _FRACTION = re.compile(r"^\d+ / \d+")
 _MAX_TERM_WIDTH = 80  # Characters of a factored term that is still easy to read
 
-
 Symbols = tuple[int, ...]
 """A product of numbered symbols, repeated for powers."""
 Pair = tuple[int, int]
@@ -34,15 +33,9 @@ def extract_pairs(
 ) -> tuple[list[Pair], list[Symbols]]:
     """Replace pairs of symbols by new symbols, the most frequent pair first.
 
-    Monomials are symbols, repeated for powers; those of ``degree`` or less are left alone, and so
-    are pairs that occur less often than ``repeats``. The new symbol of pair k is ``n_symbols + k``.
-
-    Returns
-    -------
-    pairs : list of (int, int)
-        The symbols multiplied, possibly earlier pairs; equally frequent pairs in ascending order.
-    monomials : list of tuple of int
-        The rewritten monomials, each ascending.
+    Monomials of ``degree`` or less are left alone, and so are pairs that occur less often than
+    ``repeats``. The symbol of pair k is ``n_symbols + k``; it may occur in later pairs, and equally
+    frequent pairs are in ascending order. Returns the pairs and the rewritten monomials, ascending.
     """
     bags = [Counter(monomial) for monomial in monomials]
     where: defaultdict[Pair, dict[int, int]] = defaultdict(dict)  # pair -> {monomial: how often}
@@ -90,16 +83,10 @@ def extract_pairs(
 
 @dataclass(frozen=True, slots=True)
 class SharedSums:
-    """Several sums of products over common intermediate terms.
+    """Several sums of products over common intermediate terms, and how many operations they have.
 
-    Attributes
-    ----------
-    intermediate : tuple of (str, str)
-        Names and expressions, each using only what precedes it.
-    sums : tuple of tuple of str
-        For each sum its terms, all but the first starting with their sign.
-    operations : int
-        Number of additions and multiplications.
+    The names and expressions of ``intermediate`` use only what precedes them. The terms of each
+    sum, but for the first, start with their sign.
     """
 
     intermediate: tuple[tuple[str, str], ...]

@@ -169,13 +169,8 @@ def _escaped(letter: str) -> str:
 class Names:
     r"""Hands out distinct identifiers, as close to the names asked for as possible.
 
-    Parameters
-    ----------
-    reserved : iterable of str
-        Identifiers that are never handed out, besides Python's keywords.
+    Those ``reserved`` are never handed out, nor are Python's keywords.
 
-    Examples
-    --------
     >>> names = Names(reserved=["np"])
     >>> [names(name) for name in ["x_{0}", "\\alpha", "k'", "lambda", "x_0", "2a", "np"]]
     ['x_0', 'alpha', 'k_prime', 'lambda_', 'x_0_', '_2a', 'np_']
