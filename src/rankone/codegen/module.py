@@ -149,9 +149,6 @@ def _module(
     return "\n".join([*lines, "", *imports, "", *tables]) + "\n\n\n" + body
 
 
-# --- tables that describe the system -------------------------------------------------------------
-
-
 def _tables(
     separated: bool,
     names: Iterable[str],
@@ -176,9 +173,6 @@ def _term_texts(terms: Sequence[Term], left: str, system: QuadraticSystem) -> li
     """Each term with the left side of its equation: ``x': 1.5*x``."""
     names = system.names
     return [f"{left.format(names[t.equation])}: {sum_text([t], system)}" for t in terms]
-
-
-# --- sections ------------------------------------------------------------------------------------
 
 
 def _lifted(

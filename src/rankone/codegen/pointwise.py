@@ -88,14 +88,7 @@ class NumPyPrinter:
     reserved = ("np", "special", "CubicSpline", "t", "u", "x", "p", "kind", "shape", "out")
     _MAX_BROADCAST_ARGUMENTS = 64
     """Arguments that ``np.broadcast`` takes."""
-
-    def expressions(
-        self,
-        expressions: Sequence[sp.Expr],
-        names: dict[sp.Symbol, str],
-        temporaries: Iterator[str],
-    ) -> tuple[Shared, list[str]]:
-        return common_subexpressions(expressions, names, temporaries)
+    expressions = staticmethod(common_subexpressions)
 
     def function(self, function: PointwiseFunction) -> list[str]:
         states = "x" if "x" in function.arguments else "u"
