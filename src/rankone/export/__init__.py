@@ -56,8 +56,8 @@ MODELS = {
     ".fmu": "FMU for co-simulation",
 }
 """Suffixes of what a solution is written to."""
+# Modules that a file of the same name would hide
 _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
-"""Modules that a file of the same name would hide."""
 
 
 def export_solver(

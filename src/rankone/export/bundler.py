@@ -29,8 +29,6 @@ from functools import cache
 from rankone.codegen.text import INDENT, WIDTH
 from rankone.support.errors import ExportError
 
-__all__ = ["banner", "bundle", "bundled_name", "module", "needed_modules", "source_text"]
-
 _PACKAGE = "rankone"
 _FUTURE = re.compile(r"^from __future__ import annotations\n+", re.MULTILINE)
 _INTERNAL = re.compile(rf"^(\s*)from {_PACKAGE}\.", re.MULTILINE)

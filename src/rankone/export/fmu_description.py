@@ -12,8 +12,6 @@ from xml.etree.ElementTree import Element, SubElement
 from rankone.export.packing import PackedModel
 from rankone.support import __version__
 
-__all__ = ["FMI", "Description", "build_description", "model_description", "start_values"]
-
 FMI = Literal["2.0", "3.0"]
 """Versions of the Functional Mock-up Interface."""
 
@@ -22,6 +20,7 @@ _CATEGORIES = {
     "logStatusDiscard": "Values and steps beyond what was solved",
     "logStatusError": "Calls that are refused, and why",
 }
+# What the C sources are capable of, as attributes
 _CAPABILITIES: dict[FMI, tuple[str, ...]] = {
     "2.0": (
         "canHandleVariableCommunicationStepSize",
@@ -37,7 +36,6 @@ _CAPABILITIES: dict[FMI, tuple[str, ...]] = {
         "providesDirectionalDerivatives",
     ),
 }
-"""What the C sources are capable of, as attributes."""
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,10 @@ from rankone.support import __version__
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
 
-__all__ = ["c_identifier", "c_model"]
-
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:\w+ )*(\w+)")
-_BLOCK = 8
-"""Rows of a core contracted together; the same in the template."""
-_LANES = 4
-"""Products are padded to a multiple of it, to be vectorized; the same in the template."""
-_PAIR = 2
-"""Runs are padded to a multiple of it, because the template unrolls by it."""
+_BLOCK = 8  # Rows of a core contracted together; the same in the template
+_LANES = 4  # Products are padded to a multiple of it, to be vectorized; the same in the template
+_PAIR = 2  # Runs are padded to a multiple of it, because the template unrolls by it
 
 
 def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:

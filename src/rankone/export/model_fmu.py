@@ -38,19 +38,14 @@ from rankone.support.errors import ExportError, OptionError, warn
 from rankone.support.files import Content
 from rankone.support.wording import shown
 
-__all__ = ["FMI", "checked_fmi", "fmu_model"]
-
+# The date of all files inside, the first of zip: the same solution gives the same bytes
 _FILE_DATE = (1980, 1, 1, 0, 0, 0)
-"""The date of all files inside, the first of zip: the same solution gives the same bytes."""
-_FILE_MODE = 0o100644
-"""Permissions of a file in the archive: everybody reads it."""
-_LIBRARY_MODE = 0o100755
-"""Permissions of the shared library: everybody runs it."""
+_FILE_MODE = 0o100644  # Permissions of a file in the archive: everybody reads it
+_LIBRARY_MODE = 0o100755  # Permissions of the shared library: everybody runs it
+# Characters of the model's identifier, with which names of files inside begin: most file systems
+# allow 255
 _LONGEST_IDENTIFIER = 100
-"""Characters of the model's identifier, with which names of files inside begin: most file systems
-allow 255."""
-_LONGEST_MESSAGE = 400
-"""Bytes of the longest message in the C sources, without a name."""
+_LONGEST_MESSAGE = 400  # Bytes of the longest message in the C sources, without a name
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
 _PROCESSORS = {
     "x86_64": ("x86_64", 64),
@@ -62,8 +57,7 @@ _PROCESSORS = {
     "x86": ("x86", 32),
 }
 _FLAGS = ("-std=c99", "-O2", "-shared", "-fvisibility=hidden")
-_COMPILER_SECONDS = 600
-"""Seconds for a compiler: large models take minutes."""
+_COMPILER_SECONDS = 600  # Seconds for a compiler: large models take minutes
 
 
 def checked_fmi(fmi: FMI | None, suffix: str) -> FMI:

@@ -24,10 +24,7 @@ from rankone.support.arrays import Array
 from rankone.support.errors import ExportError
 from rankone.support.files import Content
 
-__all__ = ["javascript_model"]
-
-_BLOCK = 8
-"""Rows of a core contracted together; the same in the template."""
+_BLOCK = 8  # Rows of a core contracted together; the same in the template
 
 
 def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:

@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from rankone.discretization.coordinates import round_off
 from rankone.support.arrays import Array
 
-__all__ = ["Model"]
-
-_CHUNK = 1024
-"""Points evaluated at once: their products stay in the cache."""
+_CHUNK = 1024  # Points evaluated at once: their products stay in the cache
 
 Place = float | tuple[float, ...]
 """One number, or one for each element where they are unequal."""

@@ -26,10 +26,8 @@ from rankone.export.templates import TERMS
 from rankone.support import __version__
 from rankone.support.files import Content, npz
 
-__all__ = ["python_model"]
-
+# Characters of coefficients up to which they are part of the file, which editors open at once
 _LONGEST_DATA = 200_000
-"""Characters of coefficients up to which they are part of the file, which editors open at once."""
 
 
 def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:

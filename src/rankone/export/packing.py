@@ -28,31 +28,24 @@ from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
 from rankone.verification.search import Climb, climbed
 
-__all__ = ["PackedCore", "PackedModel", "States", "check_states", "checked_rtol", "pack"]
-
 States = Literal["unknowns", "all"]
 """What a model evaluates: the unknowns, or every state."""
 
+# Smallest difference between model and solution that can be asked for: above rounding errors
 _SMALLEST_RTOL = 1e-12
-"""Smallest difference between model and solution that can be asked for: above rounding errors."""
-_LARGEST_RTOL = 0.1
-"""Largest difference that can be asked for: beyond it a model says little."""
+_LARGEST_RTOL = 0.1  # Largest difference that can be asked for: beyond it a model says little
+# Random points at which a smaller model is compared with the solution, a multiple of six
 _RANDOM_POINTS = 4200
-"""Random points at which a smaller model is compared with the solution, a multiple of six."""
+# Share of the parameters that are at ends of their intervals, for each third of the points
 _SHARES_AT_ENDS = (0.0, 0.5, 1.0)
-"""Share of the parameters that are at ends of their intervals, for each third of the points."""
-_MEASURED_MARGIN = 0.7
-"""Largest measured difference, over ``rtol``: points miss the largest one."""
-_GOOD_ENOUGH = 0.45
-"""Measured difference over ``rtol`` above which no larger tolerance is tried."""
+_MEASURED_MARGIN = 0.7  # Largest measured difference, over ``rtol``: points miss the largest one
+_GOOD_ENOUGH = 0.45  # Measured difference over ``rtol`` above which no larger tolerance is tried
+# Largest tolerance of the cut over ``rtol``; the mean square can be that far below the maximum
 _MAX_LOOSENING = 4.0
-"""Largest tolerance of the cut over ``rtol``; the mean square can be that far below the maximum."""
-_MAX_ATTEMPTS = 9
-"""Cuts that are tried: doubling or reducing the tolerance, then bisecting."""
-_CLIMBERS = 24
-"""Points from which larger differences are looked for."""
+_MAX_ATTEMPTS = 9  # Cuts that are tried: doubling or reducing the tolerance, then bisecting
+_CLIMBERS = 24  # Points from which larger differences are looked for
+# How a point climbs to larger differences
 _DIFFERENCE_CLIMB = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, seed=1)
-"""How a point climbs to larger differences."""
 
 
 @dataclass(frozen=True)

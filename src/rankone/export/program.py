@@ -27,14 +27,9 @@ from rankone.support.errors import ConvergenceError, OptionError, RankoneError, 
 from rankone.support.files import npz, write_files
 from rankone.support.wording import quote
 
-__all__ = ["box_of", "load_solution", "options_of", "pairs_of", "run", "solve_system"]
-
-_LARGEST_GRID = 20_000_000
-"""Most numbers on a grid of the command line: 160 megabytes."""
-_PAIR_FORM = "NAME=VALUE"
-"""How a number for a name is written on the command line."""
-_RANGE_FORM = "NAME=LOWER:UPPER"
-"""How a range of a parameter is written on the command line."""
+_LARGEST_GRID = 20_000_000  # Most numbers on a grid of the command line: 160 megabytes
+_PAIR_FORM = "NAME=VALUE"  # How a number for a name is written on the command line
+_RANGE_FORM = "NAME=LOWER:UPPER"  # How a range of a parameter is written on the command line
 _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
 Parsed = TypeVar("Parsed")
 

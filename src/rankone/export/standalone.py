@@ -27,8 +27,6 @@ from rankone.solvers.engine import Engine
 from rankone.solvers.registry import engines_for
 from rankone.support import __version__, errors
 
-__all__ = ["standalone_source"]
-
 
 def standalone_source(title: str | None, source: str, metadata: SolutionMetadata) -> str:
     """Text of the standalone solver of a problem: the same text, byte for byte, each time.

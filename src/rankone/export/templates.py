@@ -13,26 +13,13 @@ from pathlib import Path
 
 from rankone.codegen.text import one_line, paragraph
 
-__all__ = [
-    "LINE",
-    "TERMS",
-    "c_comment",
-    "c_string",
-    "comment",
-    "filled",
-    "js_comment",
-    "js_string",
-    "wrapped",
-]
-
 LINE = 96
 """Characters in a line of a file that is not in Python."""
 TERMS = "On rankone's part this file may be used, changed and passed on without restriction."
 """What exported files say about the source of the library in them."""
 _FOLDER = Path(__file__).parent
 _CONDITION = re.compile(r"^@if (\w+)@\n(.*?)(?:^@else@\n(.*?))?^@end@\n", re.DOTALL | re.MULTILINE)
-_JOINING = ("\\", "*", "/")
-"""Characters that mean something else together with what follows a text."""
+_JOINING = ("\\", "*", "/")  # Characters that mean something else together with what follows a text
 
 
 def filled(template: str, fields: Mapping[str, str]) -> str:

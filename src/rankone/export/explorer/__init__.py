@@ -57,11 +57,11 @@ __all__ = ["export_page", "page_target"]
 
 _FOLDER = Path(__file__).parent
 _VENDOR = _FOLDER.parent / "vendor"
+# In an order in which each one needs only those before it
 _SCRIPTS = (
     *("values", "looks", "curves", "phase", "shares", "controls", "legend"),
     *("state", "drawing", "actions", "main"),
 )
-"""In an order in which each one needs only those before it."""
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:const|let|function|class) )", re.M)
 _EXPORTED = re.compile(r"^export (?:const|function|class) (\w+)", re.M)

@@ -21,42 +21,20 @@ from rankone.support.wording import listing
 if TYPE_CHECKING:
     from rankone.statistics.densities import DistributionOverBox
 
-__all__ = [
-    "content",
-    "curve_times",
-    "lead",
-    "place",
-    "quality",
-    "spread",
-    "with_derivatives",
-]
-
-_BAND_PROBABILITIES = (0.025, 0.975)
-"""Probabilities between which the bands lie: 95 %."""
-_BOX_POINTS = 2**12
-"""Points over the box from which quantiles are taken."""
-_CURVE_TIMES = 401
-"""Evenly spaced times at which curves are drawn: about one for two pixels."""
-_TIMES_IN_SLAB = 4
-"""Further times in each slab."""
-_MOST_SLABS = 100
-"""Slabs up to which each has further times; of more slabs, even times show enough."""
-_SENSITIVITY_TIMES = 121
-"""Evenly spaced times with Sobol indices."""
-_MOST_SENSITIVITY_TIMES = 600
-"""Most times with Sobol indices, so that a page stays small."""
-_MAX_HALVINGS = 8
-"""How often the intervals between times with Sobol indices are halved."""
-_SHARE_TOLERANCE = 0.003
-"""How far interpolated Sobol indices may be off: about a pixel."""
+_BAND_PROBABILITIES = (0.025, 0.975)  # Probabilities between which the bands lie: 95 %
+_BOX_POINTS = 2**12  # Points over the box from which quantiles are taken
+_CURVE_TIMES = 401  # Evenly spaced times at which curves are drawn: about one for two pixels
+_TIMES_IN_SLAB = 4  # Further times in each slab
+_MOST_SLABS = 100  # Slabs up to which each has further times; of more slabs, even times show enough
+_SENSITIVITY_TIMES = 121  # Evenly spaced times with Sobol indices
+_MOST_SENSITIVITY_TIMES = 600  # Most times with Sobol indices, so that a page stays small
+_MAX_HALVINGS = 8  # How often the intervals between times with Sobol indices are halved
+_SHARE_TOLERANCE = 0.003  # How far interpolated Sobol indices may be off: about a pixel
+# Part of the horizon from which on an interval is not halved: indices jump there
 _NARROWEST_INTERVAL = 1e-6
-"""Part of the horizon from which on an interval is not halved: indices jump there."""
-_CURVE_DIGITS = 7
-"""Significant digits of bands."""
-_SHARE_DIGITS = 5
-"""Significant digits of Sobol indices."""
-_MOST_NAMED = 3
-"""Parameters up to which each range is in the first sentence."""
+_CURVE_DIGITS = 7  # Significant digits of bands
+_SHARE_DIGITS = 5  # Significant digits of Sobol indices
+_MOST_NAMED = 3  # Parameters up to which each range is in the first sentence
 
 
 def with_derivatives(solution: DistributionOverBox) -> DistributionOverBox:

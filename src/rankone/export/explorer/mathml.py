@@ -16,8 +16,6 @@ from enum import IntEnum
 
 from rankone.ir.metadata import Role, SolutionMetadata
 
-__all__ = ["Notation"]
-
 _LETTERS = (
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho sigma "
     "tau upsilon phi chi psi omega"
