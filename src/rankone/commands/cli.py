@@ -16,28 +16,16 @@ from typing import NoReturn
 from rankone.commands import evaluate, export, fit, report, solve
 from rankone.commands.common import BAD_INPUT, FAILURE, complain
 
-# Exit status after an interrupt from the keyboard, as shells have it: 128 and the signal
-_INTERRUPTED = 130
+_INTERRUPTED = 130  # Exit status after an interrupt, as shells have it: 128 and the signal
 _BROKEN_PIPE = 141  # Exit status when the reader of the output has gone
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        Arguments without the program's name; those of the process by default.
-
-    Returns
-    -------
-    int
-        The exit status.
-    """
+    """Run the command line, with these arguments or those of the process; the exit status."""
     try:
         arguments = _parser().parse_args(argv)
         with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = lambda message, *_, **__: complain(f"warning: {message}")
             return int(arguments.run(arguments))
     except SystemExit as stop:  # of argparse
         return stop.code if isinstance(stop.code, int) else BAD_INPUT
@@ -84,10 +72,6 @@ class _Version(argparse.Action):
 
         print(f"rankone {__version__}")
         parser.exit()
-
-
-def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    complain(f"warning: {message}")
 
 
 if __name__ == "__main__":

@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from rankone.interface.solution import Solution
 
-SUCCESS = 0
-"""Exit status: the measured error is within the tolerance."""
-FAILURE = 1
-"""Exit status: it is not, or is not known."""
-BAD_INPUT = 2
-"""Exit status: an argument or a file is wrong."""
+SUCCESS = 0  # Exit status: the measured error is within the tolerance
+FAILURE = 1  # Exit status: it is not, or is not known
+BAD_INPUT = 2  # Exit status: an argument or a file is wrong
 PROBLEM_HELP = "a Python file (executed) with a variable `problem`, or a TOML file (see below)"
 SOLVED_HELP = "a saved solution (.npz or .nc), or a problem file (.py or .toml), solved first"
 _DEFAULT_RTOL = 1e-6  # Relative tolerance for a problem file
@@ -49,7 +46,6 @@ def add_command(
 
 
 def add_solve_rtol(parser: argparse.ArgumentParser) -> None:
-    """Add the tolerance at which a problem file is solved first."""
     help_text = "relative tolerance for a problem file (default: 1e-6)"
     parser.add_argument("--rtol", type=float, help=help_text)
 
@@ -91,7 +87,6 @@ def toml_help() -> str:
 
 
 def is_saved(path: Path) -> bool:
-    """Whether a name is that of a saved solution."""
     return path.suffix in (".npz", ".nc")
 
 

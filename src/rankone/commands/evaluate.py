@@ -35,7 +35,6 @@ _LARGEST_GRID = 20_000_000  # Most numbers on a grid: 160 megabytes, and far mor
 
 
 def register(commands: Commands) -> None:
-    """Add the parser."""
     parser = add_command(
         commands,
         "eval",
@@ -57,7 +56,6 @@ def register(commands: Commands) -> None:
 
 
 def _evaluate(arguments: argparse.Namespace) -> int:
-    """Evaluate, and print or write the states."""
     from rankone.export.program import pairs_of
     from rankone.support.errors import OptionError, StorageError
     from rankone.support.files import free_target, write_files

@@ -21,12 +21,10 @@ from rankone.commands.common import (
 
 _OUTPUT_HELP = "a .py file; for models the suffix says what is written"
 _PAGE_HELP = "the page (default: the name of FILE with .html, in the present directory)"
-# Arguments that a standalone solver does not take
-_FOR_MODELS = ("rtol", "allow_failed", "model_rtol", "states", "fmi")
+_FOR_MODELS = ("rtol", "allow_failed", "model_rtol", "states", "fmi")  # Options of models alone
 
 
 def register(commands: Commands) -> None:
-    """Add the parsers."""
     export = add_command(
         commands,
         "export",
@@ -68,7 +66,6 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _write_solver(arguments: argparse.Namespace) -> int:
-    """Write a standalone solver."""
     import rankone
     from rankone.export import solver_target
     from rankone.frontend.problem_files import load_problem

@@ -41,7 +41,6 @@ exit status:
 
 
 def register(commands: Commands) -> None:
-    """Add the parser."""
     parser = add_command(
         commands,
         "fit",
@@ -65,7 +64,6 @@ def register(commands: Commands) -> None:
 
 
 def _fit(arguments: argparse.Namespace) -> int:
-    """Fit, and print the fit."""
     from rankone.export.program import pairs_of
 
     solution = solution_of(arguments.file, arguments.rtol, effort=arguments.effort)
@@ -151,7 +149,6 @@ def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _cell(file: Path, line: int, name: str, text: str) -> float:
-    """The number in a cell."""
     try:
         return float(text)
     except ValueError:

@@ -41,7 +41,6 @@ _PLOT_RESOLUTION = 150  # Dots per inch of a plot
 
 
 def register(commands: Commands) -> None:
-    """Add the parser."""
     parser = add_command(
         commands,
         "report",
@@ -116,9 +115,6 @@ def _check_place(folder: Path, overwrite: bool) -> None:
         )
     else:
         free_target(folder, overwrite, StorageError)
-
-
-# --- numbers -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -201,9 +197,6 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join(
         "  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in [head, *rows]
     )
-
-
-# --- plots -------------------------------------------------------------------------------------
 
 
 def _plots(solution: Solution) -> Iterator[tuple[str, bytes]]:

@@ -48,7 +48,6 @@ exit status:
 
 
 def register(commands: Commands) -> None:
-    """Add the parsers."""
     solve = add_command(
         commands,
         "solve",
@@ -70,12 +69,7 @@ def register(commands: Commands) -> None:
     add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
-    add(
-        "--max-seconds",
-        metavar="S",
-        type=float,
-        help="time limit on the clock; the best so far is kept",
-    )
+    add("--max-seconds", metavar="S", type=float, help=_SECONDS_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
     add("--json", action="store_true", help="print the summary as JSON")
     add("--quiet", action="store_true", help="no summary (except --json) and no progress bar")
@@ -105,7 +99,6 @@ def _count(text: str) -> int:
 
 
 def _solve(arguments: argparse.Namespace) -> int:
-    """Solve, save and print the summary."""
     import rankone
     from rankone.export.program import box_of, options_of
     from rankone.frontend.problem_files import load_problem

@@ -61,11 +61,7 @@ _MODULES = {*sys.stdlib_module_names, "numpy", "rankone", "scipy", "sympy"}
 
 
 def export_solver(
-    compiled: Any,
-    path: str | PathLike[str],
-    *,
-    method: str = "auto",
-    overwrite: bool = False,
+    compiled: Any, path: str | PathLike[str], *, method: str = "auto", overwrite: bool = False
 ) -> Path:
     """What :meth:`rankone.CompiledProblem.export` does.
 

@@ -12,8 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 from rankone.export.packing import PackedModel
 from rankone.support import __version__
 
-FMI = Literal["2.0", "3.0"]
-"""Versions of the Functional Mock-up Interface."""
+FMI = Literal["2.0", "3.0"]  # Versions of the Functional Mock-up Interface
 
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _CATEGORIES = {

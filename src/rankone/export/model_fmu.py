@@ -16,7 +16,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 from typing import get_args
@@ -38,13 +37,10 @@ from rankone.support.errors import ExportError, OptionError, warn
 from rankone.support.files import Content
 from rankone.support.wording import shown
 
-# The date of all files inside, the first of zip: the same solution gives the same bytes
-_FILE_DATE = (1980, 1, 1, 0, 0, 0)
+_FILE_DATE = (1980, 1, 1, 0, 0, 0)  # Of all files, the first of zip: bytes are reproducible
 _FILE_MODE = 0o100644  # Permissions of a file in the archive: everybody reads it
 _LIBRARY_MODE = 0o100755  # Permissions of the shared library: everybody runs it
-# Characters of the model's identifier, with which names of files inside begin: most file systems
-# allow 255
-_LONGEST_IDENTIFIER = 100
+_LONGEST_IDENTIFIER = 100  # Characters that begin names of files inside: file systems allow 255
 _LONGEST_MESSAGE = 400  # Bytes of the longest message in the C sources, without a name
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
 _PROCESSORS = {
@@ -137,8 +133,8 @@ def _fingerprint(description: bytes, *sources: dict[str, str]) -> str:
 def _binary(about: Description, sources: dict[str, str]) -> dict[str, bytes]:
     """The shared library by its place in the archive; nothing, with a warning, if there is none."""
     try:
-        here = this_platform()
-        name = about.identifier + here.suffix
+        folders, suffix = this_platform()
+        name = about.identifier + suffix
         library = compiled_library(sources, about.sources, name)
     except CannotCompile as reason:
         warn(
@@ -146,7 +142,7 @@ def _binary(about: Description, sources: dict[str, str]) -> dict[str, bytes]:
             "sources themselves"
         )
         return {}
-    return {f"binaries/{here.folders[about.fmi]}/{name}": library}
+    return {f"binaries/{folders[about.fmi]}/{name}": library}
 
 
 def _archive(files: dict[str, bytes]) -> bytes:
@@ -162,41 +158,26 @@ def _archive(files: dict[str, bytes]) -> bytes:
     return stream.getvalue()
 
 
-# --- the shared library --------------------------------------------------------------------------
-
-
 class CannotCompile(Exception):
     """The reason why there is no library."""
 
 
-@dataclass(frozen=True)
-class Platform:
-    """Where a library runs: for each version of FMI the folder among ``binaries``, the suffix."""
-
-    folders: Mapping[str, str]
-    suffix: str
-
-
-def this_platform() -> Platform:
-    """The platform at hand, or CannotCompile if FMI has no name for it."""
+def this_platform() -> tuple[dict[FMI, str], str]:
+    """The folder among ``binaries`` by version of FMI, and the suffix; or CannotCompile."""
     machine = platform.machine().lower()
     if sys.platform not in _SYSTEMS or machine not in _PROCESSORS:
         raise CannotCompile(f"the platform {sys.platform} on {machine} is not known")
     system, suffix = _SYSTEMS[sys.platform]
     processor, bits = _PROCESSORS[machine]
     name = "windows" if system == "win" else system
-    return Platform({"2.0": f"{system}{bits}", "3.0": f"{processor}-{name}"}, suffix)
+    return {"2.0": f"{system}{bits}", "3.0": f"{processor}-{name}"}, suffix
 
 
 def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str) -> bytes:
     """Compile C sources to a shared library: ``files`` are texts by name, ``sources`` are compiled.
 
-    Raises
-    ------
-    CannotCompile
-        If there is no compiler, or it fails.
-    ExportError
-        If there is no room for the files.
+    CannotCompile says that there is no compiler, or that it fails; an ExportError, that there is no
+    room for the files.
     """
     command = [*_compiler(), *_FLAGS]
     if sys.platform != "win32":

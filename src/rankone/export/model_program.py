@@ -17,8 +17,7 @@ from rankone.support.arrays import Array
 
 _CHUNK = 1024  # Points evaluated at once: their products stay in the cache
 
-Place = float | tuple[float, ...]
-"""One number, or one for each element where they are unequal."""
+Place = float | tuple[float, ...]  # One, or one for each unequal element
 
 
 class Model:

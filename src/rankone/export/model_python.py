@@ -26,8 +26,7 @@ from rankone.export.templates import TERMS
 from rankone.support import __version__
 from rankone.support.files import Content, npz
 
-# Characters of coefficients up to which they are part of the file, which editors open at once
-_LONGEST_DATA = 200_000
+_LONGEST_DATA = 200_000  # Characters of coefficients in the file: editors open it at once
 
 
 def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
@@ -47,7 +46,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "\n".join([*docstring(_head(model, path), indent=""), imports, *_tables(model)]),
         f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
         getsource(round_off).strip(),
-        source_text("rankone.export.model_program").partition('__all__ = ["Model"]')[2].strip(),
+        source_text("rankone.export.model_program").partition("import Array\n")[2].strip(),
         "\n".join([banner("Coefficients"), "", *data, "", *_END]),
     ]
     return {path: "\n\n\n".join(blocks) + "\n", **files}

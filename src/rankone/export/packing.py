@@ -28,20 +28,15 @@ from rankone.tensors.evaluator import TrainEvaluator
 from rankone.tensors.slab import SlabTrain, sharing
 from rankone.verification.search import Climb, climbed
 
-States = Literal["unknowns", "all"]
-"""What a model evaluates: the unknowns, or every state."""
+States = Literal["unknowns", "all"]  # What a model evaluates
 
-# Smallest difference between model and solution that can be asked for: above rounding errors
-_SMALLEST_RTOL = 1e-12
+_SMALLEST_RTOL = 1e-12  # Smallest difference that can be asked for: above rounding errors
 _LARGEST_RTOL = 0.1  # Largest difference that can be asked for: beyond it a model says little
-# Random points at which a smaller model is compared with the solution, a multiple of six
-_RANDOM_POINTS = 4200
-# Share of the parameters that are at ends of their intervals, for each third of the points
-_SHARES_AT_ENDS = (0.0, 0.5, 1.0)
+_RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six
+_SHARES_AT_ENDS = (0.0, 0.5, 1.0)  # Parameters at ends of their intervals, by thirds
 _MEASURED_MARGIN = 0.7  # Largest measured difference, over ``rtol``: points miss the largest one
 _GOOD_ENOUGH = 0.45  # Measured difference over ``rtol`` above which no larger tolerance is tried
-# Largest tolerance of the cut over ``rtol``; the mean square can be that far below the maximum
-_MAX_LOOSENING = 4.0
+_MAX_LOOSENING = 4.0  # Largest tolerance of the cut over ``rtol``: it bounds a mean square
 _MAX_ATTEMPTS = 9  # Cuts that are tried: doubling or reducing the tolerance, then bisecting
 _CLIMBERS = 24  # Points from which larger differences are looked for
 # How a point climbs to larger differences
@@ -74,21 +69,12 @@ class PackedCore:
 
 @dataclass(frozen=True)
 class PackedModel:
-    """A model in plain data.
+    """A model in plain data; coordinates and cores of a slab are time, then the parameters.
 
-    Attributes
-    ----------
-    coordinates, intervals : tuple
-        Time, then the parameters.
-    starts, slabs : tuple
-        Where each slab begins, and its cores: of time, then of each parameter.
-    summary : tuple of str
-        The equations, the box and the measured error, as lines of text.
-    errors : tuple of float
-        Measured error of each unknown relative to its size, and the difference from the solution
-        where the model was made smaller; NaN if unchecked.
-    units : tuple of (str, str)
-        Names of unknowns and coordinates with their units.
+    The ``summary`` has the equations, the box and the measured error, as lines of text. ``errors``
+    are the measured ones of the unknowns relative to their sizes, and the differences from the
+    solution where the model was made smaller; NaN if unchecked. ``units`` belong to names of
+    unknowns and coordinates.
     """
 
     unknowns: tuple[str, ...]
@@ -206,9 +192,6 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
     )
 
 
-# --- smaller models ------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Rounding:
     """Rounded trains; slabs that shared the cores of their parameters go on sharing them.
@@ -248,7 +231,9 @@ def rounded_slabs(
         loose = largest >= _GOOD_ENOUGH * rtol or tolerance >= _MAX_LOOSENING * rtol
         if low == tolerance and loose:
             break
-        tolerance = _next(low, high)
+        tolerance = 2.0 * low if low else 0.3 * high
+        if low and high:
+            tolerance = math.sqrt(low * high)
     return best
 
 
@@ -276,13 +261,6 @@ def _differences(
     heights = at_points[:, worst].max(axis=0)
     climbed(difference, points[:, worst].T, heights, np.array(intervals), _DIFFERENCE_CLIMB)
     return np.asarray(largest)
-
-
-def _next(low: float, high: float) -> float:
-    """A tolerance between one that is small enough and one that is not; 0 stands for none yet."""
-    if low and high:
-        return math.sqrt(low * high)
-    return 2.0 * low if low else 0.3 * high
 
 
 def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]) -> Array:

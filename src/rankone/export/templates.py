@@ -13,8 +13,7 @@ from pathlib import Path
 
 from rankone.codegen.text import one_line, paragraph
 
-LINE = 96
-"""Characters in a line of a file that is not in Python."""
+LINE = 96  # Characters in a line of a file that is not in Python
 TERMS = "On rankone's part this file may be used, changed and passed on without restriction."
 """What exported files say about the source of the library in them."""
 _FOLDER = Path(__file__).parent

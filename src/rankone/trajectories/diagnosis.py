@@ -17,15 +17,11 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.trajectories.integrator import jacobians
 
-# Relative changes of the states after which rates may cease to be finite
-_STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)
-# Lengths of steps, in horizons, over which a jump of the rates is looked for
-_JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)
+_STATE_CHANGES = (0.0, 1e-12, 1e-9, 1e-6, 1e-4)  # Relative, until rates are not finite
+_JUMP_STEPS = (1e-13, 1e-11, 1e-9, 1e-7, 1e-5)  # In horizons; rates may jump over one
 _RUNAWAY_GROWTH = 1e6  # Growth over a horizon, at the last rate, from which a state blows up
-# Factor on a state that gives a later one: beside a pole the rate differs there
-_LATER_STATE = 1.0001
-# Relative error of computed states, in units of the last place, after many steps
-_SEVERAL_ROUNDINGS = 16.0
+_LATER_STATE = 1.0001  # Factor on a state for a later one: beside a pole the rate differs there
+_SEVERAL_ROUNDINGS = 16.0  # Relative error of states after many steps, in last places
 _TINY_STATE = 1e-6  # Size of a state, over the largest one, up to which it may be numerically zero
 _RESOLVED = 1e-7  # Part of its size below which a change of a state does not count
 _DRAWS = 4  # Random rounding errors at each time; the largest effect counts
@@ -96,14 +92,9 @@ def growth_rate(jacobian: Array) -> float:
 
 @dataclass(frozen=True)
 class Rounding:
-    """Rounding errors of the states of a stack.
+    """Rounding errors of the states of a stack, (n, 1), and which are numerically ``zero``.
 
-    Attributes
-    ----------
-    floor : ndarray (n, 1)
-        Errors of tiny states below which an integration follows rounding errors; 0 for all others.
-    zero : ndarray of bool (n, 1)
-        The states that are numerically zero.
+    Below the ``floor`` of a tiny state an integration follows rounding errors; 0 for all others.
     """
 
     floor: Array

@@ -21,15 +21,7 @@ JACOBIAN_ENTRY = 10.0  # Operations for each entry of a stack of Jacobians that 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How accurate the steps of an integration are.
-
-    Attributes
-    ----------
-    relative : float
-    absolute : ndarray (n, 1)
-        For each state.
-    longest_step : float
-    """
+    """How accurate the steps of an integration are; ``absolute`` is (n, 1), for each state."""
 
     relative: float
     absolute: Array
@@ -43,8 +35,7 @@ class Tolerances:
 class DenseStep(Protocol):
     """One step of all trajectories as a function of time."""
 
-    t: float
-    """Its end."""
+    t: float  # its end
 
     def __call__(self, t: float) -> Array:
         """States at a time inside of the step, stacked (n m,)."""
@@ -52,19 +43,11 @@ class DenseStep(Protocol):
 
 @dataclass(frozen=True)
 class DenseTrajectories:
-    """Trajectories at all times that an integration reached.
+    """Trajectories at all times that an integration reached, from the start and step by step.
 
-    Attributes
-    ----------
-    times : tuple of float
-        Start, and the end of each step.
-    steps : tuple of DenseStep
-    state : ndarray (n, m)
-        The last state: n states at m points.
-    largest, early : ndarray (n, m)
-        Largest absolute values after any step, and after the first few.
-    avoided : float
-        Explicit steps that were left when they were given up for implicit ones; 0 if none were.
+    For n states at m points, (n, m): the last ``state``, and the ``largest`` absolute values after
+    any step and after the ``early`` ones. ``avoided`` counts the explicit steps that were left when
+    they were given up for implicit ones; it is 0 if none were.
     """
 
     times: tuple[float, ...]
@@ -76,7 +59,6 @@ class DenseTrajectories:
 
     @property
     def end(self) -> float:
-        """Time reached."""
         return self.times[-1]
 
     def __call__(self, times: Array) -> Array:
@@ -92,17 +74,9 @@ class DenseTrajectories:
 
 @dataclass(frozen=True)
 class SampledTrajectories:
-    """Trajectories at given times.
+    """States (T, n, m) at given times, of which the integration ``reached`` so many.
 
-    Attributes
-    ----------
-    states : ndarray (T, n, m)
-    reached : int
-        Number of times that the integration reached.
-    end : float
-        Time reached.
-    state : ndarray (n, m)
-        The last state.
+    It came to the time ``end`` and the last ``state`` (n, m).
     """
 
     states: Array
@@ -116,12 +90,7 @@ class Integrator(Protocol):
 
     The points have shape (m, d). The edges are the start, times at which the integration begins
     anew, and the end; states are reset there where the system jumps. An integration ends early
-    where a trajectory cannot go on.
-
-    Raises
-    ------
-    OutOfBudgetError
-        From :meth:`run` with how far the integration came.
+    where a trajectory cannot go on. An OutOfBudgetError of :meth:`run` says how far it came.
     """
 
     def run(

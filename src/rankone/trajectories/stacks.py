@@ -28,51 +28,35 @@ from rankone.trajectories.integrator import (
     Tolerances,
     jacobians,
 )
-from rankone.trajectories.steppers import (
-    DefectControl,
-    Rates,
-    StackedDOP853,
-    StackedRadau,
-    Stepper,
-)
+from rankone.trajectories.steppers import DefectControl, Rates, StackedDOP853, StackedRadau, Stepper
 
-# Steps of DOP853 after which stability is probed; stiff systems show soon
-_FIRST_PROBES = (10, 15, 20, 30)
+_FIRST_PROBES = (10, 15, 20, 30)  # Steps of DOP853 before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
 _PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
-# Step times decay rate from which stability limits DOP853. It is unstable from about 6.
-_STIFF_PRODUCT = 3.0
-# Factor on tolerances with which Radau is as accurate as DOP853: its estimate is cautious
-_RADAU_TOLERANCE = 1.7
+_STIFF_PRODUCT = 3.0  # Step times decay rate that limits DOP853; it is unstable from about 6
+_RADAU_TOLERANCE = 1.7  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
 _EARLY_STEPS = 4  # Steps after which states that start from zero show their size
-# Operations besides an evaluation of the rates: once, and for each number in the stack
-_STAGE_COST = Cost(8e3, 5.0)
+_STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
 _READ_COST = Cost(60e3, 12.0)  # Operations of reading states off a step: once, and for each number
 
+# Starts an integration of rates from a time and states to an end
 _Method: TypeAlias = Callable[[Rates, float, Array, float], Stepper]
-"""Starts an integration of rates from a time and states to an end."""
-_Record: TypeAlias = "_DenseRecord | _SampleRecord"
-"""Keeps something of each step of an integration."""
+_Record: TypeAlias = "_DenseRecord | _SampleRecord"  # Keeps something of each step
 
 
 @dataclass(frozen=True)
 class StackedIntegrator:
     """An :class:`Integrator` whose steps suit all trajectories at once.
 
-    Attributes
-    ----------
-    stiff : bool
-        Whether to begin with Radau; otherwise it takes over where DOP853 meets stiffness.
-    bearable_steps : int
-        Steps of DOP853 that are cheaper than those of Radau although stability limits them. They
-        are less accurate in between.
-    looks_anywhere : bool
-        Whether to check steps at random places too, and not only at state surfaces. Systems that
-        separate are never checked: polynomials in the states are not narrow over them.
+    It begins with Radau if ``stiff``; otherwise Radau takes over where DOP853 meets stiffness. So
+    many ``bearable_steps`` of DOP853 are cheaper than those of Radau although stability limits
+    them, and less accurate in between. With ``looks_anywhere`` steps are checked at random places
+    too, and not only at state surfaces. Systems that separate are never checked: polynomials in the
+    states are not narrow over them.
     """
 
     stiff: bool = False
@@ -124,12 +108,10 @@ class _DenseRecord:
         self.begin(start)
 
     def begin(self, start: float) -> None:
-        """Forget all steps."""
         self.times, self.steps = [start], list[DenseStep]()
         self.largest = self.early = np.zeros(self.shape)
 
     def add(self, solver: Stepper) -> None:
-        """Keep a step."""
         self.times.append(solver.t)
         self.steps.append(solver.dense_output())
         self.largest = np.maximum(self.largest, np.abs(solver.y).reshape(self.shape))
@@ -142,7 +124,6 @@ class _DenseRecord:
         return DenseTrajectories(*steps, state, self.largest, self.early, avoided)
 
     def reached(self, system: System, points: Array, horizon: float) -> Reached:
-        """How far the integration came."""
         end, switch = self.times[-1], None
         if self.steps:
             states = self.steps[-1](end).reshape(self.shape)
@@ -158,7 +139,6 @@ class _SampleRecord:
         self.reached, self.end = 0, 0.0
 
     def begin(self, start: float) -> None:
-        """Start at the first time."""
         self.reached, self.end = 0, start
 
     def add(self, solver: Stepper) -> None:
@@ -185,7 +165,6 @@ class _Stack:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of states, number of points."""
         return self.system.n_differential, len(self.points)
 
     @cached_property
@@ -216,10 +195,7 @@ class _Stack:
         return state, avoided
 
     def _steps(
-        self,
-        method: _Method,
-        record: _Record,
-        steps_left: Callable[[Stepper, int], float],
+        self, method: _Method, record: _Record, steps_left: Callable[[Stepper, int], float]
     ) -> tuple[Array, float]:
         """Step over all segments: the last state, and the steps left if the method is given up."""
         state = self.system.initial(self.parameters)
@@ -227,9 +203,13 @@ class _Stack:
         count = tiny = 0
         tiny_step = _TINY_STEP * (self.edges[-1] - self.edges[0])
         for a, b in itertools.pairwise(self.edges):
-            state = self._jumped(a, state)
-            if a != self.edges[0] and not self._goes_on(a, state):
-                return state, 0.0
+            kind = self.system.jumps.kind_at(a)
+            if kind is not None:
+                state = self.system.jumps.jumped(kind, state, self.parameters)
+                if a != self.edges[0]:
+                    rates = self.system.rhs(a, state, self.parameters)
+                    if not (np.isfinite(state).all() and np.isfinite(rates).all()):
+                        return state, 0.0
             solver = method(self._rates(a, b), a, state, b)
             while solver.status == "running":
                 charge(_STEP_COST(state.size))
@@ -247,20 +227,6 @@ class _Stack:
                 if left:
                     return state, left
         return state, 0.0
-
-    def _jumped(self, time: float, state: Array) -> Array:
-        """The states after what is reset at a time, if anything is."""
-        kind = self.system.jumps.kind_at(time)
-        if kind is None:
-            return state
-        return self.system.jumps.jumped(kind, state, self.parameters)
-
-    def _goes_on(self, time: float, state: Array) -> bool:
-        """Whether states, perhaps after a jump, and their rates are finite."""
-        if self.system.jumps.kind_at(time) is None:
-            return True
-        rates = self.system.rhs(time, state, self.parameters)
-        return bool(np.isfinite(state).all() and np.isfinite(rates).all())
 
     def _rates(self, a: float, b: float) -> Rates:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""

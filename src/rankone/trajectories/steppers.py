@@ -30,30 +30,24 @@ from rankone.trajectories.integrator import Tolerances
 _RADAU_STATE = ("h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
 # What a step changes, and a refused one changes back
 _STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
-# Shares of a step, between the nodes of Radau, at which the interpolant is checked
-_BETWEEN_NODES = (0.4, 0.85)
-# Largest interpolation error of Radau, in tolerances, that is accepted
-_MOST_INTERPOLATION_ERROR = 10.0
-# Part of a step with a large defect that is tried next: enough to stop before what was missed
-_SHORTENING = 0.2
-# Largest defect at crossings, times the step, in tolerances. Smooth rates reach 40.
-_MOST_CROSSING_DEFECT = 100.0
+_BETWEEN_NODES = (0.4, 0.85)  # Shares of a step of Radau at which its interpolant is checked
+_MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of Radau's interpolant, in tolerances
+_SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed
+_MOST_CROSSING_DEFECT = 100.0  # At crossings, times the step, in tolerances; smooth: to 40
 _MOST_RANDOM_DEFECT = 300.0  # The same at random places: the largest of many is larger
-# Defect over the rates from which a step missed something, and is not just inaccurate
-_DIFFERENT_RATES = 0.5
+_DIFFERENT_RATES = 0.5  # Defect over the rates from which a step missed something
 _MOST_ROOT_ITERATIONS = 30  # Most iterations for the time of a crossing; about ten suffice
 _ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
 _LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
-# Random places on all trajectories together: what one evaluation of the rates takes well
-_PLACES = 512
+_PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
 _LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
 
+# Stacked rates (n m,) at a time and a stacked state
 Rates: TypeAlias = Callable[[float, Array], Array]
-"""Stacked rates (n m,) at a time and a stacked state."""
+# Maps shares (c,) of a step, and whether slopes are needed, to the states (n, c) of c trajectories
+# and their slopes over the share
 Interpolant: TypeAlias = "Callable[[Array, bool], tuple[Array, Array]]"
-"""Maps shares (c,) of a step, and whether slopes are needed, to the states (n, c) of c trajectories
-and their slopes over the share."""
 
 
 class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
@@ -114,7 +108,6 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
         return _SHORTENING if missed else 1.0
 
     def _restart(self, h: float) -> None:
-        """Prepare a step of another length."""
         self.h_abs = h
 
 
@@ -137,8 +130,7 @@ class StackedDOP853(Stepper, scipy.integrate.DOP853):  # type: ignore[misc]
             self._dense = super().dense_output()
         return self._dense
 
-    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
-        """The trajectories of some columns within the last step: a nested polynomial."""
+    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # a nested polynomial
         n, dense = self.trajectory_states, self.dense_output()
         coefficients = dense.F.reshape(len(dense.F), n, -1)[:, :, columns]
         start = dense.y_old.reshape(n, -1)[:, columns]
@@ -227,8 +219,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         right = defect.T[:, :, None] / self.sol.h
         return np.asarray(np.matmul(self._newton[columns], right)[:, :, 0].T)
 
-    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
-        """The trajectories of some columns within the last step: powers of the share."""
+    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # powers of the share
         n, exponents = self.trajectory_states, np.arange(self.sol.order + 1)
         coefficients = self.sol.Q.reshape(n, -1, exponents.size)[:, columns]
         start = self.sol.y_old.reshape(n, -1)[:, columns]

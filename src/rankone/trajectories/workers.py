@@ -30,14 +30,11 @@ from rankone.support.budget import (
 )
 from rankone.support.errors import OptionError, RankoneError
 
-# How an executor says that a worker died
-_DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)
+_DEATHS = (BrokenExecutor, concurrent.futures.CancelledError)  # A worker died
 # What to do if workers die at once
 _GUARD = 'a script that starts processes needs `if __name__ == "__main__":` around what it runs'
-Answer = TypeVar("Answer")
-"""What a task comes to."""
-Arguments: TypeAlias = "tuple[object, ...]"
-"""Those of a task, after the system."""
+Answer = TypeVar("Answer")  # What a task comes to
+Arguments: TypeAlias = "tuple[object, ...]"  # Those of a task, after the system
 
 
 class _Spawn(SpawnContext):
@@ -55,12 +52,8 @@ class _Spawn(SpawnContext):
 class Workers:
     """Calls of a function of a system and further arguments; without an executor, here.
 
-    Parameters
-    ----------
-    system : System
-    executor : Executor or int, optional
-        An int is a number of processes, which :meth:`open` starts and :meth:`close` ends. They end
-        with this process too, however it ends.
+    An int as executor is a number of processes, which :meth:`open` starts and :meth:`close` ends.
+    They end with this process too, however it ends.
     """
 
     def __init__(self, system: System, executor: Executor | int | None = None) -> None:

@@ -26,10 +26,8 @@ from rankone.support.errors import OptionError
 
 _SAMPLES = 2**14  # Fine samples over the interval: narrower pieces may be missed
 _NODES = 14  # Nodes of an interpolant that resolves smooth pieces
-# Interpolation error that counts as resolved, relative to the largest function value
-_RESOLVED_ERROR = 1e-7
-# Error over that one below which both halves are smooth, and the cut is between them
-_SMOOTH_ERROR = 1e-3
+_RESOLVED_ERROR = 1e-7  # Interpolation error of resolved pieces, relative to the largest value
+_SMOOTH_ERROR = 1e-3  # Error over that one below which both halves are smooth, with a cut between
 # Shares of a piece that are sampled too, since small pieces contain no fine sample
 _OFF_SAMPLES = np.array([0.003, 0.11, 0.29, 0.41, 0.59, 0.71, 0.89, 0.997])
 _LOOK_COST = Cost(80e3, 3.0)  # Operations of an interpolation on a piece: once, and for each sample
@@ -42,14 +40,11 @@ _LOCATED = 1e-15  # Width of a piece, relative to the size of its ends, at which
 _SIZE_SAMPLES = 224  # Samples that tell the size of a factor
 _MOST_ROUGH_PIECES = 1000  # Most places at which samples show functions that are not smooth
 _MOST_REPEATED = 10_000  # Most cuts that repeat with a period
-# Cuts that are closer, relative to the largest size of the coordinate, are the same
-_COINCIDENT = 1e-14
+_COINCIDENT = 1e-14  # Cuts are the same if closer, relative to the size of the coordinate
 _MOST_CLOSE_PAIRS = 100  # Most pairs of such cuts that are checked
-# Area of a pulse between two such cuts, over that of the function, from which it counts
-_PULSE_SHARE = 1e-9
+_PULSE_SHARE = 1e-9  # Area of a pulse between two such cuts, over the function's, that counts
 _POLE = 1e9  # A factor that is so many times larger at a cut than at samples may have a pole there
-# Distances from a cut, in widths of the interval, between which a pole grows
-_POLE_DISTANCES = (1e-11, 1e-14)
+_POLE_DISTANCES = (1e-11, 1e-14)  # Widths of the interval from a cut between which a pole grows
 _POLE_GROWTH = 10.0  # Factor by which a pole grows between them; a narrow peak does not
 
 
@@ -59,14 +54,10 @@ class TooManyCuts(Exception):
 
 @dataclass(frozen=True)
 class Cuts:
-    """Points at which an interval is best cut for known functions.
+    """Where an interval is best cut for known functions: jumps, kinks, ends of narrow pieces.
 
-    Attributes
-    ----------
-    points : tuple of float
-        Ascending, inside the interval: jumps and kinks, and the ends of narrow pieces.
-    smooth : bool
-        Whether a few nodes between them resolve the functions.
+    The points ascend inside the interval. The functions are ``smooth`` if a few nodes between the
+    points resolve them.
     """
 
     points: tuple[float, ...] = ()
@@ -77,11 +68,7 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
     """Cuts of the time factors, and those of the factors of each parameter.
 
     The first factor of every coordinate is one; where it is the only one there is no need to look.
-
-    Raises
-    ------
-    OptionError
-        If a factor is not finite, has a pole, or switches too often.
+    A factor that is not finite, has a pole, or switches too often is an OptionError.
     """
     features, all_cuts = system.features, list[Cuts]()
     for factors, single, periodic in zip(

@@ -41,8 +41,7 @@ _REFERENCE_ACCURACY = 3e-3  # Tolerance of the reference over the tolerance of t
 _LEAST_ACCURACY = 3e-13  # Tightest tolerance of the reference: rounding errors are larger
 _SOLVED_SHARE = 0.9  # Part of the way to a blow-up that is still solved
 _SIZE_SAMPLES = 201  # Evenly spaced times at which the sizes of the states are measured
-# The same from one jump to the next, in shares of the time between
-_JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])
+_JUMP_SHARES = np.array([0.0, 0.3, 0.7, 1.0])  # The same between jumps, as shares
 _LEAST_SIZE = 1e-140  # Size of a state below which its square is lost
 _COINCIDENT = 1e-13  # Cuts this close to a jump, relative to the ends of the horizon, are that jump
 _MOST_CHECKED_CUTS = 16  # Most cuts of a parameter that are checked on either side
@@ -52,8 +51,7 @@ _GROWTH_TRAJECTORIES = 5  # Check points at which it is followed, the centre fir
 _BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
 _SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
 _DRIFT_POINTS = 24  # Points at which lifted states are compared with what they stand for
-# Times at which they are compared, in slab lengths
-_DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])
+_DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])  # Compared times, in slab lengths
 
 _CANDIDATES = 512  # Points at which residuals are looked at, with up to three parameters
 _MOST_CANDIDATES = 2560  # The same with more parameters, as far as the work goes
@@ -61,19 +59,15 @@ _WORK = 3e7  # Multiplications that residuals and jumps may take: about a tenth 
 _MOST_SLABS = 4  # Slabs on which residuals are looked at, and jumps of a kind
 _CHOSEN = 8  # Worst points that are taken
 _CORNER_INTERVAL = 5  # With more than three parameters every fifth candidate is near a corner
-# Power of the distance from the centre that draws points towards the corners
-_CORNER_POWER = 1.0 / 3.0
-# Factor on the error that is tolerated there unless corners count: few points are so near
-_CORNER_ERROR = 5.0
+_CORNER_POWER = 1.0 / 3.0  # Power of the distance from the centre: draws points to corners
+_CORNER_ERROR = 5.0  # Factor on the error tolerated there unless corners count: points are few
 _RESIDUAL_SHARES = np.array([0.21, 0.64, 0.97])  # Times of residuals, in slab lengths
-# Part of the tolerance below which errors and residuals count as this part of it
-_NEGLIGIBLE = 1e-3
+_NEGLIGIBLE = 1e-3  # Smaller errors and residuals count as this part of the tolerance
 # Expected error over the tolerance from which a point is doubtful. On smooth problems expected
 # errors are too large and reach 1.4; where something was missed, 3.
 _DOUBTFUL_ERROR = 1.5
 _MOST_COMPARED = 64  # Reference trajectories whose residuals tell what a residual amounts to
-# Most points at which a jump is checked that is not a polynomial of the states
-_JUMP_CANDIDATES = 16_384
+_JUMP_CANDIDATES = 16_384  # Most points where a jump is checked that is no polynomial
 _JUMP_ERROR = 3.0  # Error after a jump, over the tolerance, from which a point is doubtful
 _CLIMBERS = 64  # Points with the largest errors after a jump, from which larger ones are looked for
 # The way to them. The last steps are as short as the kinks are thin.
@@ -84,24 +78,13 @@ _TO_KINKS = Climb(rounds=8, tries=8, first_step=0.1, shrinkage=0.4)
 class ReferenceSet:
     """Reference trajectories at the check points, and what is derived from them.
 
-    Attributes
-    ----------
-    accuracy : float
-        Relative tolerance of the trajectories.
-    reference : Reference
-        Trajectories at the centre, at corners and at interior points.
-    corners : int
-        Number of check points, after the centre, that are corners.
-    whole_box : bool
-        Whether they count like the other points.
-    checked : bool
-        Whether there are interior points, so that an error can be stated.
-    cuts : tuple of float
-        Times at which the time factors jump, kink or are narrow, and at which states are reset.
-    parameter_cuts : tuple of Cuts
-        Those of the factors of each parameter.
-    counted : tuple of int or None
-        The states whose error counts; None for all.
+    The trajectories, of the relative tolerance ``accuracy``, begin at the centre, at ``corners``
+    corners and at interior points. Corners count like the other points if ``whole_box``. Without
+    interior points nothing is ``checked``, and no error can be stated.
+
+    ``cuts`` are the times at which the time factors jump, kink or are narrow, and at which states
+    are reset; ``parameter_cuts`` belong to the factors of each parameter. ``counted`` are the
+    states whose error counts, None for all.
     """
 
     system: System
@@ -228,13 +211,9 @@ class ReferenceSet:
         """Largest later growth of an error made at time t, along a few trajectories.
 
         The variational equation ``w' = J(t) w`` is stepped on a uniform grid with the Cayley
-        transform of the scaled Jacobian, which is stable for stiff systems.
-
-        Returns
-        -------
-        callable
-            ``amplification(t) >= 1``: the largest Frobenius norm, divided by sqrt(n), of the
-            propagator from t to any later time.
+        transform of the scaled Jacobian, which is stable for stiff systems. The amplification, at
+        least 1, is the largest Frobenius norm, divided by sqrt(n), of the propagator from t to any
+        later time.
         """
         n, start = self.system.n_differential, self.reference.start
         width = (self.end - start) / _GROWTH_STEPS

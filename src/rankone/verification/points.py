@@ -19,12 +19,10 @@ from rankone.support.arrays import Array, corners, spread
 from rankone.tensors.slab import SlabTrain
 from rankone.verification.search import Climb, bisected, climbed
 
-# Number of parameters up to which corners are checked as strictly as the interior
-FEW_PARAMETERS = 3
+FEW_PARAMETERS = 3  # Parameters up to which corners are checked as strictly as the interior
 _FEW_CORNERS = 8  # Corners where they do not count: all of three parameters
 _MOST_CORNERS = 256  # Corners where they count: all of eight parameters
-# Distance from cuts, in widths of the interval: at a jump itself the state is ambiguous
-_BESIDE = 4e-9
+_BESIDE = 4e-9  # Distance from cuts, in widths of the interval: at a jump the state is ambiguous
 _FACTOR_SAMPLES = 1025  # Samples of a factor over its interval
 _RARE_SHARE = 0.2  # Share of the box below which a term is rarely active
 _MOST_RARE_TERMS = 4  # Rare terms that are looked at
@@ -37,23 +35,17 @@ _CLIMBERS = 4  # Points from which a surface that no random point crosses is app
 # The way there. It finds islands of a few percent of six parameters, and narrow ones of two.
 _TO_SURFACE = Climb(rounds=60, tries=32, first_step=0.2, shrinkage=0.6, patient=True, seed=20144)
 _CELL_PARAMETERS = 2  # Parameters with several cuts from which their cells are looked at
-# Nodes in one parameter of several, over those of a smooth function, that show steepness
-_STEEP_NODES = 3.0
-# The same for a single parameter: random points of one parameter alone lie close
-_STEEP_NODES_ALONE = 9.0
+_STEEP_NODES = 3.0  # Nodes in one of several parameters, over those of a smooth function
+_STEEP_NODES_ALONE = 9.0  # The same for a single parameter: its random points lie close
 _MOST_ELEMENTS = 16  # Elements of a parameter in which the error is measured
 _MOST_SLABS = 4  # Slabs on which steep points are looked for
 _STEEP_CANDIDATES = 512  # Random points among which steep ones are chosen on each slab
 _STEEP_POINTS = 12  # Points chosen on each slab
-# Change of every parameter, in widths of its interval, over which the solution is compared
-_SHIFT = 2e-3
+_SHIFT = 2e-3  # Change of parameters, in widths of their intervals, that shows steepness
 
 
 def check_points(
-    box: Array,
-    count: int,
-    cuts: Sequence[Sequence[float]] = (),
-    every_corner: bool = False,
+    box: Array, count: int, cuts: Sequence[Sequence[float]] = (), every_corner: bool = False
 ) -> Array:
     """The centre of a box (d, 2), corners, and ``count`` evenly spread interior points: (m, d).
 

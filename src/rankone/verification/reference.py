@@ -41,50 +41,32 @@ from rankone.verification.search import bisected
 
 _NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
 _LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages
-# Growth of a state over its size from which it blows up, and does not meet a pole or border
-_BLOW_UP_GROWTH = 1e3
+_BLOW_UP_GROWTH = 1e3  # Growth of a state from which it blows up, and meets no pole or border
 _COINCIDENT = 1e-14  # Times that are closer, relative to the ends of the horizon, are the same
-# Part of its early size to which a state is resolved that stays negligible, but is amplified
-_LINGERING = 1e-3
-# Size, in negligible parts of the presumed one, below which a state turns out to be small
-_SMALL_STATE = 10.0
+_LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
+_SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
 _SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
 _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
 _MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
 
 _FACE_RTOL = 1e-3  # Relative tolerance of trajectories that only show whether they reach the end
 _FACE_POINTS = 8  # Trajectories that begin inside of a face of the box
-# Halvings between a face and the trajectory that ends early: one percent of the box is enough
-_FACE_HALVINGS = 7
+_FACE_HALVINGS = 7  # Halvings between a face and the early end: 1 % of the box is enough
 _FACE_WORK = 1.5e9  # Most operations for all faces: about two seconds
 _FACE_WORK_SHARE = 0.5  # Most of what is left of the budget for them
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Trajectories at the check points, dense in time.
+    """Trajectories at the check points (m, d), the centre of the box first, dense in time.
 
-    Attributes
-    ----------
-    points : ndarray (m, d)
-        Parameter points; the first is the centre of the box.
-    batches : tuple of DenseTrajectories
-        Those of each integration, in the order of the points.
-    end : float
-        Time that all of them reach; before the horizon where one blows up.
-    floor : ndarray (n,)
-        Size of each state below which its relative accuracy ends, where that is lower than usual
-        since it is amplified later; else infinite.
-    rounded : ndarray (n,)
-        Rounding errors of states that are tiny beside the others; 0 for all others.
-    zero : ndarray of bool (n,)
-        The states that are numerically zero.
-    blown : int or None
-        The point whose trajectory blows up at ``end``, or leaves where its rates are finite.
-    large : bool
-        Whether it has grown by then.
-    switching : int or None
-        The state whose rate switches to and fro at ``end``, if that is why it ends.
+    Each integration made a batch, in the order of the points. All trajectories reach ``end``, which
+    is before the horizon where the one at the point ``blown`` blows up or leaves where its rates
+    are finite. It may be ``large`` then, or the rate of the state ``switching`` goes to and fro.
+
+    For each state, (n,): ``floor`` is the size below which its relative accuracy ends, where that
+    is lower than usual since it is amplified later, else infinite; ``rounded`` the rounding errors
+    of states that are tiny beside the others, else 0; ``zero`` says which are numerically zero.
     """
 
     points: Array
@@ -99,7 +81,6 @@ class Reference:
 
     @property
     def start(self) -> float:
-        """Start of all trajectories."""
         return self.batches[0].times[0]
 
     @property
@@ -136,24 +117,13 @@ class Reference:
 
 
 def integrate_reference(
-    system: System,
-    points: Array,
-    start: float,
-    end: float,
-    rtol: float,
-    cuts: Sequence[float] = (),
+    system: System, points: Array, start: float, end: float, rtol: float, cuts: Sequence[float] = ()
 ) -> Reference:
     """Integrate the system from ``start`` to ``end`` at all points (m, d).
 
     The integration begins anew at the cuts: ascending times at which the time factors jump, kink or
-    are narrow.
-
-    Raises
-    ------
-    ConvergenceError
-        If not a single step can be made.
-    OutOfBudgetError
-        With how far the integration came.
+    are narrow. It is a ConvergenceError if not a single step can be made; an OutOfBudgetError says
+    how far the integration came.
     """
     edges = [start, *_with_moving_cuts(system, points, start, end, cuts), end]
     initial = system.initial(np.ascontiguousarray(points.T))
@@ -166,7 +136,12 @@ def integrate_reference(
         dense = integrator.run(system, points, edges, tolerances)
         if not dense.steps:
             floor = rtol * _NEGLIGIBLE * resolution.size
-            raise _no_step(system, points, start, dense.state, floor)
+            point = points[first_to_end(system, start, dense.state, points, floor)]
+            raise ConvergenceError(
+                f"no trajectory can be integrated from t = {start:g}{_at(system, point)}"
+                ": the right-hand side is not finite there or varies without bound",
+                remedy="check the initial values and the coefficients",
+            )
         if not resolution.refined(dense):
             break
     return resolution.reference(dense)
@@ -240,18 +215,6 @@ class _Resolution:
         if switch is None:
             return replace(reference, blown=blown, large=large)
         return replace(reference, blown=switch[1], switching=switch[0])
-
-
-def _no_step(
-    system: System, points: Array, start: float, state: Array, floor: Array
-) -> ConvergenceError:
-    """The error for trajectories that cannot leave the start."""
-    point = points[first_to_end(system, start, state, points, floor)]
-    return ConvergenceError(
-        f"no trajectory can be integrated from t = {start:g}{_at(system, point)}"
-        ": the right-hand side is not finite there or varies without bound",
-        remedy="check the initial values and the coefficients",
-    )
 
 
 def _check_start(system: System, start: float, initial: Array, points: Array) -> None:

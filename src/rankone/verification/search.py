@@ -13,20 +13,10 @@ from rankone.support.arrays import Array
 
 @dataclass(frozen=True)
 class Climb:
-    """Rounds of random steps that become shorter.
+    """Rounds of random steps, so many ``tries`` for each climber, that become shorter.
 
-    Attributes
-    ----------
-    rounds : int
-    tries : int
-        Steps that each climber tries in a round.
-    first_step : float
-        Standard deviation of the first steps, in widths of the box.
-    shrinkage : float
-        Factor on the length of steps from round to round.
-    patient : bool
-        Whether a climber shortens its steps only after a round without success.
-    seed : int
+    ``first_step`` is their first standard deviation, in widths of the box, and ``shrinkage`` the
+    factor on it from round to round; a ``patient`` climber applies it only without success.
     """
 
     rounds: int

@@ -33,14 +33,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rankone.export.explorer.content import (
-    content,
-    lead,
-    place,
-    quality,
-    spread,
-    with_derivatives,
-)
+from rankone.export.explorer.content import content, lead, quality, with_derivatives
 from rankone.export.explorer.mathml import Notation
 from rankone.export.model_js import javascript_model
 from rankone.export.packing import PackedModel, pack
@@ -120,6 +113,7 @@ def _page(
     data = content(full, model, notation)
     sentences = quality(solution, model)
     errors = [u["error"] for u in data["unknowns"] if u["error"] is not None]
+    distributed = any(parameter["distribution"] for parameter in data["parameters"])
     fields = {
         "title": html.escape(title),
         "lead": html.escape(lead(data)),
@@ -127,7 +121,7 @@ def _page(
         "success": "yes" if solution.success else "",
         "error": f"Measured error {_scientific(max(errors))}" if errors else "Error not measured",
         "covers": _covers(solution, rtol),
-        "bands": spread(data),
+        "bands": "under their distributions" if distributed else "over their ranges",
         "message": html.escape(sentences[0]),
         "quality": "\n".join(f"<p>{html.escape(line)}</p>" for line in sentences),
         "errors": "\n".join(
@@ -146,19 +140,23 @@ def _page(
         "plots": _read(_VENDOR / "uPlot.iife.min.js"),
         "data": json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c"),
         "model": _as_object(model),
-        "script": "\n".join(map(_as_plain_script, _SCRIPTS)),
+        "script": "\n".join(
+            _EXPORT.sub("", _IMPORT.sub("", _read(_FOLDER / f"{name}.js"))) for name in _SCRIPTS
+        ),
     }
     return filled("explorer/page.html.in", fields)
 
 
 def _covers(solution: DistributionOverBox, rtol: float | None) -> str:
     """Where the error was measured, and what it may be, in HTML."""
-    if solution.outcome.measured is None:
+    measured = solution.outcome.measured
+    if measured is None:
         return ""
+    place = "in the whole box" if measured.cover == "box" else "inside the box"
     text = f"asked for: {_scientific(solution.rtol)}"
     if rtol is not None:
         text += f", and made smaller to within {_scientific(rtol)}"
-    return f"{place(solution)} ({text})".strip()
+    return f"{place} ({text})" if solution.parameters else f"({text})"
 
 
 def _as_object(model: PackedModel) -> str:
@@ -168,11 +166,6 @@ def _as_object(model: PackedModel) -> str:
     assert isinstance(text, str)
     names = ", ".join(_EXPORTED.findall(text))
     return f"const model = (() => {{\n{_EXPORT.sub('', text)}\nreturn {{ {names} }};\n}})();"
-
-
-def _as_plain_script(name: str) -> str:
-    """A script of the page without its imports and exports."""
-    return _EXPORT.sub("", _IMPORT.sub("", _read(_FOLDER / f"{name}.js")))
 
 
 def _scientific(error: float | None) -> str:

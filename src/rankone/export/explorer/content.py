@@ -30,8 +30,7 @@ _SENSITIVITY_TIMES = 121  # Evenly spaced times with Sobol indices
 _MOST_SENSITIVITY_TIMES = 600  # Most times with Sobol indices, so that a page stays small
 _MAX_HALVINGS = 8  # How often the intervals between times with Sobol indices are halved
 _SHARE_TOLERANCE = 0.003  # How far interpolated Sobol indices may be off: about a pixel
-# Part of the horizon from which on an interval is not halved: indices jump there
-_NARROWEST_INTERVAL = 1e-6
+_NARROWEST_INTERVAL = 1e-6  # Part of the horizon that is not halved: indices jump there
 _CURVE_DIGITS = 7  # Significant digits of bands
 _SHARE_DIGITS = 5  # Significant digits of Sobol indices
 _MOST_NAMED = 3  # Parameters up to which each range is in the first sentence
@@ -162,9 +161,6 @@ def _rounded(curve: Iterable[float], digits: int = _CURVE_DIGITS) -> list[float 
     return [float(f"{y:.{digits}g}") if np.isfinite(y) else None for y in curve]
 
 
-# --- sentences -----------------------------------------------------------------------------------
-
-
 def lead(data: Mapping[str, Any]) -> str:
     """The unknowns and the box, as the first sentence of a page with this :func:`content`."""
 
@@ -181,20 +177,6 @@ def lead(data: Mapping[str, Any]) -> str:
         box = f", for every {joined(ranges)}"
     unknowns = joined([unknown["text"] for unknown in data["unknowns"]])
     return f"{unknowns} over {data['time']['text']}{box}."
-
-
-def spread(data: Mapping[str, Any]) -> str:
-    """How the parameters vary to make the bands."""
-    distributed = any(parameter["distribution"] for parameter in data["parameters"])
-    return "under their distributions" if distributed else "over their ranges"
-
-
-def place(solution: DistributionOverBox) -> str:
-    """Where the error was measured; empty if it was not, or if there is no box."""
-    measured = solution.outcome.measured
-    if measured is None or not solution.metadata.parameters:
-        return ""
-    return "in the whole box" if measured.cover == "box" else "inside the box"
 
 
 def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:

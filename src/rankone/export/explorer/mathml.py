@@ -32,12 +32,7 @@ _DOT = "<mo>·</mo>"
 _OPEN = "<mo stretchy='false'>(</mo>"
 _CLOSE = "<mo stretchy='false'>)</mo>"
 _SPACE = "<mspace width='0.35em'></mspace>"
-_COMPARED: dict[type[ast.cmpop], str] = {
-    ast.Lt: "&lt;",
-    ast.LtE: "≤",
-    ast.Gt: "&gt;",
-    ast.GtE: "≥",
-}
+_COMPARED: dict[type[ast.cmpop], str] = {ast.Lt: "&lt;", ast.LtE: "≤", ast.Gt: "&gt;", ast.GtE: "≥"}
 _LOGIC: dict[type[ast.operator], str] = {ast.BitAnd: "and", ast.BitOr: "or"}
 
 
@@ -169,9 +164,8 @@ class Notation:
         tree = ast.parse(_WORD.sub(_protected, text.strip()), mode="eval")
         return self._written(tree.body)[0]
 
-    # --- nodes: MathML and how strongly it binds -------------------------------------------------
-
     def _written(self, node: ast.expr) -> tuple[str, _Binding]:
+        """A node in MathML, and how strongly it binds."""
         match node:
             case ast.Constant(value=int() | float() as x) if not isinstance(x, bool):
                 return _number(x)
