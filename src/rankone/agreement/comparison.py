@@ -38,26 +38,21 @@ PRECISION = 336
 """Bits of the numbers: a hundred decimal digits."""
 _CONTEXT = mpmath.MPContext()
 _CONTEXT.dps = _DIGITS
-# Arguments and logarithms up to which growing functions are evaluated: mpmath takes forever beyond
-_LARGEST_ARGUMENT = 1e300
+_LARGEST_ARGUMENT = 1e300  # Of growing functions, and of logarithms: mpmath takes forever beyond
 _MOST_MULTIPLIED_POWER = 1000  # Integer exponents up to which powers are products
-# Step of difference quotients: half of the hundred digits remain in the difference
-_STEP = from_float(1e-35)
+_STEP = from_float(1e-35)  # Of difference quotients: half of the digits remain in the difference
 # Residuals below this share of the terms are rounding. A larger one is compared with the effect of
 # relative errors of this size in all intermediate results.
 _TOLERANCE = 1e-13
-# Relative error of the evaluation itself, in which log(1 + 1e-178) has no digits either
-_LAST_DIGITS = 1e-90
+_LAST_DIGITS = 1e-90  # Relative error of the evaluation: log(1 + 1e-178) has no digits either
 _RUNS = 4  # Evaluations with disturbed intermediate results: few, as only the largest effect counts
 _SEED = 1914
 _SPREAD_RATIO = 10.0  # Largest residual over that effect: a few runs do not meet the worst errors
 LOST_SHARE = 0.01
 """A residual above this share of the largest value leaves no digits that count."""
-# Residuals below this share of the terms do not matter, for example between two steep steps
-_NEGLIGIBLE_SHARE = 1e-30
+_NEGLIGIBLE_SHARE = 1e-30  # Of the terms: smaller residuals, as between steep steps, do not matter
 _TINY_SHARE = 1e-120  # Residuals below this share of the largest terms are underflow
-# Residuals below this are underflow: products of floating-point numbers end near 1e-308
-_UNDERFLOW = 1e-280
+_UNDERFLOW = 1e-280  # Smaller residuals are underflow: products of floats end near 1e-308
 
 
 class NoValueError(Exception):
@@ -67,42 +62,28 @@ class NoValueError(Exception):
 class Program:
     """Expressions as a list of operations, each subexpression once.
 
-    Parameters
-    ----------
-    expressions : sequence of Expr
-    leaves : sequence of Expr
-        Symbols, functions of time and derivatives, whose values are given.
+    The ``leaves`` are symbols, functions of time and derivatives, whose values are given.
     """
 
     def __init__(self, expressions: Sequence[sp.Basic], leaves: Sequence[sp.Expr]) -> None:
         self._register: dict[sp.Basic, int] = {leaf: i for i, leaf in enumerate(leaves)}
         self._inputs = len(self._register)
-        self._steps: list[tuple[Operation, tuple[int, ...]]] = []
+        self.steps: list[tuple[Operation, tuple[int, ...]]] = []
         self._outputs = [self._added(expression) for expression in expressions]
-
-    @property
-    def operations(self) -> int:
-        """How many operations there are."""
-        return len(self._steps)
 
     def __call__(
         self, leaves: Sequence[Number], noise: np.random.Generator | None = None, size: float = 0.0
     ) -> list[Number]:
-        """The values of the expressions.
+        """The values of the expressions from those of the leaves.
 
-        Parameters
-        ----------
-        leaves : sequence of Number
-            The values of the leaves.
-        noise : Generator, optional
-            Every intermediate result is off by a random part of up to ``size``, which shows what
-            rounding does to the final ones (Parker, Monte Carlo arithmetic, UCLA 1997).
+        With ``noise``, every intermediate result is off by a random part of up to ``size``: this
+        shows what rounding does to the final ones (Parker, Monte Carlo arithmetic, UCLA 1997).
         """
         registers: list[Number | bool] = list(leaves)
         if noise is not None:
-            errors = noise.uniform(-size, size, len(leaves) + len(self._steps)).tolist()
+            errors = noise.uniform(-size, size, len(leaves) + len(self.steps)).tolist()
             registers = [_disturbed(x, e) for x, e in zip(leaves, errors, strict=False)]
-        for step, (function, sources) in enumerate(self._steps):
+        for step, (function, sources) in enumerate(self.steps):
             try:
                 outcome = function(*(registers[i] for i in sources))
             except (ArithmeticError, ValueError, MemoryError) as error:
@@ -125,17 +106,16 @@ class Program:
             if missing:
                 waiting += missing
                 continue
-            self._register[expression] = self._inputs + len(self._steps)
+            self._register[expression] = self._inputs + len(self.steps)
             sources = tuple(self._register[operand] for operand in operands)
-            self._steps.append((_operation(expression), sources))
+            self.steps.append((_operation(expression), sources))
             waiting.pop()
         return self._register[root]
 
 
 def number(real: float) -> Number:
     """A floating-point number as one of mpmath."""
-    converted: Number = from_float(float(real))
-    return converted
+    return cast(Number, from_float(float(real)))
 
 
 def _folding(operation: Callable[..., Number], neutral: Number) -> Callable[..., Number]:
@@ -309,21 +289,10 @@ _FUNCTIONS: dict[str, Operation] = {
 }
 
 
-def sides(equation: sp.Basic) -> tuple[sp.Expr, sp.Expr]:
-    """Both sides of an equation; of an expression that vanishes the right one is zero."""
-    return tuple(equation.args) if isinstance(equation, sp.Eq) else (equation, sp.S.Zero)
-
-
 class Comparison:
     """The difference of two expressions where their leaves have values.
 
-    Parameters
-    ----------
-    left, right : Expr
-    leaves : sequence of Expr
-        Symbols, functions of time and derivatives, whose values are given.
-    computed : sequence of Expr
-        The leaves whose values generated code has computed.
+    Generated code has computed those of the leaves ``computed``.
     """
 
     def __init__(
@@ -336,16 +305,11 @@ class Comparison:
         terms = [*sp.Add.make_args(left), *sp.Add.make_args(right)]
         self._left = len(sp.Add.make_args(left))
         self._computed = [i for i, term in enumerate(terms) if term.has(*computed)]
-        self._program = Program(terms, leaves)
-
-    @property
-    def operations(self) -> int:
-        """How many operations an evaluation takes."""
-        return self._program.operations
+        self.program = Program(terms, leaves)
 
     def residual(self, point: Sequence[Number]) -> tuple[float, float]:
         """The difference, and the sum of the absolute values of all terms."""
-        residual, size, _ = self._sums(self._program(point))
+        residual, size, _ = self._sums(self.program(point))
         return to_float(residual), to_float(size)
 
     def slope(
@@ -360,10 +324,9 @@ class Comparison:
         residuals = []
         for point in (here, there):
             noise = None if seed is None else np.random.default_rng([_SEED, seed])
-            residuals.append(self._sums(self._program(point, noise, _TOLERANCE))[0])
+            residuals.append(self._sums(self.program(point, noise, _TOLERANCE))[0])
         change = mpf_sub(residuals[1], residuals[0], PRECISION, "n")
-        slope: Number = mpf_div(change, _STEP, PRECISION, "n")
-        return slope
+        return cast(Number, mpf_div(change, _STEP, PRECISION, "n"))
 
     def slope_spread(
         self, here: Sequence[Number], directions: Sequence[Sequence[Number]], exact: float
@@ -428,12 +391,12 @@ class Comparison:
     ) -> tuple[Number, Number, Number] | None:
         """Residual, size of the terms, computed terms; None where they have no value."""
         try:
-            sums = self._sums(self._program(point, noise, size))
+            sums = self._sums(self.program(point, noise, size))
             for each in sums:
                 to_float(each)
+            return sums
         except (NoValueError, OverflowError):
             return None
-        return sums
 
     def _sums(self, terms: Sequence[Number]) -> tuple[Number, Number, Number]:
         residual, size, computed = fzero, fzero, fzero

@@ -16,7 +16,6 @@ from rankone.agreement.comparison import (
     NoValueError,
     Number,
     number,
-    sides,
     total,
 )
 from rankone.frontend.problem import Problem
@@ -27,18 +26,15 @@ from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import quote
 from rankone.symbolic import FirstOrderSystem
 
-# Points at which a problem is compared: over the horizon, the box and plausible states
-_POINTS = 20
+_POINTS = 20  # Points of the horizon, the box and plausible states at which a problem is compared
 _FEWEST_POINTS = 3  # Points for equations of very many operations
 _MOST_OPERATIONS = 12000  # Operations at a hundred digits for all rates: some tenths of a second
 # Shares of the horizon over which states have moved from the start, at their first rate
 _DRIFTS = (0.0, 1e-3, 0.03, 0.3)
-# Relative distances of states from there. Zero states move too, except at still points.
-_NOISE = (1e-9, 1e-5, 0.01, 0.3)
+_NOISE = (1e-9, 1e-5, 0.01, 0.3)  # Relative distances of states from there; zeros move too
 # One point of this many is still: its states are those at the start, apart from the noise
 _STILL_PERIOD = len(_DRIFTS)
-# Largest drift of a state, over its largest initial value: a first rate may be a short peak
-_LARGEST_DRIFT = 10.0
+_LARGEST_DRIFT = 10.0  # Of a state over its largest initial value: a first rate may be a short peak
 _JACOBIANS = 3  # Points at which the Jacobian is compared; each takes four evaluations
 _SLOPE_TOLERANCE = 1e-6  # Derivatives may be off by this share of their terms
 _NEGLIGIBLE_SLOPE = 1e-15  # Derivatives may be off by this share of the change of the states
@@ -46,8 +42,7 @@ _NEGLIGIBLE_SLOPE = 1e-15  # Derivatives may be off by this share of the change 
 _SLOPE_SPREAD_RATIO = 1e5
 # Share of its size by which an error of a rate may move a state over the horizon
 _NEGLIGIBLE_CHANGE = 1e-13
-# Difference of a lifted rate, over the largest rate of the state, that exceeds rounding
-_LIFTED_TOLERANCE = 1e-6
+_LIFTED_TOLERANCE = 1e-6  # Larger differences of a lifted rate, over its largest, are no rounding
 _SEED = 1937
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 
@@ -145,11 +140,13 @@ class _ProblemCheck:
         pairs = zip(problem.equations, problem.residuals, strict=True)
         written = [_written(equation, residual) for equation, residual in pairs]
         self.compared = [Comparison(*both, leaves, computed) for both in written]
-        self.smooth = [_is_smooth(both) for both in written]
+        functions = [{f for side in both for f in side.atoms(sp.Function)} for both in written]
+        # differences are derivatives, unless functions of the user lack the digits
+        self.smooth = [not any(hasattr(f, "_imp_") for f in applied) for applied in functions]
 
     def run(self) -> None:
         """Raise a DisagreementError at the first disagreement."""
-        operations = sum(comparison.operations for comparison in self.compared)
+        operations = sum(len(comparison.program.steps) for comparison in self.compared)
         count = max(min(_POINTS, _MOST_OPERATIONS // max(operations, 1)), _FEWEST_POINTS)
         with np.errstate(all="ignore"):
             self.points = _Points.of(self.system, count)
@@ -310,12 +307,9 @@ def check_outputs(
 def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     """Both sides of an equation, of unknowns and their derivatives alone."""
     nested = any(not isinstance(d.expr, AppliedUndef) for d in equation.atoms(sp.Derivative))
-    return (residual, sp.S.Zero) if nested else sides(equation)
-
-
-def _is_smooth(pair: tuple[sp.Expr, sp.Expr]) -> bool:
-    """Whether differences of its values are derivatives: functions of the user lack the digits."""
-    return not any(hasattr(f, "_imp_") for side in pair for f in side.atoms(sp.Function))
+    if isinstance(equation, sp.Eq) and not nested:
+        return equation.lhs, equation.rhs
+    return residual if nested else equation, sp.S.Zero
 
 
 def _numbers(*blocks: Sequence[float] | Array) -> list[Number]:

@@ -28,17 +28,12 @@ from rankone.ir.forms import Coordinate
 from rankone.support.arrays import Array
 from rankone.support.wording import quote
 
-# Points of an interval, evenly spaced and at Chebyshev points: enough to bracket sign changes
-_SAMPLES = 501
-# Refinements around a sample, each by a factor of about 250: the last spacing is rounding
-_ZOOMS = 6
+_SAMPLES = 501  # Evenly spaced points, and Chebyshev points, that bracket changes of sign
+_ZOOMS = 6  # Refinements around a sample, each by about 250: the last spacing is rounding
 _VANISHES = 1e-13  # Value at a zero, relative to the samples beside it: what rounding leaves
-# Distance from a zero, in widths of the interval, at which the function is evaluated again
-_BESIDE_ZERO = 1e-12
-# Least value over that beside it which tells a flat minimum above zero from a zero
-_FLAT_RATIO = 0.5
-# Cells of several comparisons that are examined; conditions with more stay as they are
-_MOST_CELLS = 1 << 14
+_BESIDE_ZERO = 1e-12  # Distance from a zero, in intervals, at which the function is evaluated again
+_FLAT_RATIO = 0.5  # Least value over that beside it that tells a flat minimum from a zero
+_MOST_CELLS = 1 << 14  # Cells of several comparisons; conditions with more stay as they are
 _SAME_LEVEL = 1e-14  # Relative distance below which two levels are one but for rounding
 _WITH_EQUALITY = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}
 Truth = NDArray[np.bool_]
@@ -303,12 +298,7 @@ class _TooIntricate(Exception):
 class _Comparison:
     """A comparison of an expression with a number: ``subject > level``.
 
-    Attributes
-    ----------
-    subject : Expr
-    level : float
-    sign : int
-        1 if it holds above the level, -1 below it, and 0 for equality and its opposite.
+    The sign is 1 if it holds above the level, -1 below it, and 0 for equality and its opposite.
     """
 
     def __init__(self, comparison: Relational) -> None:

@@ -23,21 +23,15 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import clip, quote, written
 
 _SAFE_DIGITS = 15  # Significant decimal digits that every floating-point number holds
-# Numbers beyond, or below its reciprocal, go back into the exponential they came from
-_EXTREME_RATIO = 1e30
-# Decimal logarithm of the largest scale s in powers (x/s)**n: units rarely differ by more
-_LARGEST_SCALE_DIGITS = 6
-# Units in the last place by which sums of a few decimal numbers miss their decimal result
-_SUM_ERROR_ULPS = 2
-# Logarithm beyond which a function of numbers is not evaluated: floats end near 710
-_LARGEST_LOGARITHM = 1e5
+_EXTREME_RATIO = 1e30  # Numbers beyond it, or its reciprocal, go back into their exponential
+_LARGEST_SCALE_DIGITS = 6  # Decimal digits of the scale s in (x/s)**n: units rarely differ by more
+_SUM_ERROR_ULPS = 2  # Last places by which sums of a few decimal numbers miss their decimal result
+_LARGEST_LOGARITHM = 1e5  # Of a function of numbers that is evaluated: floats end near 710
 _GROWING = (sp.exp, sp.cosh, sp.sinh)
 _FACTORIALS = (sp.gamma, sp.factorial, sp.loggamma)
 _DIGITS = 17  # Decimal digits that tell all floating-point numbers apart
-# From this denominator on a fraction is written as a decimal: nobody reads it as a fraction
-_LARGEST_DENOMINATOR = 10**6
-# Above this an integer is written as a decimal: a floating-point number holds no more digits
-_LARGEST_INTEGER = 10**15
+_LARGEST_DENOMINATOR = 10**6  # Fractions with larger ones become decimals: nobody reads them
+_LARGEST_INTEGER = 10**15  # Larger ones are written as decimals: a float holds no more digits
 _LONGEST_SIDE = 400  # Characters of one side of an equation; longer ones are cut in the middle
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 

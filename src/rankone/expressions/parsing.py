@@ -58,22 +58,17 @@ _LOGIC: dict[type[ast.operator], Callable[[sp.Basic, sp.Basic], sp.Basic]] = {
 }
 _WORD = re.compile(r"[^\W\d]\w*")
 _KEYWORD_SUFFIX = "_as_a_name_"
-# Bits of a power of numbers; far more than any floating-point number needs
-_LARGEST_POWER_BITS = 4096
-# Bits of the power of a number in front of a variable, as in (x/310.15)**125
-_LARGEST_SCALE_BITS = 100_000
-# Largest power of numbers: near the largest floating-point number, with room for a factor
-_LARGEST_NUMBER = 10**300
-# Largest decimal number, and with its reciprocal the smallest: the range of floating point
-_LARGEST_DECIMAL = 10**308
+_LARGEST_POWER_BITS = 4096  # Bits of a power of numbers: far more than any float needs
+_LARGEST_SCALE_BITS = 100_000  # Bits of the power of a number before a variable: (x/310.15)**125
+_LARGEST_NUMBER = 10**300  # Of a power of numbers: near the largest float, with room for a factor
+_LARGEST_DECIMAL = 10**308  # Range of decimal numbers, with its reciprocal: that of floats
 _LARGEST_EXPONENT_DIGITS = 4  # Digits of the exponent of a decimal number; more take SymPy forever
 # Largest denominator of an exponent for which SymPy keeps powers of numbers exact in no time
 _LARGEST_ROOT = 12
 _DEEPEST_NESTING = 24  # Functions inside one another; SymPy takes exponentially long for more
 _LONG_FORMULA = 1000  # Characters from which on a formula is parsed in pieces
 _TERMS_PER_PIECE = 50  # Terms of one piece: Python's parser recurses as deep as a sum is long
-# Terms inside parentheses that Python's parser takes in any case; named in the message
-_SAFE_INNER_TERMS = 500
+_SAFE_INNER_TERMS = 500  # Terms inside parentheses that Python's parser takes in any case
 _LARGEST_GAMMA_ARGUMENT = 172  # Beyond it the gamma function exceeds all floating-point numbers
 _MOST_ARGUMENTS = 20  # Arguments of a maximum; SymPy compares all pairs of them
 
@@ -96,8 +91,9 @@ def parse_expression(
     """
     translator = _Translator(text, names, where, equation, further or {})
     try:
-        pieces = _pieces(_protect_keywords(" ".join(text.split())))
-        terms = [translator.translated(piece) for piece in pieces]
+        one_line = " ".join(text.split())  # with lambda and other keywords as ordinary names
+        names_only = _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), one_line)
+        terms = [translator.translated(piece) for piece in _pieces(names_only)]
     except (RecursionError, MemoryError):
         raise translator.error(
             f"functions, powers or parentheses are nested too deep, or parentheses hold a sum of "
@@ -134,11 +130,6 @@ def _depth(expression: sp.Basic) -> int:
     """How deep functions are nested in an expression."""
     deepest = max(map(_depth, expression.args), default=0)
     return deepest + (1 if isinstance(expression, sp.Function) else 0)
-
-
-def _protect_keywords(text: str) -> str:
-    """Turn ``lambda`` and other keywords into ordinary names."""
-    return _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), text)
 
 
 @dataclass
@@ -265,7 +256,11 @@ class _Translator(ast.NodeVisitor):
             return self.generic_visit(node)
         name = node.func.id.removesuffix(_KEYWORD_SUFFIX)
         if name in self.names:
-            return self._applied(name, [self.visit(argument) for argument in node.args])
+            arguments = [self.visit(argument) for argument in node.args]
+            if not arguments or list(self.names[name].args) != arguments:
+                message = f"{_call(name, arguments)} is not understood"
+                raise self.error(message, f"write {name} alone")
+            return self.names[name]
         if name == "Piecewise":
             return self._piecewise(node.args)
         if name in self.further:
@@ -338,13 +333,6 @@ class _Translator(ast.NodeVisitor):
             f"{quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ''))} is no condition",
             "write for example (t > 1) & (t < 2), or 1 < t < 2",
         )
-
-    def _applied(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
-        """Accept ``x(t)`` for the unknown ``x``."""
-        unknown = self.names[name]
-        if not arguments or list(unknown.args) != arguments:
-            raise self.error(f"{_call(name, arguments)} is not understood", f"write {name} alone")
-        return unknown
 
 
 def _call(name: str, arguments: list[sp.Expr]) -> str:

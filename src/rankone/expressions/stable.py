@@ -23,82 +23,70 @@ _HIGH_POWER = 8  # From this power on a quotient of powers is written as the pow
 _MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compared with the numerator
 _DIGITS = 20  # Decimal digits of computed numbers: a few more than floating point holds
 _LARGEST_INTEGER = 10**_DIGITS
-# Relative difference of coefficients that are one number but for rounding
-_SAME_RATIO = sp.Rational(1, 10**15)
+_SAME_RATIO = sp.Rational(1, 10**15)  # Coefficients this close are one number but for rounding
 
 
 class _Real(sp.Function):  # type: ignore[misc]
     """A function of real numbers that SymPy lacks, or evaluates too eagerly."""
 
     is_real = True
+    slopes: tuple[Callable[..., sp.Expr], ...]
+    """The derivatives with respect to the arguments."""
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        return self.slopes[argindex - 1](*self.args)
 
 
 class expit(_Real):
-    """The logistic function 1/(1 + exp(-z))."""
+    """The logistic function 1/(1 + exp(-z)); in its slope expit*(1 - expit) would cancel."""
 
     nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative without a difference: expit*(1 - expit) cancels."""
-        return self * expit(-self.args[0])
+    slopes = (lambda z: expit(z) * expit(-z),)
 
 
 class expm1(_Real):
     """exp(z) - 1; SymPy evaluates its own for some arguments."""
 
     nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        return sp.exp(self.args[0])
+    slopes = (sp.exp,)
 
 
 class log1p(_Real):
     """log(1 + z)."""
 
     nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        return 1 / (1 + self.args[0])
+    slopes = (lambda z: 1 / (1 + z),)
 
 
 class cosm1(_Real):
     """cos(z) - 1."""
 
     nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        return -sp.sin(self.args[0])
+    slopes = (lambda z: -sp.sin(z),)
 
 
 class logaddexp(_Real):
     """log(exp(a) + exp(b))."""
 
     nargs = 2
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        a, b = self.args
-        return expit(a - b if argindex == 1 else b - a)
+    slopes = (lambda a, b: expit(a - b), lambda a, b: expit(b - a))
 
 
 class scaled_power(_Real):
-    """A power whose base keeps its number: SymPy takes that out of ``(x/310.15)**125``."""
+    """A power whose base keeps its number: SymPy takes that out of ``(x/310.15)**125``.
+
+    Exponents are numbers.
+    """
 
     nargs = 2
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The derivative with respect to the base; exponents are numbers."""
-        base, exponent = self.args
-        return exponent * scaled_power(base, exponent - 1)
+    slopes = (lambda base, exponent: exponent * scaled_power(base, exponent - 1),)
 
 
 class fraction(_Real):
     """a/(a + b), whose derivatives have one term each: the quotient rule cancels."""
 
     nargs = 2
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        a, b = self.args
-        return (b if argindex == 1 else -a) / (a + b) ** 2
+    slopes = (lambda a, b: b / (a + b) ** 2, lambda a, b: -a / (a + b) ** 2)
 
 
 NUMPY: dict[str, Callable[..., object]] = {
@@ -151,9 +139,6 @@ class _Rewriting:
         if isinstance(expression, sp.log):
             return _logarithm(expression)
         return expression
-
-
-# -- sums -------------------------------------------------------------------------------------
 
 
 def _complement(function: sp.Expr) -> tuple[sp.Expr | None, sp.Expr | None]:
@@ -209,9 +194,6 @@ def _in_range_sum(total: sp.Expr) -> sp.Expr:
         return total
     scaled = sp.Add(*(_product(term / largest) for term in total.args))
     return sp.Mul(largest, scaled, evaluate=False)
-
-
-# -- products ---------------------------------------------------------------------------------
 
 
 def _power(power: sp.Expr) -> sp.Expr:
@@ -382,9 +364,6 @@ def _rational(number: sp.Expr) -> sp.Expr:
     if number.is_Rational and max(abs(number.p), number.q) <= _LARGEST_INTEGER:
         return number
     return sp.Rational(str(sp.N(number, _DIGITS)))
-
-
-# -- logarithms -------------------------------------------------------------------------------
 
 
 def _logarithm(logarithm: sp.Expr) -> sp.Expr:

@@ -227,17 +227,7 @@ def check_names(
 
 
 class Symbols(NamedTuple):
-    """What the expressions of a problem may name.
-
-    Attributes
-    ----------
-    time : (Symbol, float, float)
-        The symbol of time, the start and the end.
-    parameters : tuple of Symbol
-    unknowns : tuple of Expr
-    states : list of Expr
-        The unknowns and their lower derivatives.
-    """
+    """What the expressions of a problem may name; states are unknowns and lower derivatives."""
 
     time: Time
     parameters: tuple[sp.Symbol, ...]

@@ -193,9 +193,6 @@ def jump_texts(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: str) -> I
         yield f"at {time} = {', '.join(f'{at:g}' for at in times)}: {', '.join(changes)}"
 
 
-# -- impulses ---------------------------------------------------------------------------------
-
-
 def without_impulses(
     rates: Sequence[sp.Expr],
     functions: Sequence[sp.Expr],

@@ -28,14 +28,8 @@ Row = dict[int, sp.Expr]
 class MassForm:
     """Equations linear in the highest derivatives, in the user's order.
 
-    Attributes
-    ----------
-    leading : tuple of Expr
-        The highest derivative of each unknown.
-    rows : tuple of dict
-        For each equation its row of the mass matrix: entries by the position in ``leading``.
-    remainders : tuple of list of Expr
-        For each equation the terms without highest derivatives.
+    ``leading`` has the highest derivative of each unknown. Each equation has a row of the mass
+    matrix, by the position in ``leading``, and a remainder: its terms without those derivatives.
     """
 
     leading: tuple[sp.Expr, ...]

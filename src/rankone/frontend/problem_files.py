@@ -53,17 +53,10 @@ _SHOWN = "`rankone solve --help` shows the layout"
 
 
 def load_problem(path: str | PathLike[str]) -> Problem:
-    """Read a problem from a file.
+    """Read a problem from a ``.toml`` file, or from a ``.py`` file, which is *executed*.
 
-    Parameters
-    ----------
-    path : path-like
-        A ``.py`` file, which is *executed* and leaves a variable ``problem``, or a ``.toml`` file.
-
-    Raises
-    ------
-    ProblemError
-        If there is no such file, it cannot be run or read, or the problem is not well posed.
+    A ProblemError says that there is no such file, that it cannot be run or read, or that the
+    problem is not well posed.
     """
     file = as_path(path, ProblemError)
     if file.suffix not in (".py", ".toml"):
@@ -154,7 +147,10 @@ def _from_toml(file: Path) -> Problem:
     return Problem.from_strings(
         rhs={n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
         initial={n: _formula("initial", n, f) for n, f in _table(content, "initial").items()},
-        parameters={n: _bounds(n, b) for n, b in _table(content, "parameters").items()},
+        parameters={
+            name: ends if isinstance(ends, str) else _pair(f"`{name}` in [parameters]", name, ends)
+            for name, ends in _table(content, "parameters").items()
+        },
         time=_horizon(content["time"]),
         name=content.get("name"),
         jumps=_jumps(content.get("jumps", [])),
@@ -234,11 +230,6 @@ def _horizon(time: object) -> tuple[float, float]:
             remedy="give `start` and `end`, or write time = [start, end]",
         )
     return _pair("what [time] holds", "time", [time["start"], time["end"]])
-
-
-def _bounds(name: str, bounds: object) -> str | tuple[float, float]:
-    """A list of two numbers, or a text that names a distribution."""
-    return bounds if isinstance(bounds, str) else _pair(f"`{name}` in [parameters]", name, bounds)
 
 
 def _pair(subject: str, name: str, bounds: object) -> tuple[float, float]:

@@ -13,8 +13,7 @@ from rankone.support.budget import check_time
 from rankone.support.errors import ProblemError
 from rankone.support.wording import quote
 
-# Functions that are constant between their jumps
-_STEPS = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling)
+_STEPS = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling)  # Constant between their jumps
 _JUMPING = (*_STEPS, sp.Mod, sp.frac, sp.Piecewise)  # Functions that may jump
 # What SymPy leaves in a derivative that it does not know
 _UNEVALUATED = (sp.Derivative, sp.Subs, sp.DiracDelta, sp.Integral, sp.Sum)
@@ -41,25 +40,14 @@ def slope(expression: sp.Expr, variable: sp.Expr) -> sp.Expr:
 
 
 class Differentiator:
-    """Differentiates expressions with respect to one symbol, each subexpression once.
-
-    Parameters
-    ----------
-    symbol : Symbol
-    """
+    """Differentiates expressions with respect to one symbol, each subexpression once."""
 
     def __init__(self, symbol: sp.Symbol) -> None:
         self.symbol = symbol
         self._derivatives: dict[sp.Expr, sp.Expr] = {symbol: sp.S.One}
 
     def __call__(self, expression: sp.Expr) -> sp.Expr:
-        """The derivative.
-
-        Raises
-        ------
-        ProblemError
-            If it is not known for some function.
-        """
+        """The derivative; a ProblemError if it is not known for some function."""
         if self.symbol not in expression.free_symbols:
             return sp.S.Zero
         if expression not in self._derivatives:
@@ -80,11 +68,18 @@ class Differentiator:
                 )
             )
         if expression.is_Pow:
-            return self._power(expression.base, expression.exp, expression)
+            base, exponent = expression.base, expression.exp
+            slope = exponent * base ** (exponent - 1) * self(base)
+            if self.symbol in exponent.free_symbols:
+                slope += expression * sp.log(base) * self(exponent)
+            return slope
         if isinstance(expression, sp.Piecewise):
             return sp.Piecewise(*((self(branch), condition) for branch, condition in args))
         if isinstance(expression, sp.Max | sp.Min):
-            return self._extreme(expression)
+            first, *further = sorted(args, key=sp.default_sort_key)
+            second = expression.func(*further)
+            is_first = first >= second if isinstance(expression, sp.Max) else first <= second
+            return sp.Piecewise((self(first), is_first), (self(second), True))
         if isinstance(expression, _STEPS):
             return sp.S.Zero
         if isinstance(expression, sp.Abs):
@@ -96,19 +91,6 @@ class Differentiator:
         if isinstance(expression, sp.tanh):  # 1 - tanh**2 cancels
             return self(args[0]) / sp.cosh(args[0]) ** 2
         return self._function(expression)
-
-    def _power(self, base: sp.Expr, exponent: sp.Expr, whole: sp.Expr) -> sp.Expr:
-        slope = exponent * base ** (exponent - 1) * self(base)
-        if self.symbol in exponent.free_symbols:
-            slope += whole * sp.log(base) * self(exponent)
-        return slope
-
-    def _extreme(self, expression: sp.Expr) -> sp.Expr:
-        """The derivative of the argument that is the largest or smallest."""
-        first, *further = sorted(expression.args, key=sp.default_sort_key)
-        second = expression.func(*further)
-        is_first = first >= second if isinstance(expression, sp.Max) else first <= second
-        return sp.Piecewise((self(first), is_first), (self(second), True))
 
     def _function(self, expression: sp.Expr) -> sp.Expr:
         """The chain rule."""

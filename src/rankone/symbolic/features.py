@@ -42,8 +42,7 @@ from rankone.symbolic.surfaces import (
     steps,
 )
 
-# Degree of polynomials whose roots SymPy isolates exactly; above it this takes seconds
-_MAX_DEGREE = 12
+_MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds
 _COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds
 _SAMPLES = 4096  # Samples of a boundary equation that is not solved
 _MAX_LEVELS = 1000  # Levels of a ``floor`` of a nonlinear function that are solved for
@@ -57,13 +56,8 @@ _HUGE = 1e300  # Stands for infinite function values, so that their differences 
 class Cuts:
     """Points of one coordinate at which known functions of it are not smooth.
 
-    Attributes
-    ----------
-    points : set of float
-        Those that do not repeat, on the whole real line; outside of the interval of the coordinate
-        perhaps not all.
-    periodic : set of (float, float)
-        A point and a period for those that do.
+    ``points`` do not repeat; outside of the interval of the coordinate perhaps some are missing.
+    ``periodic`` has a point and a period for those that do.
     """
 
     points: set[float] = field(default_factory=set)
@@ -83,13 +77,7 @@ class Cuts:
 class SymbolicFeatures:
     """Where expressions of a system are not smooth; see :class:`rankone.ir.features.Features`.
 
-    Attributes
-    ----------
-    cuts : tuple of Cuts
-        For each coordinate.
-    moving_cuts, parameter_surfaces : tuple of Expr
-    peaks, kinks, steps : tuple of Expr
-        The surfaces over the states.
+    There are cuts for each coordinate; peaks, kinks and steps are the surfaces over the states.
     """
 
     cuts: tuple[Cuts, ...]
@@ -110,14 +98,8 @@ def features_of(
 ) -> SymbolicFeatures:
     """All features of a system: the one place that derives them.
 
-    Parameters
-    ----------
-    coordinates : sequence of Coordinate
-        Time, then the parameters.
-    rates : sequence of Expr
-        Right-hand sides that do not separate; none if they do.
-    further : sequence of Expr
-        Initial values, values after jumps, and the factors of a right-hand side that separates.
+    ``rates`` are right-hand sides that do not separate. ``further`` are initial values, values
+    after jumps, and the factors of a right-hand side that separates.
     """
     expressions = [*rates, *further]
     return SymbolicFeatures(
@@ -131,11 +113,7 @@ def features_of(
 def switching_term(system: FirstOrderSystem, state: int | None = None) -> SwitchingTerm | None:
     """Which term switches over the unknowns, and how to smooth it; None if there is none.
 
-    Parameters
-    ----------
-    system : FirstOrderSystem
-    state : int, optional
-        The state whose rate is known to switch; by default the first that may.
+    ``state`` is one whose rate is known to switch; by default the first that may.
     """
     plain = {
         f: sp.Symbol(state.name) for f, state in zip(system.functions, system.states, strict=True)
@@ -243,10 +221,7 @@ def _solve(
 def _roots(equation: sp.Expr, x: sp.Symbol) -> tuple[set[float], set[tuple[float, float]]]:
     """Real zeros of an expression: those that are alone, and first ones with periods.
 
-    Raises
-    ------
-    _Unsolved
-        If it is neither a polynomial nor a polynomial of one function with a known inverse.
+    It is a polynomial, or a polynomial of one function with a known inverse; else _Unsolved.
     """
     if equation.is_Mul:
         pairs = [_roots(factor, x) for factor in equation.args if factor.has(x)]

@@ -23,8 +23,7 @@ from rankone.support.wording import count
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.splitting import Indivisible, Splitter
 
-# Unknowns that may be added; a right-hand side that needs more gains nothing from lifting
-_MOST_UNKNOWNS = 60
+_MOST_UNKNOWNS = 60  # Unknowns that may be added: a system with more gains nothing from lifting
 # Roots up to this are lifted as powers of one, z = b**(-1/q) with z' = -z**(q + 1) b'/q: the degree
 # of z' grows with q
 _MOST_ROOT = 3
@@ -40,16 +39,10 @@ class NotLiftable(Exception):
 
 @dataclass(frozen=True)
 class Lifting:
-    """A system with further unknowns, and what they stand for.
+    """A system with further unknowns, after the original ones, and what they stand for.
 
-    Attributes
-    ----------
-    system : FirstOrderSystem
-        The original states, then the lifted ones.
-    meanings : tuple of Expr
-        Each lifted state as an expression of the original states.
-    invariants : tuple of Expr
-        Expressions of all states that vanish along every trajectory.
+    Meanings are expressions of the original states. Invariants are expressions of all states that
+    vanish along every trajectory.
     """
 
     system: FirstOrderSystem
@@ -154,8 +147,6 @@ class _Lifter:
                 if function and type(node).__name__ not in liftable and not self._separates(node):
                     raise NotLiftable(node)
 
-    # -- polynomials of states ---------------------------------------------------------------
-
     def polynomial(self, expression: sp.Expr) -> sp.Expr:
         """The same as a polynomial of states, lifted ones included."""
         check_time()
@@ -251,8 +242,6 @@ class _Lifter:
             self.states.add(state)
             self.waiting.append(lambda: rate(state))
         return self.lifted[meaning]
-
-    # -- what is lifted, and how -------------------------------------------------------------
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> sp.Expr:
         if self._varies(exponent) or self.time in exponent.free_symbols:

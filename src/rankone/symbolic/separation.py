@@ -65,10 +65,7 @@ def symbolic_forms(
 ) -> tuple[FirstOrderSystem, WeakForm, SeparatedForm]:
     """Every symbolic pass over a problem, checked and timed.
 
-    Raises
-    ------
-    ProblemError
-        If something is not finite and real on the domain, or has no branch somewhere.
+    A ProblemError says what is not finite and real on the domain, or has no branch somewhere.
     """
     with timed(timings, "first order"):
         system = first_order(problem)
@@ -115,8 +112,6 @@ class _Separation:
             general=tuple(self.general),
             jumps=self.weak.jumps,
         )
-
-    # -- splitting --------------------------------------------------------------------------
 
     def _split(self, state: int, expression: sp.Expr, *, initial: bool) -> MonomialSum:
         """Split one residual or initial value; keep and explain what cannot be split."""
@@ -187,8 +182,6 @@ class _Separation:
             )
         remedy = f"{_AS_IT_IS} {way_out}"
         return GeneralTerm(state, written, initial, message, remedy, equation)
-
-    # -- factors and terms ------------------------------------------------------------------
 
     def _factors(self, sums: Sequence[MonomialSum]) -> list[list[sp.Expr]]:
         """For each dimension its distinct factors: one, then the others in SymPy's order."""

@@ -85,29 +85,18 @@ _ADDITION = {
     sp.sinh: ((sp.sinh, sp.cosh, 1), (sp.cosh, sp.sinh, 1)),
     sp.cosh: ((sp.cosh, sp.cosh, 1), (sp.sinh, sp.sinh, 1)),
 }
-# Exponents above this are counted from their largest value, so that no factor overflows
-_LARGE_EXPONENT = 30
-# Powers up to which SymPy factors a sum in no time; it takes minutes for higher ones
-_MOST_FACTORED_POWER = 20
+_LARGE_EXPONENT = 30  # Larger ones are counted from their largest value: no factor overflows
+_MOST_FACTORED_POWER = 20  # SymPy factors sums of such powers in no time, of higher ones in minutes
 # Numbers up to this, and down to its reciprocal, are pulled out of factors
 _ORDINARY_RATIO = sp.Integer(10) ** 30
-# Products that two multiplied sums may come to: each takes some milliseconds to compile
-_MOST_TERMS = 1500
+_MOST_TERMS = 1500  # Products from two multiplied sums: each takes some milliseconds to compile
 _MOST_MULTIPLIED_POWER = 64  # Highest power of a mixed expression that is multiplied out
 
 Reason = Literal["couples", "not polynomial", "not real", "out of range", "too many terms"]
 
 
 class Indivisible(Exception):
-    """An expression cannot be split.
-
-    Attributes
-    ----------
-    expression : Expr
-        The smallest expression that cannot be split.
-    reason : Reason
-        Why: it couples coordinates, for example, or a root leaves the real numbers.
-    """
+    """An expression cannot be split: the smallest one that cannot, and why."""
 
     def __init__(self, expression: sp.Expr, reason: Reason) -> None:
         super().__init__(expression, reason)
@@ -120,15 +109,9 @@ class _TooManyTerms(Exception):
 
 
 class Splitter:
-    """Splits expressions over given coordinates and states.
+    """Splits expressions over coordinates and states, for which plain symbols stand.
 
-    Parameters
-    ----------
-    coordinates : sequence of Coordinate
-        The dimensions, in the order of ``Monomial.factors``. The intervals decide the signs
-        under roots: sqrt(k*m) is sqrt(k)*sqrt(m) for positive k and m.
-    states : sequence of Symbol
-        Plain symbols that stand for the states.
+    Intervals decide the signs under roots: sqrt(k*m) is sqrt(k)*sqrt(m) for positive k and m.
     """
 
     def __init__(self, coordinates: Sequence[Coordinate], states: Sequence[sp.Symbol]) -> None:
@@ -169,8 +152,6 @@ class Splitter:
         if expression.is_Pow:
             return self._split_power(expression)
         return self._split_function(expression)
-
-    # -- sums and products ------------------------------------------------------------------
 
     def _split_product(self, expression: sp.Expr) -> MonomialSum:
         """Multiply out, after collecting what depends on the same coordinate alone."""
@@ -216,8 +197,6 @@ class Splitter:
             self._times[f, g] = self._normalise(f * g)
         return self._times[f, g]
 
-    # -- factors ----------------------------------------------------------------------------
-
     def _only_dimension(self, symbols: set[sp.Symbol]) -> int | None:
         """Return the dimension if there is exactly one coordinate and no state."""
         if len(symbols) != 1:
@@ -255,8 +234,6 @@ class Splitter:
                 (coefficient, sp.Mul(*factors)) if is_ordinary else (sp.S.One, expression)
             )
         return self._normal[expression]
-
-    # -- powers -----------------------------------------------------------------------------
 
     def _split_power(self, expression: sp.Expr) -> MonomialSum:
         base, exponent = expression.as_base_exp()
@@ -338,8 +315,6 @@ class Splitter:
         if not coefficient > 0:
             raise Indivisible(whole, "not real")
         return coefficient, Monomial(tuple(factors), ())
-
-    # -- functions --------------------------------------------------------------------------
 
     def _split_function(self, expression: sp.Expr) -> MonomialSum:
         if not expression.free_symbols.isdisjoint(self._state) and not expression.is_Piecewise:

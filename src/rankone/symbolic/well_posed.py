@@ -34,18 +34,13 @@ from rankone.symbolic.first_order import FirstOrderSystem
 
 NamedExpression: TypeAlias = "tuple[str, int | None, sp.Expr]"
 """What an expression is, the user's equation it comes from, and the expression."""
-# Gaps narrower than this, relative to the ends of the interval, are rounding errors
-_ROUNDING = 1e-12
-# Cells between the boundaries of several coordinates that are checked: a few megabytes
-_MAX_CELLS = 1 << 18
+_ROUNDING = 1e-12  # Narrower gaps, relative to the ends of the interval, are rounding errors
+_MAX_CELLS = 1 << 18  # Cells between boundaries of several coordinates: a few megabytes
 _MAX_REPEATS = 1 << 14  # Boundaries of one period inside an interval that are checked
 _GAP_SAMPLES = 4096  # Points of the box at which conditions that couple coordinates are checked
-# Halvings of the lines between such points: enough to come within rounding of a boundary
-_BISECTIONS = 40
-# Points of an interval at which the argument of a table is compared with the table's ends
-_TABLE_SAMPLES = 257
-# Corners of the box at which the start is evaluated: all of them up to six parameters
-_MOST_CORNERS = 64
+_BISECTIONS = 40  # Halvings of lines between such points, to within rounding of a boundary
+_TABLE_SAMPLES = 257  # Points at which the argument of a table is compared with the table's ends
+_MOST_CORNERS = 64  # Corners at which the start is evaluated: all of them up to six parameters
 _RANDOM_STARTS = 64  # Random points of the box at which the start is evaluated
 _SEED = 20140
 
@@ -106,7 +101,13 @@ def check_start(
     Trajectories start at the centre of the box, its corners and random points.
     """
     clock, *parameters = coordinates
-    p = _starts(parameters)
+    generator = np.random.default_rng(_SEED)
+    at_corners = corners(len(parameters), _MOST_CORNERS, generator)
+    inside = generator.random((_RANDOM_STARTS, len(parameters)))
+    unit = np.concatenate([np.full((1, len(parameters)), 0.5), inside, at_corners])
+    lower = np.array([c.lower for c in parameters])
+    upper = np.array([c.upper for c in parameters])
+    p = np.asarray((lower + (upper - lower) * unit).T)
     with np.errstate(all="ignore"):
         u = system.initial(p)
         f = system.rhs(clock.lower, u, p)
@@ -133,17 +134,6 @@ def check_start(
                 term=first_order.rhs[i],
                 remedy="change the box, the initial values or the equation",
             )
-
-
-def _starts(parameters: Sequence[Coordinate]) -> Array:
-    """Centre, random points and corners of the box, (d, m)."""
-    d = len(parameters)
-    generator = np.random.default_rng(_SEED)
-    at_corners = corners(d, _MOST_CORNERS, generator)
-    unit = np.concatenate([np.full((1, d), 0.5), generator.random((_RANDOM_STARTS, d)), at_corners])
-    lower = np.array([c.lower for c in parameters])
-    upper = np.array([c.upper for c in parameters])
-    return np.asarray((lower + (upper - lower) * unit).T)
 
 
 def _listed(named: Sequence[Coordinate | State], point: Array) -> str:
@@ -199,18 +189,9 @@ def check_moved(
 
 @dataclass(frozen=True)
 class Gap:
-    """A gap that depends on the unknowns.
+    """A gap that depends on the unknowns: what has it, and the user's equation it comes from.
 
-    Attributes
-    ----------
-    name : str
-        What has the gap.
-    equation : int or None
-        The user's equation that it comes from.
-    function : Expr
-        The piecewise function.
-    region : Basic
-        The condition under which it has no branch.
+    The piecewise function has no branch where the condition ``region`` holds.
     """
 
     name: str
@@ -239,7 +220,9 @@ def check_gaps(
         for function, region in gaps(expression):
             if region.atoms(AppliedUndef) or not region.free_symbols <= symbols:
                 continue
-            place = _place(region, coordinates)
+            involved = [c for c in coordinates if c.symbol in region.free_symbols]
+            couples = any(len(r.free_symbols) != 1 for r in region.atoms(Relational))
+            place = (_point_inside if couples else _cell_inside)(region, involved)
             if place is not None:
                 raise ProblemError(
                     f"{quote(function)} in {name} has no branch {place}",
@@ -258,14 +241,6 @@ def gaps_in_unknowns(expressions: Iterable[NamedExpression]) -> list[Gap]:
         if region.atoms(AppliedUndef)
     }
     return list(distinct.values())
-
-
-def _place(region: sp.Basic, coordinates: Sequence[Coordinate]) -> str | None:
-    """Where in the domain a region of time and parameters lies, as text; None if outside."""
-    involved = [c for c in coordinates if c.symbol in region.free_symbols]
-    if all(len(relation.free_symbols) == 1 for relation in region.atoms(Relational)):
-        return _cell_inside(region, involved)
-    return _point_inside(region, involved)
 
 
 def _cell_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | None:
