@@ -22,8 +22,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from os import PathLike
@@ -309,7 +308,11 @@ class CompiledProblem:
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
         truth = None if form is self else self.system
         began = time.perf_counter()
-        with resolve_progress(progress) as report, _one_blas_thread():
+        # Small products run fastest on one thread, and two busy pools slow each other down
+        with (
+            resolve_progress(progress) as report,
+            _thread_pools().limit(limits=1, user_api="blas"),
+        ):
             outcome, metadata = solve_with(
                 engines, form.system, request, self.metadata(), report, truth
             )
@@ -499,10 +502,3 @@ def solve_problem(
 def _thread_pools() -> ThreadpoolController:
     """The BLAS pools of this process; looking for them takes milliseconds."""
     return ThreadpoolController()
-
-
-@contextmanager
-def _one_blas_thread() -> Iterator[None]:
-    """Small products run fastest on one thread, and two busy pools slow each other down."""
-    with _thread_pools().limit(limits=1, user_api="blas"):
-        yield

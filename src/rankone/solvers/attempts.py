@@ -300,20 +300,16 @@ def _attempts(
         best = attempt if attempt.better_than(best) else best
         met = result.stopped if result.stopped in _LIMITS_OF_THE_SOLVE else None
         done = result.stopped or not before.checked or attempt.error <= rtol
-        if done or _enough(index + 1, options, progress):
+        most = options.max_attempts
+        if most is None and not progress.pays:
+            most = options.usual_attempts
+        if done or (most is not None and index + 1 >= most):
             break
         if not marcher.refine(attempt, progress):
             break
     if best is None:
         best = Attempt(MarchResult(stopped=Status.NO_CONVERGENCE), None)
     return _restated(best, marcher.reference_set, rtol), records, met
-
-
-def _enough(count: int, options: Options, progress: Progress) -> bool:
-    """Whether the attempts reached their number, and further ones do not pay."""
-    if options.max_attempts is not None:
-        return count >= options.max_attempts
-    return count >= options.usual_attempts and not progress.pays
 
 
 def _restated(best: Attempt, reference_set: ReferenceSet, rtol: float) -> Attempt:

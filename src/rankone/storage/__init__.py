@@ -18,11 +18,8 @@ from pathlib import Path
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.storage import netcdf, npz
-from rankone.storage.header import FORMAT, FORMAT_VERSION
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
-
-__all__ = ["FORMAT", "FORMAT_VERSION", "SUFFIXES", "read", "target", "write"]
 
 SUFFIXES = (".npz", netcdf.SUFFIX)
 """Suffixes of saved solutions."""

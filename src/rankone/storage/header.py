@@ -9,7 +9,6 @@ entries they do not know; the version grows when an old reader could misundersta
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -129,7 +128,10 @@ def unpacked(
 ) -> tuple[Outcome, SolutionMetadata]:
     """The solution in the arrays of a file, checked; ``records`` has a class for each method."""
     header = _header(arrays, path)
-    metadata = _metadata(header["metadata"])
+    metadata: SolutionMetadata = rebuilt(SolutionMetadata, header["metadata"])
+    fit = len(metadata.roles) == len(metadata.states)
+    if not fit or [*metadata.unknowns] != header["metadata"]["unknowns"]:
+        raise ValueError("the unknowns do not fit the states")
     if metadata.method not in records:
         raise StorageError(
             f"`{path}` holds a solution by method={metadata.method!r}, which is not known here",
@@ -163,15 +165,6 @@ def _header(arrays: Arrays, path: Path) -> dict[str, Any]:
             remedy="upgrade rankone",
         )
     return header
-
-
-def _metadata(fields: Mapping[str, Any]) -> SolutionMetadata:
-    """What was asked; the unknowns, written for other readers, are those of the roles."""
-    metadata: SolutionMetadata = rebuilt(SolutionMetadata, fields)
-    fit = len(metadata.roles) == len(metadata.states)
-    if not fit or [*metadata.unknowns] != fields["unknowns"]:
-        raise ValueError("the unknowns do not fit the states")
-    return metadata
 
 
 def _outcome(header: Mapping[str, Any], record: type[SlabRecord], arrays: Arrays) -> Outcome:
@@ -229,7 +222,7 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
         ("the horizon", metadata.horizon),
         *((f"the range of {name}", metadata.box[j]) for j, name in enumerate(metadata.parameters)),
     ):
-        if not _ascending(interval):
+        if not -math.inf < interval[0] < interval[1] < math.inf:
             raise ValueError(f"{subject} is {interval}, not two finite ascending numbers")
     _check_slabs(outcome.slabs, metadata)
     end = metadata.horizon[1]
@@ -273,7 +266,7 @@ def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None
     begin, end = metadata.horizon
     near = _near(metadata)
     for i, slab in enumerate(slabs):
-        if not _ascending((slab.start, slab.end)):
+        if not -math.inf < slab.start < slab.end < math.inf:
             raise ValueError(f"slab {i} is ({slab.start}, {slab.end}), which does not ascend")
         before = slabs[i - 1].end if i else begin
         if abs(slab.start - before) > near or slab.end > end + near:
@@ -302,9 +295,3 @@ def _check_error(outcome: Outcome, rtol: float) -> None:
         errors = None if measured is None else measured.interior
         if measured is None or not all(e >= 0.0 for e in errors or ()) or measured.error > rtol:
             raise ValueError(f"the status is CONVERGED, the measured error {errors}, rtol {rtol}")
-
-
-def _ascending(interval: Sequence[float]) -> bool:
-    """Whether the ends are finite and ascend."""
-    ascend = all(a < b for a, b in itertools.pairwise(interval))
-    return ascend and all(map(math.isfinite, interval))

@@ -70,7 +70,9 @@ def read(
         content = place.read_bytes()
         if not (content.startswith(SIGNATURE) and FORMAT.encode() in content):
             raise not_a_solution(place)
-        content = _unsealed(content)
+        content, _, seal = content.rpartition(_SEAL)
+        if seal != hashlib.sha256(content).hexdigest().encode():
+            raise ValueError("it was changed after it was saved, or is not complete")
         h5py = _module("h5py", place)
         try:
             with h5py.File(BytesIO(content), "r") as file:
@@ -82,14 +84,6 @@ def read(
 def sealed(content: bytes) -> bytes:
     """A netCDF file with its SHA-256 behind it."""
     return content + _SEAL + hashlib.sha256(content).hexdigest().encode()
-
-
-def _unsealed(content: bytes) -> bytes:
-    """The netCDF file alone, or an error if it is not what was written."""
-    file, _, seal = content.rpartition(_SEAL)
-    if seal != hashlib.sha256(file).hexdigest().encode():
-        raise ValueError("it was changed after it was saved, or is not complete")
-    return file
 
 
 def _module(name: str, path: Path) -> Any:

@@ -128,9 +128,8 @@ def _begin(place: Path, until_moved: ExitStack) -> IO[bytes]:
         if not _lock(stream):
             return stream
         until_moved.callback(os.close, os.dup(stream.fileno()))
-        if Path(
-            stream.name
-        ).exists():  # else another process removed it as abandoned before the lock
+        # Another process may have removed it as abandoned before the lock
+        if Path(stream.name).exists():
             return stream
         stream.close()
 
