@@ -40,13 +40,13 @@ def no_rows(*_: float | VectorLike) -> Array:
 class Features:
     """Where functions of the right-hand side jump, kink or are narrow; empty where nothing does.
 
-    ``cuts`` are for time and each parameter the points at which functions of it alone are not
-    smooth; ``periodic_cuts`` those that repeat: one of them and the period. ``moving_cuts`` are
-    times at which functions of time and parameters p (d, ...) are not smooth.
-    ``parameter_surfaces`` vanish, or are least, at p where functions of several parameters are not
-    smooth; ``state_surfaces`` vanish where the rates are not smooth over the states, at t, u
-    (n, ...) and p. The latter are ``n_peaks`` that vanish in the middle of smooth peaks, then
-    ``n_kinks`` and ``n_steps``. All functions return (count, ...).
+    ``cuts`` has for time and each parameter the points at which functions of it alone are not
+    smooth, ``periodic_cuts`` the points that repeat: one of them and the period. ``moving_cuts``
+    are times at which functions of time and parameters p (d, ...) are not smooth.
+    ``parameter_surfaces`` are functions of p that vanish, or are least, where functions of several
+    parameters are not smooth. ``state_surfaces`` are functions of t, u (n, ...) and p that vanish
+    where the rates are not smooth over the states: first ``n_peaks`` in the middle of smooth peaks,
+    then ``n_kinks`` and ``n_steps``. All return (count, ...).
     """
 
     cuts: tuple[tuple[float, ...], ...]
