@@ -251,16 +251,11 @@ class _ProblemCheck:
         columns: Array,
     ) -> None:
         """Raise if generated values (m,) of an expression are off, leaves (l, m) as in columns."""
-        computed = sp.Dummy()
-        comparison = Comparison(computed, expression, [*leaves, computed], [computed])
-        states = columns[len(self.symbols) :]
-        chosen = _finite(states, generated[None])
-        points = (_numbers(columns[:, k], [generated[k]]) for k in chosen)
-        disagreement = comparison.beyond_rounding(points, self.lost)
-        if disagreement is not None:
+        error = _value_error(expression, leaves, columns, generated, self.lost)
+        if error is not None:
             raise DisagreementError(
                 f"the generated code does not compute {subject} as it is written: it is off by "
-                f"{disagreement[1]:.3g}",
+                f"{error:.3g}",
                 term=expression,
                 remedy=_REMEDY,
             )
@@ -284,24 +279,29 @@ def check_outputs(
     ``expressions`` are the quantities by their names in messages, ``values`` (m,) those of the
     symbols at the points; ``function`` gives the computed quantities from the index of a point.
     """
-    computed = sp.Dummy()
-    leaves = [*values, computed]
-    count = len(next(iter(values.values())))
+    columns = np.array(list(values.values()))
+    count = columns.shape[1]
     outputs = np.array([[float(np.ravel(x)[0]) for x in function(k)] for k in range(count)])
     for i, (name, expression) in enumerate(expressions.items()):
-        columns = [*values.values(), outputs[:, i]]
-        finite = np.flatnonzero(np.isfinite(columns).all(axis=0))
-        points = ([number(column[k]) for column in columns] for k in finite)
-        comparison = Comparison(computed, expression, leaves, [computed])
-        disagreement = comparison.beyond_rounding(points)
-        if disagreement is not None:
+        error = _value_error(expression, [*values], columns, outputs[:, i], LOST_SHARE)
+        if error is not None:
             raise OptionError(
                 f"{name}, {quote(expression)}, is not computed as it is written: it is off by "
-                f"{disagreement[1]:.3g}",
+                f"{error:.3g}",
                 term=expression,
-                remedy="write it in another way, or change the units so that its numbers are "
-                "closer to 1",
+                remedy=_REMEDY,
             )
+
+
+def _value_error(
+    expression: sp.Expr, leaves: Sequence[sp.Expr], columns: Array, generated: Array, lost: float
+) -> float | None:
+    """How far generated values (m,) of an expression are off, at leaves with the columns (l, m)."""
+    computed = sp.Dummy()
+    comparison = Comparison(computed, expression, [*leaves, computed], [computed])
+    points = (_numbers(columns[:, k], [generated[k]]) for k in _finite(columns, generated[None]))
+    disagreement = comparison.beyond_rounding(points, lost)
+    return None if disagreement is None else disagreement[1]
 
 
 def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
