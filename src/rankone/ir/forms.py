@@ -93,12 +93,12 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One separated term of an equation, or of an initial condition, of one state.
+    """One separated term of an equation, or of an initial condition.
 
-    The coefficient is exact if it is rational. ``factors`` are for each dimension the index of its
-    factor; 0 is "one". ``monomial`` has the indices of the states multiplied, ascending, repeated
-    for powers; it is empty for a constant. ``derivative`` is the order of d/dt on it: 1 for the
-    terms u'.
+    ``equation`` is the index of its state. The coefficient is exact if it is rational. ``factors``
+    has for each dimension the index of the factor; 0 is "one". ``monomial`` has the indices of the
+    states multiplied, ascending, repeated for powers; it is empty for a constant. ``derivative`` is
+    the order of d/dt on the monomial: 1 for the terms u', 0 for all others.
     """
 
     equation: int

@@ -103,7 +103,7 @@ class Attempt:
 
 @dataclass
 class Progress:
-    """How the error fell from attempt to attempt; ``stalls`` at the end hardly lowered it."""
+    """How the error fell from attempt to attempt; the last ``stalls`` of them hardly lowered it."""
 
     stalls: int = 0
     _recent: tuple[bool, ...] = ()
