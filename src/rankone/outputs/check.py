@@ -17,34 +17,21 @@ from rankone.support.arrays import Array, corners, spread
 from rankone.tensors.slab import SlabTrain, slab_positions
 from rankone.verification.search import Climb, bisected, climbed
 
-__all__ = ["Check", "CheckPoints", "critical_points", "split", "spread_over"]
-
-_ROUNDING = 1e-13
-"""A quantity that is so small, relative to its operands, is zero but for rounding."""
-_INTERIOR_POINTS = 96
-"""Points of the interior where an error is measured, as for solutions."""
-_MAX_CORNERS = 32
-"""Corners where an error is measured: all of five parameters."""
-_SCOUTS = 512
-"""Points where a search begins."""
-_CLIMBERS = 16
-"""Best of them that go on."""
+_ROUNDING = 1e-13  # A quantity that is so small, relative to its operands, is zero but for rounding
+_INTERIOR_POINTS = 96  # Points of the interior where an error is measured, as for solutions
+_MAX_CORNERS = 32  # Corners where an error is measured: all of five parameters
+_SCOUTS = 512  # Points where a search begins
+_CLIMBERS = 16  # Best of them that go on
+# The way to where extremes, durations or crossings are nearest to a change
 _TO_CHANGES = Climb(rounds=24, tries=5, first_step=0.25, shrinkage=0.8)
-"""The way to where extremes, durations or crossings are nearest to a change."""
-_TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)
-"""The way to larger errors."""
+_TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)  # The way to larger errors
+# Where slabs are split for the check, so that its nodes differ from the nodes of the grid
 _SPLIT_RATIO = 0.55
-"""Where slabs are split for the check, so that its nodes differ from the nodes of the grid."""
-_MAX_BREAKS = 32
-"""Most breaks of a parameter, and most points on a ridge, that are looked at."""
-_BREAK_DISTANCE = 1e-6
-"""Distance of points beside a break, in widths of the interval."""
-_HALVINGS = 60
-"""Bisections of a segment across a ridge: to the last digit."""
-_SPREAD_SEED = 20145
-"""Seed of evenly spread points."""
-_CORNER_SEED = 20146
-"""Seed of the choice of corners."""
+_MAX_BREAKS = 32  # Most breaks of a parameter, and most points on a ridge, that are looked at
+_BREAK_DISTANCE = 1e-6  # Distance of points beside a break, in widths of the interval
+_HALVINGS = 60  # Bisections of a segment across a ridge: to the last digit
+_SPREAD_SEED = 20145  # Seed of evenly spread points
+_CORNER_SEED = 20146  # Seed of the choice of corners
 
 
 @dataclass(frozen=True)

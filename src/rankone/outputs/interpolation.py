@@ -53,42 +53,28 @@ from rankone.tensors.adaptive import (
 from rankone.tensors.cross import GrowingBasis
 from rankone.tensors.slab import SlabTrain, slab_trains
 
-__all__ = ["samples_of", "with_outputs"]
-
 _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
 _OF_INTERPOLATION = Remedy(
     "raise effort, loosen rtol or restrict the solution; what jumps or kinks as parameters change "
     "is hardly resolved"
 )
 
+# Error aimed at by the interpolation, relative to the tolerance: the solution's error adds up
 _AIMED_SHARE = 0.1
-"""Error aimed at by the interpolation, relative to the tolerance: the solution's error adds up."""
-_DEFAULT_MARGIN = 1.5
-"""Default tolerance over the effect of errors of the solution's tolerance."""
-_LARGEST_DEFAULT = 0.1
-"""Largest default tolerance."""
-_BASIS_SHARE = 0.1
-"""Error of the basis of the columns, relative to the error aimed at."""
+_DEFAULT_MARGIN = 1.5  # Default tolerance over the effect of errors of the solution's tolerance
+_LARGEST_DEFAULT = 0.1  # Largest default tolerance
+_BASIS_SHARE = 0.1  # Error of the basis of the columns, relative to the error aimed at
+# Tolerances are tightened only when no nodes are added: attempts are cheap
 _TIGHTENING = Tightening(settled_growth=1.0, power=1.0, smallest=0.05, largest=0.5)
-"""Tolerances are tightened only when no nodes are added: attempts are cheap."""
-_MAX_ATTEMPTS = 8
-"""Most interpolations: errors that do not fall by then belong to jumps."""
-_TRAIN_SHARE = 0.7
-"""Share of the remaining budget for the interpolation."""
-_TIME_PROBES = 12
-"""Points whose functions of time are resolved, besides the corners."""
-_MAX_GRIDS = 4
-"""Most grids in time, each with further points to resolve."""
-_ROUGHEST_POINTS = 8
-"""Points that each grid has to resolve besides those before it."""
-_ROUGH_RATIO = 3.0
-"""Highest modes in time, over the error aimed at, that a grid may leave."""
-_MAX_SLABS = 500
-"""Most slabs of a grid; more if the solution has more than half as many."""
-_SAMPLE_COUNT = 20
-"""Points at which quantities are tried before any work."""
-_SAMPLE_SEED = 1795
-"""Seed of these points."""
+_MAX_ATTEMPTS = 8  # Most interpolations: errors that do not fall by then belong to jumps
+_TRAIN_SHARE = 0.7  # Share of the remaining budget for the interpolation
+_TIME_PROBES = 12  # Points whose functions of time are resolved, besides the corners
+_MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
+_ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those before it
+_ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
+_MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
+_SAMPLE_COUNT = 20  # Points at which quantities are tried before any work
+_SAMPLE_SEED = 1795  # Seed of these points
 
 
 def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:

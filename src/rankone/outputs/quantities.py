@@ -8,8 +8,6 @@ from enum import Enum
 
 from rankone.support.arrays import Array
 
-__all__ = ["Kind", "Quantities", "Reduction", "Source"]
-
 
 class Kind(Enum):
     """How a function of time is reduced."""

@@ -14,26 +14,18 @@ from rankone.support.costs import CALL
 from rankone.support.errors import EvaluationError
 from rankone.tensors.slab import SlabTrain, slab_positions
 
-__all__ = ["Sampler"]
-
-_CHUNK_NUMBERS = 1 << 21
-"""Numbers of the functions of time that are held at once: 16 MB."""
-_MAX_MIDDLES = 4
-"""Narrow features looked at on each trajectory."""
+_CHUNK_NUMBERS = 1 << 21  # Numbers of the functions of time that are held at once: 16 MB
+_MAX_MIDDLES = 4  # Narrow features looked at on each trajectory
+# Operations of evaluating functions of the sources, for each number of a function of time
 _FUNCTION_COST = 20.0
-"""Operations of evaluating functions of the sources, for each number of a function of time."""
-_RANK_COST = 0.2
-"""Operations of evaluating a source, for each number and rank."""
-_INTEGRAL_COST = 15.0
-"""Operations of integrating a function of time, for each number."""
-_SEARCH_COST = 200.0
-"""Operations of looking for extremes or zeros, for each number."""
+_RANK_COST = 0.2  # Operations of evaluating a source, for each number and rank
+_INTEGRAL_COST = 15.0  # Operations of integrating a function of time, for each number
+_SEARCH_COST = 200.0  # Operations of looking for extremes or zeros, for each number
+# Reductions that change abruptly where extremes or zeros come and go
 _SEARCHED_KINDS = (Kind.MAXIMUM, Kind.MINIMUM, Kind.CROSSING, Kind.DURATION)
-"""Reductions that change abruptly where extremes or zeros come and go."""
+# Values below this many tolerances of the solution, relative to the largest, have no sign
 _SIGN_RATIO = 10.0
-"""Values below this many tolerances of the solution, relative to the largest, have no sign."""
-_LEAST_SIGNED = 1e-9
-"""The same for tight tolerances: rounding changes signs too."""
+_LEAST_SIGNED = 1e-9  # The same for tight tolerances: rounding changes signs too
 
 
 class Sampler:

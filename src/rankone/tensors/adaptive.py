@@ -19,55 +19,37 @@ from rankone.support.arrays import Array
 from rankone.tensors.cross import Columns, Samples, interpolate, left_points, with_points
 from rankone.tensors.train import Train
 
-__all__ = [
-    "FIRST_LEFT_POINTS",
-    "HIGHEST_MODES_SHARE",
-    "AdaptiveInterpolation",
-    "InterpolationLimits",
-    "KnownElements",
-    "Tightening",
-    "needed",
-]
-
+# Random left points of each bond in the first attempt; a refinement takes half as many again
 FIRST_LEFT_POINTS = 7
-"""Random left points of each bond in the first attempt; a refinement takes half as many again."""
+# Tolerance of row spaces, relative to the level of an attempt: an error there is amplified
 ROW_SPACE_SHARE = 0.1
-"""Tolerance of row spaces, relative to the level of an attempt: an error there is amplified."""
+# Size of the highest modes, relative to the level, above which there are more nodes
 HIGHEST_MODES_SHARE = 0.1
-"""Size of the highest modes, relative to the level, above which there are more nodes."""
-ROUNDING_SHARE = 0.1
-"""Error of rounding the train, relative to the level."""
+ROUNDING_SHARE = 0.1  # Error of rounding the train, relative to the level
+# Distance of the second line of a parameter from the centre, in widths of the other intervals:
+# functions with a symmetry about the centre look different there
 SECOND_LINE_OFFSET = 0.35
-"""Distance of the second line of a parameter from the centre, in widths of the other intervals:
-functions with a symmetry about the centre look different there."""
+# Most lines of a parameter through steep points: each costs as much as the first ones
 MAX_STEEP_LINES = 6
-"""Most lines of a parameter through steep points: each costs as much as the first ones."""
+# Largest tail of the modes on the first lines, relative to the level: elsewhere in the box a
+# function may need more modes
 TAIL_SHARE = 0.015
-"""Largest tail of the modes on the first lines, relative to the level: elsewhere in the box a
-function may need more modes."""
-STEEP_TAIL_SHARE = 0.01
-"""The same where elements are taken: a column is steep at few times only."""
+STEEP_TAIL_SHARE = 0.01  # The same where elements are taken: a column is steep at few times only
+# An element is halved where its error at the borders exceeds this many tolerances of its tail
 BORDER_ERROR_FACTOR = 30.0
-"""An element is halved where its error at the borders exceeds this many tolerances of its tail."""
+# Largest ratio of successive modes used for a prediction: slower decay looks like none
 SLOWEST_DECAY = 0.95
-"""Largest ratio of successive modes used for a prediction: slower decay looks like none."""
-FASTEST_DECAY = 1e-3
-"""Smallest ratio of successive modes used for a prediction."""
-MAX_PREDICTED_RATIO = 3.0
-"""Largest number of nodes predicted, over the nodes it is predicted from."""
-ELEMENT_NODE_RATIO = 5.0
-"""Elements are tried above this ratio of nodes to the nodes of the lines."""
+FASTEST_DECAY = 1e-3  # Smallest ratio of successive modes used for a prediction
+MAX_PREDICTED_RATIO = 3.0  # Largest number of nodes predicted, over the nodes it is predicted from
+ELEMENT_NODE_RATIO = 5.0  # Elements are tried above this ratio of nodes to the nodes of the lines
+# In one parameter elements may have this many times the nodes of a single element that does not
+# suffice. With more parameters steep places move, and elements must have fewer nodes.
 ELEMENT_COST_RATIO = 2.0
-"""In one parameter elements may have this many times the nodes of a single element that does not
-suffice. With more parameters steep places move, and elements must have fewer nodes."""
+# Distance of points beside a border, in widths of the interval: there may be a jump
 BORDER_DISTANCE = 4e-9
-"""Distance of points beside a border, in widths of the interval: there may be a jump."""
-NARROWEST_ELEMENT = 1e-9
-"""Width of the smallest element, relative to the interval: it holds a jump."""
-LEAST_NODES = 3
-"""Fewest nodes of a parameter."""
-SEED = 20140
-"""Seed of the left points and of the side of the second lines."""
+NARROWEST_ELEMENT = 1e-9  # Width of the smallest element, relative to the interval: it holds a jump
+LEAST_NODES = 3  # Fewest nodes of a parameter
+SEED = 20140  # Seed of the left points and of the side of the second lines
 
 
 @dataclass(frozen=True)

@@ -35,16 +35,11 @@ from rankone.support.wording import did_you_mean, listing
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train, block_diagonal
 
-__all__ = ["Axis", "CanonicalForm", "CanonicalForms", "canonical_form"]
-
-_ROUNDING_SHARE = 0.1
-"""Share of the tolerance spent on rounding the train of the horizon."""
+_ROUNDING_SHARE = 0.1  # Share of the tolerance spent on rounding the train of the horizon
+# Normal equations square the condition: below this tolerance they are not worth trying
 _LEAST_SQUARES_LIMIT = 1e-9
-"""Normal equations square the condition: below this tolerance they are not worth trying."""
-_MAX_SWEEPS = 400
-"""Most sweeps of least squares: slower convergence is not worth the time."""
-_MAX_TERM_SWEEPS = 20_000
-"""Most sweeps times terms: a sweep costs in proportion to the terms."""
+_MAX_SWEEPS = 400  # Most sweeps of least squares: slower convergence is not worth the time
+_MAX_TERM_SWEEPS = 20_000  # Most sweeps times terms: a sweep costs in proportion to the terms
 
 
 @dataclass(frozen=True)

@@ -23,40 +23,23 @@ from rankone.support.budget import charge
 from rankone.support.costs import product, qr, svd
 from rankone.tensors.train import Integers, Train, truncated_svd
 
-__all__ = [
-    "Columns",
-    "GrowingBasis",
-    "Nodes",
-    "Samples",
-    "interpolate",
-    "left_points",
-    "with_points",
-]
-
+# Grids up to this many nodes are sampled completely: adapting would save nothing
 _FULL_GRID_NODES = 1600
-"""Grids up to this many nodes are sampled completely: adapting would save nothing."""
-_CORNER_RATIO = 0.45
-"""Corners among the left points, over the random ones."""
+_CORNER_RATIO = 0.45  # Corners among the left points, over the random ones
+# Weight of corners in the error of a row space: an error there alone may be larger
 _CORNER_WEIGHT = 0.5
-"""Weight of corners in the error of a row space: an error there alone may be larger."""
+# The rank of a bond is expected to be at most twice that of the next one plus this
 _EXTRA_RANK = 16
-"""The rank of a bond is expected to be at most twice that of the next one plus this."""
+# Most exchanges of columns of a skeleton; Goreinov et al. report a few per rank.
 _MAX_EXCHANGES = 100
-"""Most exchanges of columns of a skeleton; Goreinov et al. report a few per rank."""
-_VOLUME_GAIN = 1.1
-"""Factor on the volume of a skeleton that is worth an exchange."""
-_EXCHANGE_COST = 3.0
-"""Operations of an exchange for each coefficient."""
-_SEED = 20140
-"""Seed of the random directions of a sweep."""
-_LOOKUP_COST = 250.0
-"""Operations of looking a node up."""
-_COPY_COST = 3.0
-"""Operations of copying a coefficient of a node."""
-_GRAM_RESOLUTION = 1e-6
-"""Singular values, over the largest, that a Gram matrix tells from rounding."""
+_VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
+_EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
+_SEED = 20140  # Seed of the random directions of a sweep
+_LOOKUP_COST = 250.0  # Operations of looking a node up
+_COPY_COST = 3.0  # Operations of copying a coefficient of a node
+_GRAM_RESOLUTION = 1e-6  # Singular values, over the largest, that a Gram matrix tells from rounding
+# Singular values left out of the basis, relative to the tolerance: several errors add up
 _LOST_SHARE = 0.3
-"""Singular values left out of the basis, relative to the tolerance: several errors add up."""
 
 
 Columns = Callable[[Array], Array]

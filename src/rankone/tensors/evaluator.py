@@ -25,16 +25,12 @@ from rankone.discretization import Basis1D, LegendreBasis
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain, sharing
 
-__all__ = ["Rows", "TrainEvaluator"]
-
 Rows = slice | NDArray[np.intp]
 
+# Numbers in the largest product of a chunk (4 MiB): cached, and enough for the matrix product
 _BUFFER = 1 << 19
-"""Numbers in the largest product of a chunk (4 MiB): cached, and enough for the matrix product."""
-_POINTS = 1024
-"""Points taken at once at most."""
-_TIMES = 256
-"""Times taken at once at least, where one product serves many."""
+_POINTS = 1024  # Points taken at once at most
+_TIMES = 256  # Times taken at once at least, where one product serves many
 
 
 def chebyshev_polynomials(xi: Array, count: int) -> Array:

@@ -22,15 +22,11 @@ from rankone.support.costs import product, qr
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Integers, Train
 
-__all__ = ["RankOneSum", "element_trains"]
-
+# Largest rank whose norm in three dimensions or more is found by orthogonalisation: the cost grows
+# with the cube of the rank
 _ORTHOGONALISED_RANK = 120
-"""Largest rank whose norm in three dimensions or more is found by orthogonalisation: the cost grows
-with the cube of the rank."""
-_GRAM_ENTRIES = 4_000_000
-"""Inner products of products formed at once: 32 MB."""
-_CANCELLED = 1e-15
-"""Relative size of rounding in squared norms."""
+_GRAM_ENTRIES = 4_000_000  # Inner products of products formed at once: 32 MB
+_CANCELLED = 1e-15  # Relative size of rounding in squared norms
 
 
 @dataclass(frozen=True)

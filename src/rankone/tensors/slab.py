@@ -20,21 +20,9 @@ from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, product
 from rankone.tensors.train import Train
 
-__all__ = [
-    "SlabTrain",
-    "at_one_time",
-    "differentiated",
-    "fixed",
-    "restricted",
-    "sharing",
-    "slab_positions",
-    "slab_trains",
-]
-
+# Operations of multiplying a core: once, and for each of its entries at a point
 _CORE_COST = Cost(10.0 * CALL, 0.1)
-"""Operations of multiplying a core: once, and for each of its entries at a point."""
-_MODE_COST = 15.0
-"""Operations of evaluating a mode at a point."""
+_MODE_COST = 15.0  # Operations of evaluating a mode at a point
 
 
 @dataclass(frozen=True)

@@ -17,18 +17,16 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import product, qr, svd
 
-__all__ = ["Integers", "Train", "block_diagonal", "independent", "truncated_svd"]
-
 Integers = NDArray[np.int64]
 
+# A matrix with a smaller side is decomposed directly: projecting it first costs more
 _DIRECT_SIDE = 48
-"""A matrix with a smaller side is decomposed directly: projecting it first costs more."""
+# Random directions added to the expected row space, as Halko et al. advise (5 to 10, or more).
 _RANDOM_DIRECTIONS = 12
-"""Random directions added to the expected row space, as Halko et al. advise (5 to 10, or more)."""
+# Rows whose new direction is smaller than this, relative to the largest, are rounding
 _NEGLIGIBLE_ROW = 1e-13
-"""Rows whose new direction is smaller than this, relative to the largest, are rounding."""
+# The same for directions that only widen a frame: they need not be kept to the last digit
 _NEGLIGIBLE_PROBE = 1e-6
-"""The same for directions that only widen a frame: they need not be kept to the last digit."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,91 +6,70 @@ from rankone.tensors.adaptive import Tightening
 
 # Attempts
 
+# Error of the integration, relative to the level of an attempt: the interpolation needs room
 INTEGRATION_SHARE = 0.1
-"""Error of the integration, relative to the level of an attempt: the interpolation needs room."""
+# Size of the highest modes in time, relative to the level, above which slabs are halved
 HIGHEST_TIME_MODES_SHARE = 0.1
-"""Size of the highest modes in time, relative to the level, above which slabs are halved."""
+# What an element may miss of the known functions of its parameter, relative to the level
 KNOWN_FUNCTIONS_SHARE = 0.1
-"""What an element may miss of the known functions of its parameter, relative to the level."""
+# Nodes of one element, over those of the lines, tried for known functions before elements
 KNOWN_NODE_RATIOS = (1.5, 2.5, 4.0)
-"""Nodes of one element, over those of the lines, tried for known functions before elements."""
+# Tightest tolerance of the time grid: dense output of the reference has that much noise
 TIGHTEST_TIME_TOLERANCE = 1e-13
-"""Tightest tolerance of the time grid: dense output of the reference has that much noise."""
-LEAST_NODES = 3
-"""Nodes of a parameter on which a function does not depend."""
+LEAST_NODES = 3  # Nodes of a parameter on which a function does not depend
+# Power below one: there are more nodes and left points as well
 TIGHTENING = Tightening(settled_growth=1.2, power=0.7, smallest=0.1, largest=0.7)
-"""Power below one: there are more nodes and left points as well."""
-MAX_STALLS = 5
-"""Attempts in a row that may stall as long as attempts are cheap."""
-MAX_COSTLY_STALLS = 2
-"""Attempts in a row that may stall afterwards."""
+MAX_STALLS = 5  # Attempts in a row that may stall as long as attempts are cheap
+MAX_COSTLY_STALLS = 2  # Attempts in a row that may stall afterwards
+# Trajectories in all up to which attempts are cheap: seconds for small systems
 CHEAP_TRAJECTORIES = 80_000
-"""Trajectories in all up to which attempts are cheap: seconds for small systems."""
+# Up to so many times the cheap trajectories, tolerances that were never tightened are tightened
+# once, even if the error did not fall
 UNTIGHTENED_RATIO = 3
-"""Up to so many times the cheap trajectories, tolerances that were never tightened are tightened
-once, even if the error did not fall."""
-FAR_ERROR_RATIO = 5.0
-"""An error of so many rtol is far from the goal."""
+FAR_ERROR_RATIO = 5.0  # An error of so many rtol is far from the goal
+# A costly attempt with an error far from the goal must have lowered it to this part
 FAST_ERROR_RATIO = 0.2
-"""A costly attempt with an error far from the goal must have lowered it to this part."""
 
 # Progress
 
-LINES_FRACTION = 0.1
-"""Part of an attempt that the lines take on which nodes are chosen."""
-REPORTED_FRACTION = 0.005
-"""Smallest change of the fraction that is reported."""
+LINES_FRACTION = 0.1  # Part of an attempt that the lines take on which nodes are chosen
+REPORTED_FRACTION = 0.005  # Smallest change of the fraction that is reported
 
 # Trajectories
 
-FIRST_TIGHTNESS = 0.3
-"""First tolerance of the integration over the error allowed."""
+FIRST_TIGHTNESS = 0.3  # First tolerance of the integration over the error allowed
+# Tolerance of stiff integrations over the error allowed: implicit steps are that much better
 STIFF_TIGHTNESS = 1.5
-"""Tolerance of stiff integrations over the error allowed: implicit steps are that much better."""
+# Tightest tolerance of the integration: rounding errors are not far below
 TIGHTEST_TOLERANCE = 1e-13
-"""Tightest tolerance of the integration: rounding errors are not far below."""
+# Absolute tolerance in units of each state's size, over the relative tolerance
 ABSOLUTE_TOLERANCE_RATIO = 1e-5
-"""Absolute tolerance in units of each state's size, over the relative tolerance."""
-CALIBRATION_POINTS = 8
-"""Reference points at which the error of the integration is measured."""
-MAX_CALIBRATIONS = 3
-"""How often the error of the integration is measured."""
+CALIBRATION_POINTS = 8  # Reference points at which the error of the integration is measured
+MAX_CALIBRATIONS = 3  # How often the error of the integration is measured
+# An error that keeps this part with a smaller tolerance is that of the reference
 REFERENCE_ERROR_RATIO = 0.5
-"""An error that keeps this part with a smaller tolerance is that of the reference."""
+# Errors below this part of the error allowed waste work: the tolerance grows
 LEAST_ERROR_RATIO = 0.1
-"""Errors below this part of the error allowed waste work: the tolerance grows."""
-AIMED_ERROR_RATIO = 0.5
-"""Error aimed at when the tolerance is changed, over the error allowed."""
+AIMED_ERROR_RATIO = 0.5  # Error aimed at when the tolerance is changed, over the error allowed
+# Smallest factor on the tolerance from one calibration to the next
 SMALLEST_TIGHTNESS_FACTOR = 1e-3
-"""Smallest factor on the tolerance from one calibration to the next."""
-LARGEST_TIGHTNESS_FACTOR = 4.0
-"""Largest factor on the tolerance from one calibration to the next."""
+LARGEST_TIGHTNESS_FACTOR = 4.0  # Largest factor on the tolerance from one calibration to the next
+# So many explicit steps cost less than the implicit steps that would replace them
 EXPLICIT_STEP_LIMIT = 400
-"""So many explicit steps cost less than the implicit steps that would replace them."""
-MIN_STACK = 32
-"""Fewest trajectories integrated together: calls of NumPy dominate below."""
-MAX_STACK = 1500
-"""Most trajectories integrated together by explicit steps."""
+MIN_STACK = 32  # Fewest trajectories integrated together: calls of NumPy dominate below
+MAX_STACK = 1500  # Most trajectories integrated together by explicit steps
+# Most trajectories integrated together by implicit steps: each has its own Jacobian
 MAX_STIFF_STACK = 300
-"""Most trajectories integrated together by implicit steps: each has its own Jacobian."""
+# Most trajectories integrated together with functions of the user, which may be slow
 MAX_USER_STACK = 64
-"""Most trajectories integrated together with functions of the user, which may be slow."""
-STACK_STATES = 15_000
-"""States of a stack that fits the cache."""
+STACK_STATES = 15_000  # States of a stack that fits the cache
 
 # Explanations of failures
 
-LINE_PLACES = 65
-"""Places on a line through the box where trajectories are compared."""
-ZOOM_PLACES = 9
-"""Places between two neighbours on a line at a closer look."""
-MAX_ZOOMS = 4
-"""Pairs of neighbours on a line that are looked at closer."""
-FRONT_CHANGE = 0.1
-"""Change of a state, in units of its size, that makes a front."""
-KEPT_CHANGE = 0.5
-"""Part of the change that a narrower piece must hold to be looked at instead."""
-FRONT_WIDTH = 0.01
-"""Largest width of a front, relative to the interval."""
-JUMP_WIDTH = 1e-6
-"""Largest width of a jump, relative to the interval."""
+LINE_PLACES = 65  # Places on a line through the box where trajectories are compared
+ZOOM_PLACES = 9  # Places between two neighbours on a line at a closer look
+MAX_ZOOMS = 4  # Pairs of neighbours on a line that are looked at closer
+FRONT_CHANGE = 0.1  # Change of a state, in units of its size, that makes a front
+KEPT_CHANGE = 0.5  # Part of the change that a narrower piece must hold to be looked at instead
+FRONT_WIDTH = 0.01  # Largest width of a front, relative to the interval
+JUMP_WIDTH = 1e-6  # Largest width of a jump, relative to the interval

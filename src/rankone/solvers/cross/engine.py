@@ -31,6 +31,7 @@ from rankone.verification.cuts import Cuts, resolving_pieces
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points, steepest_point
 
+# Failures for which a steep dependence on a parameter may be the reason
 _UNRESOLVED = (
     Status.TOLERANCE,
     Status.RANK_LIMIT,
@@ -39,7 +40,6 @@ _UNRESOLVED = (
     Status.WORK_LIMIT,
     Status.TIME_LIMIT,
 )
-"""Failures for which a steep dependence on a parameter may be the reason."""
 
 
 class Pace:

@@ -11,8 +11,7 @@ from rankone.ir.outcome import SlabRecord
 from rankone.support.errors import OptionError
 from rankone.support.options import Options, checked_number, choice, integer
 
-_MAX_PROCESSES = 1000
-"""More processes than this are a mistake."""
+_MAX_PROCESSES = 1000  # More processes than this are a mistake
 
 
 def _check_executor(name: str, value: object) -> Executor | int:
