@@ -141,7 +141,7 @@ def _without_lifted(
         return outcome
     with unlimited():
         drifted = drift(system, request.domain, outcome.slabs)
-    slabs = tuple(slab.first_states(len(system.unknowns)) for slab in outcome.slabs)
+    slabs = tuple(slab.with_first(slab.cores[0][: len(system.unknowns)]) for slab in outcome.slabs)
     measured = outcome.measured and replace(outcome.measured, drift=drifted)
     outcome = replace(outcome, slabs=slabs, measured=measured)
     if truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:

@@ -65,14 +65,8 @@ class InterpolationLimits:
 class Tightening:
     """When and how far a refinement tightens the tolerances.
 
-    Attributes
-    ----------
-    settled_growth : float
-        Growth of the nodes up to which more of them alone are not expected to suffice.
-    power : float
-        Power of target over error that is the factor on the tolerances.
-    smallest, largest : float
-        Limits of that factor.
+    Nodes that grow by ``settled_growth`` at most are not expected to suffice alone. The factor on
+    the tolerances is a power of target over error, within limits.
     """
 
     settled_growth: float
@@ -81,7 +75,6 @@ class Tightening:
     largest: float
 
     def factor(self, target: float, error: float) -> float:
-        """The factor on the tolerances."""
         factor: float = (target / error) ** self.power
         return min(max(factor, self.smallest), self.largest)
 
@@ -97,25 +90,10 @@ class KnownElements:
 class AdaptiveInterpolation:
     """Cross interpolation of columns, each attempt with more nodes, left points or accuracy.
 
-    Parameters
-    ----------
-    box : sequence of (float, float)
-        The interval of each parameter.
-    limits : InterpolationLimits
-    target : float
-        Error aimed at, in units of the columns.
-    tightening : Tightening
-
-    Attributes
-    ----------
-    share : float
-        Ratio of the tolerances to the first ones.
-    bases : tuple of Basis1D or None
-        Bases of the last attempt or, after a refinement, of the next one.
-    spectra : list of ndarray
-        For each parameter the norms of the modes of the last attempt.
-    steep, doubtful : ndarray (m, d) or None
-        Points through which further lines go, and points near which left points lie.
+    ``target`` is the error aimed at, in units of the columns, and ``share`` the ratio of the
+    tolerances to the first ones. ``bases`` are those of the last attempt or, after a refinement,
+    of the next one; ``spectra`` holds the norms of the modes of the last attempt. Further lines go
+    through the points ``steep`` (m, d); left points lie near the points ``doubtful`` (m, d).
     """
 
     def __init__(
@@ -146,23 +124,11 @@ class AdaptiveInterpolation:
         known_elements: Callable[[int], Sequence[KnownElements]],
         begun: Callable[[int, int, int], None] | None = None,
     ) -> tuple[Train, bool]:
-        """Interpolate columns on the nodes of this attempt.
+        """Interpolate columns on the nodes of this attempt; also whether a rank was cut.
 
-        Parameters
-        ----------
-        columns : callable
-        known_elements : callable
-            Maps the number of nodes of an element to the known facts on each parameter; called in
-            the first attempt.
-        begun : callable, optional
-            See :func:`~rankone.tensors.cross.interpolate`.
-
-        Returns
-        -------
-        train : Train
-            Core 0 holds coefficients of columns (rank, r_1); the others hold modes of the bases.
-        limited : bool
-            Whether a rank was cut.
+        In the first attempt ``known_elements`` maps the number of nodes of an element to the known
+        facts on each parameter. Core 0 of the train holds coefficients of columns (rank, r_1), the
+        others hold modes of the bases.
         """
         bases = self._attempt_bases(columns, known_elements)
         if bases:
@@ -202,8 +168,8 @@ class AdaptiveInterpolation:
     ) -> tuple[Basis1D, ...]:
         """Bases that resolve columns on two lines for each parameter.
 
-        One line goes through the centre of the box, one past it. The modes of a smooth function
-        fall geometrically, which tells how many are needed beyond the ``count`` of the lines.
+        The modes of a smooth function fall geometrically, which tells how many are needed beyond
+        the ``count`` of the lines.
         """
         most = self.limits.max_nodes
         line_bases = [self.limits.basis(lower, upper, count) for lower, upper in self.box]
@@ -224,10 +190,7 @@ class AdaptiveInterpolation:
         return tuple(bases)
 
     def _divided(self, bases: Sequence[Basis1D], lines: Lines, count: int) -> tuple[Basis1D, ...]:
-        """The same bases, but elements where one element of many nodes does no better.
-
-        Elements resolve the columns on further lines through some of the steep points.
-        """
+        """The same bases, but elements where one element of many nodes does no better."""
         divided = list(bases)
         for j, basis in enumerate(bases):
             if basis.elements == 1 and basis.size > ELEMENT_NODE_RATIO * count:
@@ -273,15 +236,7 @@ class AdaptiveInterpolation:
         return sum(b.elements for b in self._finer()) > sum(b.elements for b in self.bases)
 
     def refine(self, error: float, tighten: bool = False) -> None:
-        """Take more left points, more nodes, and tighter tolerances where nodes settle.
-
-        Parameters
-        ----------
-        error : float
-            Error of the last attempt.
-        tighten : bool
-            Whether to tighten the tolerances in any case.
-        """
+        """Take more left points and nodes; tighten the tolerances where nodes settle, or anyway."""
         assert self.bases is not None
         finer, growth = self._finer(), self.tightening.settled_growth
         pairs = zip(finer, self.bases, strict=True)
@@ -356,10 +311,7 @@ def _spectrum(basis: Basis1D, coefficients: Array) -> Array:
 
 
 def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_RATIO) -> int:
-    """Number of modes after which the tail of a spectrum is below a tolerance.
-
-    At most ``max_ratio`` times the modes of the spectrum are predicted.
-    """
+    """Modes after which the tail of a spectrum is small: at most ``max_ratio`` times its size."""
     tails = np.sqrt(np.cumsum(spectrum[::-1] ** 2)[::-1])
     count = spectrum.size
     if tails[-2:].max() <= tolerance:

@@ -21,7 +21,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -44,16 +44,9 @@ _MAX_TERM_SWEEPS = 20_000  # Most sweeps times terms: a sweep costs in proportio
 
 @dataclass(frozen=True)
 class Axis:
-    """Piecewise polynomials on an interval, held by values at Gauss points.
+    """Piecewise polynomials of a coordinate, held by values at Gauss points.
 
-    Attributes
-    ----------
-    name : str
-        Name of the coordinate.
-    breaks : tuple of float
-        Ends of the elements, ascending.
-    degrees : tuple of int
-        Number of Gauss points of each element.
+    ``breaks`` are the ends of the elements, ``degrees`` their numbers of Gauss points.
     """
 
     name: str
@@ -260,19 +253,10 @@ def canonical_form(
     rtol: float = 1e-6,
     max_rank: int = 500,
 ) -> CanonicalForm:
-    """Write one state of consecutive slabs in canonical form.
+    """Write the state in a row of consecutive slabs, whose name is ``label``, in canonical form.
 
-    Tolerance, errors and warnings as in
+    The names are those of time and the parameters. Tolerance, errors and warnings as in
     :meth:`~rankone.interface.solution.Solution.to_canonical`.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Time, then the parameters.
-    row : int
-        Position of the state.
-    label : str
-        Name of the state.
     """
     rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
     max_rank = checked_number("max_rank", max_rank, 1)
@@ -298,9 +282,6 @@ def canonical_form(
     return CanonicalForm(label, amplitudes, factors, axes, relative, rtol)
 
 
-# --- one train over the horizon ----------------------------------------------------------------
-
-
 def _common_axes(slabs: Sequence[SlabTrain], names: Sequence[str]) -> tuple[Axis, ...]:
     """Axes on which every slab is represented exactly."""
     ends = (*(slab.start for slab in slabs), slabs[-1].end)
@@ -320,8 +301,7 @@ def _common_edges(bases: Sequence[Basis1D]) -> Array:
         return np.linspace(bases[0].lower, bases[0].upper, elements + 1)
     lower, upper = bases[0].lower, bases[0].upper
     inside = np.unique(np.concatenate([basis.edges[1:-1] for basis in bases]))
-    # the same break, computed in two ways, differs by round-off
-    rounding = round_off(lower, upper)
+    rounding = round_off(lower, upper)  # between the same break, computed in two ways
     apart = np.diff(inside, prepend=lower) > rounding
     return np.array([lower, *inside[apart & (upper - inside > rounding)], upper])
 
@@ -346,8 +326,7 @@ def _horizon_train(
     trains = [_slab_train(slab, state, axes).right_orthonormal(0.0) for slab in slabs]
     norm = math.hypot(*(float(np.linalg.norm(train.first)) for train in trains))
     levels = 1 + math.ceil(math.log2(len(trains)))
-    # errors on different slabs are orthogonal, those of successive sums are not
-    error = 0.0
+    error = 0.0  # errors on different slabs are orthogonal, those of successive sums are not
     while True:
         share = rtol * norm / levels / math.sqrt(len(trains))
         rounded = [train.truncated(share) for train in trains]
@@ -355,10 +334,9 @@ def _horizon_train(
         error += math.hypot(*(lost for _, lost in rounded))
         if len(trains) == 1:
             return trains[0], norm, error / norm if norm else 0.0
-        trains = [
-            _joined(*pair).right_orthonormal(0.0) if len(pair) == 2 else pair[0]
-            for pair in (trains[i : i + 2] for i in range(0, len(trains), 2))
-        ]
+        pairs = zip(trains[::2], trains[1::2], strict=False)
+        joined = [_joined(*pair).right_orthonormal(0.0) for pair in pairs]
+        trains = [*joined, *trains[2 * len(joined) :]]
 
 
 def _joined(a: Train, b: Train) -> Train:
@@ -371,21 +349,17 @@ def _joined(a: Train, b: Train) -> Train:
     return Train((first.transpose(1, 0, 2), *middle, last))
 
 
-# --- from the train to products ----------------------------------------------------------------
-
-
 def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Array]]:
     """Split a right-orthonormal train into orthogonal products, the largest first.
 
     Each branch holds the modes of the dimensions it has passed and a vector into the next core;
     as the remaining cores have orthonormal rows, its amplitude is its norm.
     """
-    total = float(np.linalg.norm(train.first)) ** 2
+    remainder = total = float(np.linalg.norm(train.first)) ** 2
     ticket = itertools.count()
     heap: list[tuple[float, int, tuple[Array, ...], Array]] = [
         (-math.sqrt(total), next(ticket), (), np.ones(1))
     ]
-    remainder = total
     products: list[tuple[float, tuple[Array, ...]]] = []
     while heap and len(products) < most:
         negative, _, modes, vector = heapq.heappop(heap)
@@ -403,10 +377,8 @@ def _branches(train: Train, tolerance: float, most: int) -> tuple[Array, list[Ar
         for k in range(s.size):
             if s[k] > 0.0:
                 heapq.heappush(heap, (-scale * s[k], next(ticket), (*modes, u[:, k]), vt[k]))
-    amplitudes = np.array([amplitude for amplitude, _ in products])
-    return amplitudes, [
-        np.stack([modes[j] for _, modes in products], axis=1) for j in range(len(train.cores))
-    ]
+    amplitudes, branches = zip(*products, strict=True)
+    return np.array(amplitudes), [np.stack(modes, axis=1) for modes in zip(*branches, strict=True)]
 
 
 def _shortened(
@@ -452,10 +424,7 @@ def _least_squares(
         for j in dimensions:
             spread = np.tensordot(left, train.cores[j], ([0], [0]))
             target = np.einsum("inb,bi->ni", spread, rights[-1 - j])
-            gram = np.ones_like(grams[0])
-            for k in dimensions:
-                if k != j:
-                    gram *= grams[k]
+            gram = reduce(np.multiply, [*grams[:j], *grams[j + 1 :]])
             eigenvalues, vectors = np.linalg.eigh(gram)
             kept = eigenvalues > 1e-14 * eigenvalues[-1]
             inverse = (vectors[:, kept] / eigenvalues[kept]) @ vectors[:, kept].T
@@ -477,8 +446,7 @@ def _least_squares(
 
 def _absorb(core: Array, left: Array, modes: Array) -> Array:
     """For each term contract a core (r, n, s) with columns of (r, R) and (n, R): shape (s, R)."""
-    spread = np.tensordot(left, core, ([0], [0]))
-    return np.asarray(np.einsum("inb,ni->bi", spread, modes))
+    return np.asarray(np.einsum("inb,ni->bi", np.tensordot(left, core, ([0], [0])), modes))
 
 
 def _distance(train: Train, amplitudes: Array, modes: Sequence[Array]) -> float:
@@ -489,9 +457,7 @@ def _distance(train: Train, amplitudes: Array, modes: Sequence[Array]) -> float:
     left = np.ones((1, 1))
     products = -amplitudes[None]
     for core, mode in zip(train.cores[:-1], modes[:-1], strict=True):
-        a = np.tensordot(left, core, 1)
-        b = products[:, None, :] * mode
-        block = np.concatenate([a, b], axis=2)
+        block = np.concatenate([np.tensordot(left, core, 1), products[:, None, :] * mode], axis=2)
         r = np.asarray(np.linalg.qr(block.reshape(-1, block.shape[2]), mode="r"))
         left, products = r[:, : core.shape[2]], r[:, core.shape[2] :]
     return float(np.linalg.norm(left @ train.cores[-1][:, :, 0] + products @ modes[-1].T))
@@ -503,8 +469,7 @@ def _standard(amplitudes: Array, modes: Sequence[Array]) -> tuple[Array, list[Ar
     order = order[amplitudes[order] > 0.0]
     ordered = [mode[:, order] for mode in modes]
     for mode in ordered[1:]:
-        columns = np.arange(mode.shape[1])
-        signs = np.sign(mode[np.argmax(np.abs(mode), axis=0), columns])
+        signs = np.sign(mode[np.argmax(np.abs(mode), axis=0), np.arange(mode.shape[1])])
         mode *= signs
         ordered[0] *= signs
     return amplitudes[order], ordered

@@ -26,21 +26,17 @@ from rankone.tensors.train import Integers, Train, truncated_svd
 # Grids up to this many nodes are sampled completely: adapting would save nothing
 _FULL_GRID_NODES = 1600
 _CORNER_RATIO = 0.45  # Corners among the left points, over the random ones
-# Weight of corners in the error of a row space: an error there alone may be larger
-_CORNER_WEIGHT = 0.5
+_CORNER_WEIGHT = 0.5  # Weight of corners in the error of a row space: it may be larger there
 # The rank of a bond is expected to be at most twice that of the next one plus this
 _EXTRA_RANK = 16
-# Most exchanges of columns of a skeleton; Goreinov et al. report a few per rank.
-_MAX_EXCHANGES = 100
+_MAX_EXCHANGES = 100  # Most exchanges of columns of a skeleton; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
 _EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
 _SEED = 20140  # Seed of the random directions of a sweep
 _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 _GRAM_RESOLUTION = 1e-6  # Singular values, over the largest, that a Gram matrix tells from rounding
-# Singular values left out of the basis, relative to the tolerance: several errors add up
-_LOST_SHARE = 0.3
-
+_LOST_SHARE = 0.3  # Singular values left out of the basis, over the tolerance: errors add up
 
 Columns = Callable[[Array], Array]
 """Coefficients (rank, m) of columns at points (m, d) of the box; the rank may grow."""
@@ -50,12 +46,10 @@ class Nodes(Protocol):
     """The nodes of a basis and their weights."""
 
     @property
-    def size(self) -> int:
-        """Number of nodes."""
+    def size(self) -> int: ...
 
     @property
-    def weights(self) -> Array:
-        """Weights of the nodes."""
+    def weights(self) -> Array: ...
 
 
 def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
@@ -118,27 +112,11 @@ def interpolate(
 ) -> tuple[Train, bool]:
     """Cross interpolation in one sweep from the last parameter to the first.
 
-    Parameters
-    ----------
-    samples : callable
-        Columns of values at node indices (m, d), such as :class:`Samples`.
-    bases : sequence of Basis1D
-        Or other objects with sizes and weights.
-    left : sequence of ndarray
-        Left points of each bond, see :func:`left_points`.
-    tolerance : float
-        Root mean square error of a row space over the columns of its bond.
-    max_rank : int
-    begun : callable, optional
-        Called when a bond is begun: how many were done, of how many, and the rank.
-
-    Returns
-    -------
-    train : Train
-        Core 0 holds sampled columns (rows, r_1); cores j >= 1 are scaled by the roots of the
-        weights.
-    limited : bool
-        Whether a rank was cut.
+    ``samples``, such as :class:`Samples`, gives columns at node indices (m, d); ``left`` holds the
+    :func:`left_points` of each bond; the tolerance is the root mean square error of a row space
+    over the columns of its bond. ``begun`` is called when a bond is begun: how many were done, of
+    how many, and the rank. Core 0 of the train holds sampled columns (rows, r_1); cores j >= 1 are
+    scaled by the roots of the weights. Also returns whether a rank was cut.
     """
     generator = np.random.default_rng(_SEED)
     right = np.zeros((1, 0), dtype=np.int64)
@@ -166,21 +144,10 @@ def interpolate(
 
 
 def _skeleton(rows: Array) -> tuple[Integers, Array]:
-    """Columns from which all others are interpolated with small coefficients, and these.
+    """Columns (r,) of orthonormal rows (r, N) that give all others with small coefficients (r, N).
 
-    Columns are exchanged as long as that enlarges the volume of the skeleton by a tenth
-    (Goreinov et al., How to find a good submatrix, 2010).
-
-    Parameters
-    ----------
-    rows : ndarray (r, N)
-        Orthonormal.
-
-    Returns
-    -------
-    skeleton : ndarray (r,)
-    coefficients : ndarray (r, N)
-        ``rows = rows[:, skeleton] @ coefficients``.
+    ``rows = rows[:, skeleton] @ coefficients``. Columns are exchanged as long as that enlarges the
+    volume of the skeleton by a tenth (Goreinov et al., How to find a good submatrix, 2010).
     """
     rank = len(rows)
     charge(3.0 * qr(*rows.shape) + product(rank, rank, rows.shape[1]))
@@ -206,18 +173,8 @@ def _product(left: Integers, right: Integers) -> Integers:
     )
 
 
-# --- sampled columns -----------------------------------------------------------------------------
-
-
 class Samples:
-    """A table of columns by the indices of their nodes; each column is computed once.
-
-    Parameters
-    ----------
-    columns : callable
-    bases : sequence of Basis1D
-        One for each parameter.
-    """
+    """A table of columns by the indices of their nodes; each column is computed once."""
 
     def __init__(self, columns: Columns, bases: Sequence[Basis1D]) -> None:
         self.columns, self.nodes = columns, [basis.nodes for basis in bases]
@@ -253,21 +210,13 @@ class Samples:
 
 
 class GrowingBasis:
-    """An orthonormal basis of columns of a given length, which grows where it misses columns.
-
-    Attributes
-    ----------
-    vectors : ndarray (length, rank)
-    """
+    """An orthonormal basis (length, rank) of columns, which grows where it misses columns."""
 
     def __init__(self, length: int) -> None:
         self.vectors = np.zeros((length, 0))
 
     def coefficients(self, columns: Array, tolerance: float) -> Array:
-        """Coefficients (rank, m) of columns (length, m), each missed by no more than a tolerance.
-
-        The basis grows where it misses more.
-        """
+        """Coefficients (rank, m) of columns (length, m), each missed by a tolerance at most."""
         length, rank = self.vectors.shape
         charge(2.0 * product(length, rank, columns.shape[1]) + 4.0 * columns.size)
         coefficients = self.vectors.T @ columns
@@ -306,11 +255,9 @@ def _span(columns: Array, tolerance: float) -> Array:
         weights, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors[:, ::-1]
         threshold = max(tolerance, _GRAM_RESOLUTION * weights[0])
         rank = max(int(np.count_nonzero(weights > threshold)), 1)
-        directions = (
-            vectors[:, :rank]
-            if wide
-            else columns @ (vectors[:, :rank] / np.maximum(weights[:rank], 1e-300))
-        )
+        directions = vectors[:, :rank]
+        if not wide:
+            directions = columns @ (directions / np.maximum(weights[:rank], 1e-300))
         charge(2.0 * product(len(span), rank, span.shape[1]) + qr(*directions.shape))
         directions, _ = np.linalg.qr(directions - span @ (span.T @ directions))
         span = np.concatenate([span, directions], axis=1)

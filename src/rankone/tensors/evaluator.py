@@ -56,8 +56,7 @@ def chebyshev_polynomials(xi: Array, count: int) -> Array:
 def _to_chebyshev(basis: Basis1D) -> Array:
     """Map coefficients of one element's modes to Chebyshev coefficients, (degree, degree).
 
-    Mode k has no part above degree k; zeros there are exact, so that high modes which are zero stay
-    zero.
+    Mode k has no part above degree k: exact zeros there keep high modes zero that are zero.
     """
     count = basis.degree
     angles = np.pi * (np.arange(count) + 0.5) / count
@@ -128,10 +127,7 @@ class _Dimension:
         return contracted
 
     def outer(self, points: Array, carry: Array, rows: Rows | None = None) -> Array:
-        """Multiply the core, at points (N,), with all columns of the carry (right, M).
-
-        The shape is (left, N, M).
-        """
+        """Multiply the core, at points (N,), with all columns (right, M): shape (left, N, M)."""
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree).T
         tensor = self.tensor if rows is None else self.tensor[:, rows]
@@ -172,9 +168,7 @@ def _occupied(element: NDArray[np.intp] | None) -> list[int]:
 def _multiplied(polynomials: Array, core: Array, carry: Array) -> Array:
     """Values (N, n) by a core (left, n, right) by a carry (right, M): shape (left, N, M)."""
     (count, degree), (right, columns) = polynomials.shape, carry.shape
-    from_left = right * count * (degree + columns)
-    from_right = degree * columns * (right + count)
-    if from_left < from_right:
+    if right * count * (degree + columns) < degree * columns * (right + count):
         return np.asarray((polynomials @ core) @ carry)
     return np.asarray(polynomials @ (core @ carry))
 
@@ -187,10 +181,7 @@ def _columnwise_kronecker(polynomials: Array, carry: Array | None) -> Array:
 
 
 class _Train:
-    """Slabs that share the cores of their parameters, ready for evaluation.
-
-    The slabs are elements of the first core.
-    """
+    """Slabs that share the cores of their parameters, as elements of the first core."""
 
     def __init__(self, slabs: Sequence[SlabTrain]) -> None:
         starts = tuple(slab.start for slab in slabs)
@@ -224,10 +215,8 @@ class _Train:
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """Values at one point, given as 1 + d numbers: shape (rows,)."""
-        located = [
-            dimension.locate_one(coordinate)
-            for dimension, coordinate in zip(self.dimensions, point, strict=True)
-        ]
+        pairs = zip(self.dimensions, point, strict=True)
+        located = [dimension.locate_one(coordinate) for dimension, coordinate in pairs]
         table = chebyshev_polynomials(np.array([xi for xi, _ in located]), self.degree).T
         carry: Array | None = None
         for k in range(len(self.dimensions) - 1, -1, -1):
@@ -236,9 +225,9 @@ class _Train:
             matrix = dimension.matrices[located[k][1]]
             if k == 0:
                 matrix = matrix[rows]
-            carry = matrix @ (
-                polynomials if carry is None else np.multiply.outer(polynomials, carry).ravel()
-            )
+            if carry is not None:
+                polynomials = np.multiply.outer(polynomials, carry).ravel()
+            carry = matrix @ polynomials
         assert carry is not None
         return carry
 
@@ -260,11 +249,6 @@ class TrainEvaluator:
     """Tensor trains on consecutive time slabs, arranged for fast evaluation.
 
     Nothing is checked here: points outside of the box or the horizon are extrapolated.
-
-    Parameters
-    ----------
-    slabs : sequence of SlabTrain
-        Consecutive slabs of the same states and parameters.
     """
 
     def __init__(self, slabs: Sequence[SlabTrain]) -> None:
@@ -274,16 +258,12 @@ class TrainEvaluator:
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """Evaluate at one point, 1 + d numbers: shape (rows,); much less overhead than `many`."""
-        if len(self.trains) == 1:
-            return self.trains[0].one(point, rows)
-        owner = int(self._breaks.searchsorted(point[0], side="right"))
+        several = len(self.trains) > 1
+        owner = int(self._breaks.searchsorted(point[0], side="right")) if several else 0
         return self.trains[owner].one(point, rows)
 
     def many(self, points: Array, rows: Rows) -> Array:
-        """Evaluate at paired points, in chunks of bounded memory.
-
-        ``points`` (1 + d, N) are times, then the values of each parameter; the shape is (rows, N).
-        """
+        """Evaluate at paired points (1 + d, N), in chunks of bounded memory: shape (rows, N)."""
         states = np.empty((self._count(rows), points.shape[1]))
         # points in the order of the slabs: those of a chunk have few slabs
         for train, owned in self._owned(points[0], self._slab_breaks):
@@ -294,11 +274,10 @@ class TrainEvaluator:
         return states
 
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
-        """Evaluate at several times for each point of the parameters.
+        """Evaluate at several times for each point of the parameters: shape (rows, T, N).
 
-        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
-        The shape is (rows, T, N). The cores of the parameters are multiplied once for each
-        point.
+        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all. The cores
+        of the parameters are multiplied once for each point.
         """
         several, count = len(times), points.shape[1]
         if times.shape[1] == 1:
@@ -321,16 +300,13 @@ class TrainEvaluator:
         return states.reshape(len(states), count, several).swapaxes(1, 2)
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
-        """Evaluate on a tensor grid.
-
-        The 1 + d axes, times and then each parameter, may have any order of values; the shape is
-        (rows, *sizes of the axes).
-        """
+        """Evaluate on a tensor grid of 1 + d axes in any order: (rows, *sizes of the axes)."""
         sizes = [axis.size for axis in axes]
 
         def carries(train: _Train) -> Iterator[tuple[slice, Array]]:
             yield slice(None), train.over_grid(axes[1:])
 
+        sizes = [axis.size for axis in axes]
         states = self._at_all(axes[0], math.prod(sizes[1:]), carries, rows)
         return states.reshape(len(states), *sizes)
 
@@ -348,8 +324,7 @@ class TrainEvaluator:
         states = np.empty((self._count(rows), times.size, count))
         for train, owned in self._owned(times, self._breaks):
             for columns, carry in carries(train):
-                size = max(_BUFFER // max(carry.shape), _TIMES)
-                for here in _chunks(owned, size):
+                for here in _chunks(owned, max(_BUFFER // max(carry.shape), _TIMES)):
                     states[:, here, columns] = train.time.outer(times[here], carry, rows)
         return states
 
@@ -358,10 +333,9 @@ class TrainEvaluator:
         if not breaks.size:
             yield self.trains[0], np.arange(times.size)
             return
+        owner = np.searchsorted(breaks, times, side="right")
         # the stable sort of 16-bit integers is a radix sort
-        small = np.min_scalar_type(len(breaks) + 1)
-        owner = np.searchsorted(breaks, times, side="right").astype(small)
-        order = np.argsort(owner, kind="stable")
+        order = np.argsort(owner.astype(np.min_scalar_type(len(breaks) + 1)), kind="stable")
         counts = np.cumsum(np.bincount(owner, minlength=len(breaks) + 1))
         last = [*np.searchsorted(breaks, self._breaks).tolist(), len(breaks)]
         begin = 0
@@ -371,5 +345,4 @@ class TrainEvaluator:
             begin = end
 
     def _count(self, rows: Rows) -> int:
-        """Number of states in ``rows``."""
         return len(self.trains[0].time.matrices[0][rows])

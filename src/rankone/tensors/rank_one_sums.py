@@ -22,8 +22,7 @@ from rankone.support.costs import product, qr
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Integers, Train
 
-# Largest rank whose norm in three dimensions or more is found by orthogonalisation: the cost grows
-# with the cube of the rank
+# Largest rank whose norm in three dimensions or more is found by orthogonalisation, in cubic time
 _ORTHOGONALISED_RANK = 120
 _GRAM_ENTRIES = 4_000_000  # Inner products of products formed at once: 32 MB
 _CANCELLED = 1e-15  # Relative size of rounding in squared norms
@@ -31,19 +30,12 @@ _CANCELLED = 1e-15  # Relative size of rounding in squared norms
 
 @dataclass(frozen=True)
 class RankOneSum:
-    """A sum of R products of one vector for each dimension.
-
-    Attributes
-    ----------
-    factors : tuple of ndarray (N_j, R)
-        One matrix for each dimension; amplitudes are part of the columns.
-    """
+    """A sum of R products, by a matrix (N_j, R) for each dimension that holds amplitudes too."""
 
     factors: tuple[Array, ...]
 
     @property
     def rank(self) -> int:
-        """Number of products R."""
         return int(self.factors[0].shape[1])
 
     def __add__(self, other: RankOneSum) -> RankOneSum:
@@ -82,7 +74,6 @@ class RankOneSum:
         return RankOneSum(tuple(matrix @ f for matrix, f in pairs))
 
     def inner(self, other: RankOneSum) -> float:
-        """Euclidean inner product."""
         return sum(float(gram.sum()) for gram in self._grams(other))
 
     def distance(self, other: RankOneSum, square: float | None = None) -> float:
@@ -100,9 +91,8 @@ class RankOneSum:
         """Inner products of the products, (R, R of the other), a block of columns at a time."""
         step = max(_GRAM_ENTRIES // max(self.rank, 1), 1)
         for first in range(0, other.rank, step):
-            width = min(step, other.rank - first)
-            charge(sum(product(self.rank, len(factor), width) for factor in self.factors))
             gram = np.ones((self.rank, min(step, other.rank - first)))
+            charge(sum(product(len(gram), len(f), gram.shape[1]) for f in self.factors))
             for a, b in zip(self.factors, other.factors, strict=True):
                 gram *= a.T @ b[:, first : first + step]
             yield gram
@@ -156,7 +146,6 @@ class RankOneSum:
 
     @staticmethod
     def zero(sizes: Sequence[int]) -> RankOneSum:
-        """The empty sum."""
         return RankOneSum(tuple(np.zeros((size, 0)) for size in sizes))
 
     @staticmethod
@@ -168,37 +157,20 @@ class RankOneSum:
         return RankOneSum(tuple(np.concatenate(factors, axis=1) for factors in columns))
 
 
-# --- from sums to trains ------------------------------------------------------------------------
-
-
 def element_trains(
     bases: Sequence[LagrangeElements],
     start: Sequence[RankOneSum],
     modes: Sequence[RankOneSum],
     tolerance: Array,
 ) -> tuple[list[SlabTrain], Array]:
-    """One train for each element in time, all states together.
+    """One train for each element in time, all states together, and their highest modes.
 
-    The products of all states form a train with diagonal cores. It is orthogonalised once for the
-    slab; on one element in time the polynomials span few directions, and singular values below
-    the tolerance are left out.
-
-    Parameters
-    ----------
-    bases : sequence of LagrangeElements
-        Time, then the parameters.
-    start : sequence of RankOneSum
-        For each state its value at the start, nodal in the parameters, with one row of time.
-    modes : sequence of RankOneSum
-        For each state the change from its start, nodal, without the first node in time.
-    tolerance : ndarray (n,)
-        Largest root mean square error of each state on an element.
-
-    Returns
-    -------
-    trains : list of SlabTrain
-    tails : ndarray (n, 1 + d)
-        For each state and dimension the root mean square of the two highest modes.
+    For each state ``start`` is its value at the start, nodal in the parameters, with one row of
+    time, and ``modes`` the change from it, nodal, without the first node in time. The products of
+    all states form a train with diagonal cores. It is orthogonalised once for the slab; on one
+    element in time the polynomials span few directions, and singular values below the tolerance,
+    the root mean square error (n,) of each state, are left out. The second array (n, 1 + d) is the
+    root mean square of the two highest modes.
     """
     time, *parameters = bases
     sums = [
@@ -216,12 +188,12 @@ def element_trains(
         begin += total.rank
     first /= tolerance[:, None, None, None]
     cores: list[Array] = [first.reshape(-1, rank)]
+    diagonal = np.arange(rank)
     for j, basis in enumerate(parameters, start=1):
         nodal = np.concatenate([total.factors[j] for total in sums], axis=1)
         coefficients = basis.to_modes(nodal).reshape(-1, rank) / np.sqrt(basis.elements)
         core = np.zeros((rank, len(coefficients), rank))
-        index = np.arange(rank)
-        core[index, :, index] = coefficients.T
+        core[diagonal, :, diagonal] = coefficients.T
         cores.append(core)
     if parameters:
         cores[-1] = cores[-1].sum(axis=2, keepdims=True)
@@ -230,7 +202,7 @@ def element_trains(
     train = Train(tuple(cores)).rounded(1.0)
     first = train.first.reshape(n, time.elements, time.order + 1, -1)
     tails = _tails(first, train.cores[1:], bases) * tolerance[:, None]
-    trains = []
+    trains, parameter_bases = [], tuple(basis.modes for basis in parameters)
     for e in range(time.elements):
         local = first[:, e].reshape(n * (time.order + 1), -1)
         following = train.cores[1:]
@@ -242,8 +214,7 @@ def element_trains(
         block = local.reshape(n, time.order + 1, -1) * tolerance[:, None, None]
         lower = time.lower + e * time.width
         upper = time.upper if e == time.elements - 1 else time.lower + (e + 1) * time.width
-        modes_of_parameters = tuple(basis.modes for basis in parameters)
-        trains.append(SlabTrain(lower, upper, Train((block, *following)), modes_of_parameters))
+        trains.append(SlabTrain(lower, upper, Train((block, *following)), parameter_bases))
     return trains, tails
 
 
@@ -257,15 +228,14 @@ def _tails(first: Array, cores: Sequence[Array], bases: Sequence[LagrangeElement
     tails[:, 0] = np.sqrt(np.sum(first[:, :, -2:] ** 2, axis=(1, 2, 3)) / elements)
     gram = np.einsum("nepr,neps->nrs", first, first, optimize=True) / elements
     for j, (core, basis) in enumerate(zip(cores, bases[1:], strict=True), start=1):
-        split = core.reshape(len(core), basis.elements, basis.order + 1, -1)[:, :, -2:]
-        flat = split.reshape(len(core), -1)
+        split = core.reshape(len(core), basis.elements, basis.order + 1, -1)
+        flat = split[:, :, -2:].reshape(len(core), -1)
         tails[:, j] = np.sqrt(np.maximum(np.einsum("nrs,rs->n", gram, flat @ flat.T), 0.0))
         gram = np.stack([_carried(g, core) for g in gram])
     return tails
 
 
 def _carried(gram: Array, core: Array) -> Array:
-    """Gram matrix of the next bond, (s, s)."""
     r, size, s = core.shape
     half = (gram @ core.reshape(r, size * s)).reshape(r * size, s)
     return half.T @ core.reshape(r * size, s)

@@ -29,16 +29,9 @@ _MODE_COST = 15.0  # Operations of evaluating a mode at a point
 class SlabTrain:
     """States on one time slab for every parameter of the box, as a tensor train.
 
-    Attributes
-    ----------
-    start, end : float
-        The time slab.
-    train : Train
-        Core 0 has the shape (states, time modes, r_1): coefficients of the Legendre polynomials
-        orthonormal on [start, end]. Core j >= 1 has the shape (r_j, modes, r_{j+1}): coefficients
-        of the modes of ``bases[j - 1]``.
-    bases : tuple of Basis1D
-        One per parameter.
+    Core 0 has the shape (states, time modes, r_1): coefficients of the Legendre polynomials
+    orthonormal on [start, end]. Core j >= 1 has the shape (r_j, modes, r_{j+1}): coefficients of
+    the modes of ``bases[j - 1]``.
     """
 
     start: float
@@ -48,7 +41,6 @@ class SlabTrain:
 
     @property
     def cores(self) -> tuple[Array, ...]:
-        """The cores of the train."""
         return self.train.cores
 
     @property
@@ -92,10 +84,6 @@ class SlabTrain:
         """The same slab with another first core."""
         return replace(self, train=self.train.with_first(first))
 
-    def first_states(self, count: int) -> SlabTrain:
-        """The first states alone."""
-        return self.with_first(self.cores[0][:count])
-
     def derivative(self) -> SlabTrain:
         """The derivatives of the states with respect to time."""
         slopes = legendre_derivative(self.cores[0].shape[1]) * (2.0 / (self.end - self.start))
@@ -130,23 +118,15 @@ def slab_positions(slabs: Sequence[SlabTrain], times: Array) -> NDArray[np.intp]
 
 
 def slab_trains(grid: TimeGrid, train: Train, bases: Sequence[Basis1D]) -> tuple[SlabTrain, ...]:
-    """One train for each slab of a grid.
+    """One train for each slab of a grid, from one whose core 0 holds states at its times.
 
-    Parameters
-    ----------
-    grid : TimeGrid
-    train : Train
-        Core 0 holds states at the times of the grid, (states, T, r_1), the others modes.
-    bases : sequence of Basis1D
+    That core has the shape (states, T, r_1); the other cores hold modes.
     """
     slabs = []
     for k, (start, end) in enumerate(itertools.pairwise(grid.breaks)):
         first = grid.to_modal @ train.first[:, k * grid.count : (k + 1) * grid.count]
         slabs.append(SlabTrain(start, end, train.with_first(first), tuple(bases)))
     return tuple(slabs)
-
-
-# --- calculus ------------------------------------------------------------------------------------
 
 
 def at_one_time(slabs: Sequence[SlabTrain], time: float, horizon: tuple[float, float]) -> SlabTrain:
@@ -159,11 +139,7 @@ def at_one_time(slabs: Sequence[SlabTrain], time: float, horizon: tuple[float, f
 
 def differentiated(slabs: Sequence[SlabTrain], parameter: int) -> tuple[SlabTrain, ...]:
     """The derivatives of the states with respect to one parameter, by its position."""
-
-    def change(core: Array, basis: Basis1D) -> tuple[Array, Basis1D]:
-        return np.matmul(basis.derivative, core), basis
-
-    return _changed(slabs, parameter, change)
+    return _changed(slabs, parameter, lambda core, basis: (basis.derivative @ core, basis))
 
 
 def restricted(

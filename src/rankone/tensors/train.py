@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.linalg
@@ -31,26 +32,13 @@ _NEGLIGIBLE_PROBE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Train:
-    """A tensor train.
-
-    Attributes
-    ----------
-    cores : tuple of ndarray
-        Core 0 has any shape (..., r_1), core j >= 1 the shape (r_j, n_j, r_{j+1}). The last rank
-        is 1.
-    """
+    """Cores of shape (..., r_1), of any dimension, and (r_j, n_j, r_{j+1}); the last rank is 1."""
 
     cores: tuple[Array, ...]
 
     @property
     def first(self) -> Array:
-        """Core 0."""
         return self.cores[0]
-
-    @property
-    def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of all cores."""
-        return tuple(core.shape for core in self.cores)
 
     @property
     def ranks(self) -> tuple[int, ...]:
@@ -89,10 +77,9 @@ class Train:
         return norms
 
     def right_orthonormal(self, negligible: float = _NEGLIGIBLE_ROW) -> Train:
-        """The same train with cores 1, ..., d of orthonormal rows; core 0 takes the factors.
+        """Cores 1, ..., d of orthonormal rows; core 0 takes the factors.
 
-        Rows that add no direction larger than ``negligible``, relative to the largest, are left
-        out.
+        Rows that add no direction above ``negligible``, relative to the largest, are left out.
         """
         cores = list(self.cores)
         for j in range(len(cores) - 1, 0, -1):
@@ -112,9 +99,8 @@ class Train:
         for j in range(len(cores) - 1):
             shape = cores[j].shape
             charge(svd(cores[j].size / shape[-1], shape[-1]))
-            u, s, vt = scipy.linalg.svd(
-                cores[j].reshape(-1, shape[-1]), full_matrices=False, check_finite=False
-            )
+            unfolded = cores[j].reshape(-1, shape[-1])
+            u, s, vt = scipy.linalg.svd(unfolded, full_matrices=False, check_finite=False)
             tails = np.sqrt(np.cumsum(s[::-1] ** 2))[::-1]
             rank = max(int(np.count_nonzero(tails > share)), 1)
             change = math.hypot(change, *tails[rank : rank + 1])
@@ -127,17 +113,13 @@ class Train:
         return self.right_orthonormal().truncated(tolerance)[0].right_orthonormal()
 
     def thinned(self, tolerance: float) -> Train:
-        """The train within a tolerance, with zeros for all entries that do not matter.
+        """The train with zeros for all entries that do not matter.
 
         Both sides of a core are made orthonormal and turned to their singular vectors. An entry,
         times the singular value on its left, is then its share in the norm of the train, and the
         shares fall along both ranks and, for smooth functions, with the degree: the remaining
-        entries are few and stand together. No rank grows.
-
-        Parameters
-        ----------
-        tolerance : float
-            Largest norm of the change: a root mean square, not a largest value.
+        entries are few and stand together. No rank grows. The tolerance limits the norm of the
+        change: a root mean square, not a largest value.
         """
         cores = list(self.right_orthonormal().cores)
         weights = np.ones(len(cores[0]))
@@ -156,16 +138,9 @@ class Train:
     def widened(self, probes: Sequence[Array]) -> Train:
         """The same train in a frame that also holds the span of a second train.
 
-        Parameters
-        ----------
-        probes : sequence of ndarray
-            Cores 1, ..., d of the second train, (k, n_j, k), the last (k, n_d, 1). From each core
-            on its rows have norms below one, so that they come after the rows of this train.
-
-        Returns
-        -------
-        Train
-            Ranks up to r_j + k; cores j >= 1 have orthonormal rows.
+        ``probes`` are cores 1, ..., d of the second train, (k, n_j, k), the last (k, n_d, 1). From
+        each core on its rows have norms below one, so that they come after the rows of this train.
+        Ranks grow up to r_j + k; cores j >= 1 have orthonormal rows.
         """
         first, count = self.cores[0], probes[0].shape[0]
         cores = [np.concatenate([first, np.zeros((*first.shape[:-1], count))], axis=-1)]
@@ -180,9 +155,6 @@ def block_diagonal(a: Array, b: Array) -> Array:
     block[: len(a), :, : a.shape[2]] = a
     block[len(a) :, :, a.shape[2] :] = b
     return block
-
-
-# --- truncated decompositions of matrices --------------------------------------------------------
 
 
 def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
@@ -204,49 +176,29 @@ def independent(columns: Array, negligible: float) -> tuple[Array, Array]:
 def truncated_svd(
     matrix: Array, tolerance: float, max_rank: int, rows: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Left vectors, singular values and right vectors, truncated within a tolerance.
+    """Left vectors (m, r), singular values (r,) and right vectors (r, n) of a matrix.
 
-    A large matrix of small numerical rank is first projected on a range found from ``rows`` and
-    a few random directions (Halko, Martinsson & Tropp, SIAM Review 53 (2011), algorithm 4.2); the
-    projection is accepted only if its error is measured to be below half the tolerance.
-
-    Parameters
-    ----------
-    matrix : ndarray (m, n)
-    tolerance : float
-        Largest Frobenius norm of the error.
-    max_rank : int
-        Largest number of singular values kept, whatever the tolerance.
-    rows : ndarray (k, n), optional
-        Vectors expected to span most of the row space.
-
-    Returns
-    -------
-    left (m, r), singular values (r,), right (r, n)
-        Orthonormal columns and rows; at least one singular value is kept.
+    As many as the tolerance needs, a Frobenius norm, but at least one and at most ``max_rank``.
+    A large matrix of small numerical rank is first projected on a range found from ``rows``, which
+    are expected to span most of the row space, and a few random directions (Halko, Martinsson &
+    Tropp, SIAM Review 53 (2011), algorithm 4.2); the projection is accepted only if its error is
+    measured to be below half the tolerance.
     """
     missed = 0.0
     basis = None
-    smaller = min(matrix.shape)
-    if (
-        rows is not None
-        and smaller > _DIRECT_SIDE
-        and 2 * (rows.shape[0] + _RANDOM_DIRECTIONS) < smaller
+    if rows is not None and min(matrix.shape) > max(
+        _DIRECT_SIDE, 2 * (len(rows) + _RANDOM_DIRECTIONS)
     ):
         basis, reduced, missed = _range(matrix, rows, 0.5 * tolerance)
     left, weights, right = _svd(matrix if basis is None else reduced)
     tails = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1] + missed**2)
-    rank = int(np.count_nonzero(tails > tolerance))
-    rank = min(max(rank, 1), max_rank, weights.size)
+    rank = min(max(int(np.count_nonzero(tails > tolerance)), 1), max_rank, weights.size)
     left = left[:, :rank] if basis is None else basis @ left[:, :rank]
     return left, weights[:rank], right[:rank]
 
 
 def _range(matrix: Array, rows: Array, tolerance: float) -> tuple[Array | None, Array, float]:
-    """Orthonormal basis of the numerical range, the projected matrix and the norm of its error.
-
-    The basis is None when the range is not small.
-    """
+    """Orthonormal basis of a small numerical range or None, the projected matrix and its error."""
     generator = np.random.default_rng(matrix.shape[1])
     basis = np.zeros((len(matrix), 0))
     directions = generator.standard_normal((matrix.shape[1], _RANDOM_DIRECTIONS))
@@ -282,12 +234,9 @@ def _svd(matrix: Array) -> tuple[Array, Array, Array]:
         left, weights, right = _svd(r)
         return q @ left, weights, right
     charge(svd(m, n))
+    decompose = partial(scipy.linalg.svd, matrix, full_matrices=False, check_finite=False)
     try:
-        left, weights, right = scipy.linalg.svd(
-            matrix, full_matrices=False, check_finite=False, lapack_driver="gesdd"
-        )
+        left, weights, right = decompose(lapack_driver="gesdd")
     except np.linalg.LinAlgError:
-        left, weights, right = scipy.linalg.svd(
-            matrix, full_matrices=False, check_finite=False, lapack_driver="gesvd"
-        )
+        left, weights, right = decompose(lapack_driver="gesvd")
     return left, weights, right
