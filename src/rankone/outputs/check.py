@@ -36,14 +36,10 @@ _CORNER_SEED = 20146  # Seed of the choice of corners
 
 @dataclass(frozen=True)
 class Check:
-    """Exact quantities at points of the box.
+    """Exact quantities (quantities, rows, m) at points (m, d) of the box.
 
-    Attributes
-    ----------
-    points : ndarray (m, d)
-    values : ndarray (quantities, rows, m)
-    sizes : ndarray (quantities,)
-        Their largest values; the largest operand where they vanish but for rounding.
+    Their sizes (quantities,) are their largest values, or the largest operand where they vanish
+    but for rounding.
     """
 
     points: Array
@@ -52,7 +48,6 @@ class Check:
 
     @classmethod
     def at(cls, sampler: Sampler, points: Array) -> Check:
-        """A check at points (m, d)."""
         values = sampler(points)
         sizes: Array = np.abs(values).max(axis=(1, 2))
         nothing = sizes <= _ROUNDING * sampler.largest
@@ -73,7 +68,6 @@ class Check:
         return np.asarray(errors / self.sizes[:, None])
 
     def with_points(self, sampler: Sampler, points: Array) -> Check:
-        """The same with further points."""
         values = np.concatenate([self.values, sampler(points)], axis=2)
         sizes = np.maximum(self.sizes, np.abs(values).max(axis=(1, 2)))
         return Check(np.concatenate([self.points, points]), values, sizes)
@@ -94,11 +88,8 @@ class Check:
     def amplified(self, sampler: Sampler, rtol: float) -> Array:
         """Effect of errors of the sources on the quantities, over their sizes.
 
-        Each source is shifted by ``rtol`` times its largest value, up and down.
-
-        Returns
-        -------
-        ndarray (sources, quantities, m)
+        Each source is shifted by ``rtol`` times its largest value, up and down; the shape is
+        (sources, quantities, m).
         """
         largest = np.abs(sampler.sources(self.points)).max(axis=(1, 2), initial=0.0)
         total = np.zeros((largest.size, *self.values.shape[::2]))
@@ -129,15 +120,10 @@ def critical_points(sampler: Sampler, domain: Domain) -> Array:
 
 @dataclass(frozen=True)
 class CheckPoints:
-    """Points of the box for two checks: one to aim at, and one of further points.
+    """Points (m, d) of the box for two checks: one to aim at, and one of further points.
 
-    Attributes
-    ----------
-    corners : int
-        Number of the first points of either, which are corners.
-    aimed, further : ndarray (m, d)
-        Corners, different points of the interior, and points beside places where the quantities
-        are narrow or not smooth as functions of parameters.
+    The first ``corners`` of both are corners. Then come different points of the interior, and
+    points beside places where the quantities are narrow or not smooth as functions of parameters.
     """
 
     corners: int
@@ -146,7 +132,6 @@ class CheckPoints:
 
     @classmethod
     def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
-        """The points for some quantities."""
         at_corners = _corners(domain)
         special = [_beside(domain, quantities.cuts[1:]), _on_ridges(domain, quantities)]
         halves = np.split(spread_over(domain, 2 * _INTERIOR_POINTS if domain.box else 2), 2)

@@ -18,14 +18,7 @@ from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import Domain
-from rankone.ir.verdict import (
-    EarlyEnd,
-    Note,
-    OutputError,
-    Remedy,
-    Status,
-    UnknownOutputError,
-)
+from rankone.ir.verdict import EarlyEnd, Note, OutputError, Remedy, Status, UnknownOutputError
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
@@ -106,13 +99,11 @@ def with_outputs(
         seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
     operations = operations_for(effort)
     _check_units(units, quantities)
-    interpolation = OutputInterpolation(solution, quantities)
-    outcome, rtol = interpolation.solve(rtol, operations, seconds)
+    outcome, rtol = OutputInterpolation(solution, quantities).solve(rtol, operations, seconds)
     metadata = solution.metadata
     if solution.time[1] < metadata.horizon[1]:
-        cause = EarlyEnd(
-            *solution.time, metadata.horizon[1], outcome.verdict, solution.outcome.verdict
-        )
+        verdicts = outcome.verdict, solution.outcome.verdict
+        cause = EarlyEnd(*solution.time, metadata.horizon[1], *verdicts)
         outcome = replace(outcome, status=solution.status, cause=cause, notes=())
     return outcome, replace(
         metadata,
@@ -123,10 +114,7 @@ def with_outputs(
         equations=quantities.texts,
         source=None,
         timeless=quantities.timeless,
-        units=(
-            *(pair for pair in metadata.units if pair[0] in metadata.coordinates),
-            *units.items(),
-        ),
+        units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
     )
 
 
@@ -150,9 +138,8 @@ def _limited(operations: float, seconds: float) -> Iterator[None]:
         with limited(operations, seconds):
             yield
     except OutOfBudgetError as out:
-        remedy = (
-            "give more time by max_seconds" if isinstance(out, OutOfTimeError) else "raise effort"
-        )
+        by_time = isinstance(out, OutOfTimeError)
+        remedy = "give more time by max_seconds" if by_time else "raise effort"
         raise ConvergenceError(
             f"{Status.of_limit(out).value} before anything was interpolated",
             remedy=f"{remedy}, or restrict the solution",
@@ -169,21 +156,14 @@ class OutputInterpolation:
 
     @property
     def domain(self) -> Domain:
-        """The box and the horizon of the solution."""
         return Domain(self.solution.time, self.solution.metadata.box)
 
     def solve(self, rtol: float | None, operations: float, seconds: float) -> tuple[Outcome, float]:
         """The quantities as an outcome, and the tolerance.
 
         By default the tolerance is the effect of errors of the solution's tolerance, with a
-        margin. The limits of work do not hold for the final measurement of the error.
-
-        Raises
-        ------
-        EvaluationError
-            If a quantity is not finite somewhere.
-        ConvergenceError
-            If a limit is reached before there is any train.
+        margin. The limits of work do not hold for the final measurement of the error. Raises a
+        ConvergenceError if a limit is reached before there is any train.
         """
         solution, domain = self.solution, self.domain
         points = CheckPoints.of(domain, self.quantities)
@@ -272,11 +252,10 @@ class OutputInterpolation:
             train = train.with_first(columns.quantities(train.first))
             slabs = slab_trains(columns.grid, train, adaptive.bases or ())
             missed = check.missed(slabs, sampler)
-            error = float(missed.max())
-            if error <= level and domain.box:
+            if missed.max() <= level and domain.box:
                 check = check.with_points(sampler, check.climbed(slabs, sampler, domain).points)
                 missed = check.missed(slabs, sampler)
-                error = float(missed.max())
+            error = float(missed.max())
             if best is None or error < best[0]:
                 best = error, slabs
             if error <= level or not domain.box:

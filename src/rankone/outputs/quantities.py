@@ -22,27 +22,17 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Reduction:
-    """A reduction of an integrand, a function of time.
+    """A reduction of the integrand at a position, a function of time.
 
-    Attributes
-    ----------
-    kind : Kind
-    integrand : int
-        Position of the integrand.
-    start, end : float
-        Limits of an integral; otherwise those of the horizon. A running integral has no end.
-    direction : int
-        Direction of a crossing of zero: 1 upwards, -1 downwards, 0 either.
-    text : str
-        The reduction in messages.
+    It has the limits of an integral or else of the horizon; a running integral has no end.
     """
 
     kind: Kind
     integrand: int
     start: float
     end: float
-    direction: int
-    text: str
+    direction: int  # of a crossing of zero: 1 upwards, -1 downwards, 0 either
+    text: str  # in messages
 
 
 @dataclass(frozen=True)
@@ -55,34 +45,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Quantities:
-    """Functions of states, time and parameters.
+    """Functions of states, time and parameters, with their definitions as texts.
 
-    Attributes
-    ----------
-    names, texts : tuple of str
-        The name of each quantity, and its definition as text.
-    timeless : bool
-        Whether no quantity depends on time.
-    sources : tuple of Source
-    integrands : callable
-        From times (T, 1), the sources (k, T, m), parameters (d, m) to a sequence of arrays that
-        broadcast to (T, m).
-    reductions : tuple of Reduction
-    state_surfaces : callable
-        From the same to functions that vanish where a narrow feature is largest or steepest.
-    parameter_surfaces : callable
-        From parameters (d, m) alone to functions of several of them that vanish where a narrow
-        feature is largest or steepest.
-    cuts : tuple of tuple of float
-        For time and each parameter the places where functions of it alone are narrow, kink or jump.
-    values : callable
-        From times, sources and parameters as before, and a sequence of reductions, (m,) or (T, m),
-        to a sequence of arrays that broadcast to (T, m).
-    gaps : callable
-        From times, sources and parameters to functions that are one where a piecewise function of
-        the states has no branch, and zero elsewhere.
-    gap_texts : tuple of str
-        The message of each gap.
+    They take times (T, 1), the sources (k, T, m) and parameters (d, m), those of surfaces of
+    parameters the last alone, and ``values`` also the reductions, (m,) or (T, m). They give
+    sequences of arrays that broadcast to (T, m). Surfaces are zero where a narrow feature is
+    largest or steepest; those of parameters are functions of several of them.
     """
 
     names: tuple[str, ...]
@@ -93,7 +61,9 @@ class Quantities:
     reductions: tuple[Reduction, ...]
     state_surfaces: Callable[[Array, Array, Array], Sequence[Array]]
     parameter_surfaces: Callable[[Array], Sequence[Array]]
+    # for time and each parameter the places where functions of it alone are narrow, kink or jump
     cuts: tuple[tuple[float, ...], ...]
     values: Callable[[Array, Array, Array, Sequence[Array]], Sequence[Array]]
+    # one where a piecewise function of the states has no branch, and zero elsewhere
     gaps: Callable[[Array, Array, Array], Sequence[Array]]
     gap_texts: tuple[str, ...]

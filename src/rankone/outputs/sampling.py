@@ -31,16 +31,8 @@ _LEAST_SIGNED = 1e-9  # The same for tight tolerances: rounding changes signs to
 class Sampler:
     """Quantities of a solution on a time grid.
 
-    Parameters
-    ----------
-    slabs : sequence of SlabTrain
-        The solution.
-    parameters : sequence of str
-    quantities : Quantities
-    grid : TimeGrid
-        None of its slabs crosses the end of a slab of the solution.
-    rtol : float
-        Tolerance of the solution: a change of sign not far above it is none.
+    No slab of the grid crosses the end of a slab of the solution. A change of sign not far above
+    the tolerance of the solution is none.
     """
 
     def __init__(
@@ -52,9 +44,8 @@ class Sampler:
         rtol: float,
     ) -> None:
         self.slabs, self.parameters, self.quantities = slabs, parameters, quantities
-        self.grid = grid
+        self.grid, self.largest = grid, 0.0
         self._negligible = max(_SIGN_RATIO * rtol, _LEAST_SIGNED)
-        self.largest = 0.0
         self._orders: dict[int, Sequence[SlabTrain]] = {0: slabs}
         for order in range(1, 1 + max((s.order for s in quantities.sources), default=0)):
             self._orders[order] = [slab.derivative() for slab in self._orders[order - 1]]
@@ -67,15 +58,8 @@ class Sampler:
     def __call__(self, points: Array, shifts: Array | None = None) -> Array:
         """Quantities at points (m, d): shape (quantities, rows, m).
 
-        Parameters
-        ----------
-        shifts : ndarray (sources,), optional
-            Added to the sources.
-
-        Raises
-        ------
-        EvaluationError
-            If one is not finite somewhere, or does not cross.
+        The ``shifts`` (sources,) are added to the sources. Raises an EvaluationError if a quantity
+        is not finite somewhere, or does not cross.
         """
         per_point = (4 + len(self.quantities.sources)) * self.grid.times.size
         count = -(-len(points) * per_point // _CHUNK_NUMBERS)
@@ -108,10 +92,9 @@ class Sampler:
             if reduction.kind is Kind.MINIMUM:
                 finite = -finite
             functions = Polynomials(self.grid, finite)
-            if reduction.kind in (Kind.MAXIMUM, Kind.MINIMUM):
-                margins = np.minimum(margins, functions.gap_of_maxima())
-            else:
-                margins = np.minimum(margins, functions.distance_from_tangency())
+            extremes = reduction.kind in (Kind.MAXIMUM, Kind.MINIMUM)
+            distance = functions.gap_of_maxima if extremes else functions.distance_from_tangency
+            margins = np.minimum(margins, distance())
         return margins
 
     def roughness(self, points: Array) -> Array:
@@ -124,10 +107,7 @@ class Sampler:
         return roughness
 
     def narrow(self, points: Array) -> float:
-        """Error of the grid at narrow features, over the largest values.
-
-        Errors of the integrands, and of the quantities if there are no reductions.
-        """
+        """Error at narrow features, of integrands and quantities without reductions, relative."""
         times, sources = self.grid.times[:, None], self.sources(points)
         shape = times.size, len(points)
         with np.errstate(all="ignore"):
@@ -248,7 +228,6 @@ class Sampler:
         )
 
     def _named(self, point: Array) -> str:
-        """A parameter point as text."""
         pairs = zip(self.parameters, point, strict=True)
         return ", ".join(f"{name} = {coordinate:.6g}" for name, coordinate in pairs)
 

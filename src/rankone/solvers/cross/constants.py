@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from rankone.tensors.adaptive import Tightening
 
-# Attempts
-
-# Error of the integration, relative to the level of an attempt: the interpolation needs room
-INTEGRATION_SHARE = 0.1
+INTEGRATION_SHARE = 0.1  # Error of the integration, over the level: interpolation needs room
 # Size of the highest modes in time, relative to the level, above which slabs are halved
 HIGHEST_TIME_MODES_SHARE = 0.1
 # What an element may miss of the known functions of its parameter, relative to the level
@@ -30,12 +27,8 @@ FAR_ERROR_RATIO = 5.0  # An error of so many rtol is far from the goal
 # A costly attempt with an error far from the goal must have lowered it to this part
 FAST_ERROR_RATIO = 0.2
 
-# Progress
-
 LINES_FRACTION = 0.1  # Part of an attempt that the lines take on which nodes are chosen
 REPORTED_FRACTION = 0.005  # Smallest change of the fraction that is reported
-
-# Trajectories
 
 FIRST_TIGHTNESS = 0.3  # First tolerance of the integration over the error allowed
 # Tolerance of stiff integrations over the error allowed: implicit steps are that much better
@@ -63,8 +56,6 @@ MAX_STIFF_STACK = 300
 # Most trajectories integrated together with functions of the user, which may be slow
 MAX_USER_STACK = 64
 STACK_STATES = 15_000  # States of a stack that fits the cache
-
-# Explanations of failures
 
 LINE_PLACES = 65  # Places on a line through the box where trajectories are compared
 ZOOM_PLACES = 9  # Places between two neighbours on a line at a closer look

@@ -43,14 +43,7 @@ _UNRESOLVED = (
 
 
 class Pace:
-    """The part of an attempt that is done: first lines through the box, then a sweep over bonds.
-
-    Parameters
-    ----------
-    report : callable
-    event : ProgressEvent
-        The beginning of the attempt.
-    """
+    """The part of an attempt that is done: first lines through the box, then a sweep over bonds."""
 
     def __init__(self, report: Report, event: ProgressEvent) -> None:
         self.report, self.event = report, event
@@ -156,10 +149,8 @@ class CrossMarcher:
     def _stopped(self, status: Status, grid: TimeGrid) -> MarchResult:
         """The trajectory at the centre for every parameter, which is better than nothing."""
         reference_set, basis_type = self.reference_set, BASES[self.options.basis]
-        bases = tuple(
-            basis_type(lower, upper, constants.LEAST_NODES)
-            for lower, upper in reference_set.domain.box
-        )
+        box = reference_set.domain.box
+        bases = tuple(basis_type(lower, upper, constants.LEAST_NODES) for lower, upper in box)
         constant = [np.sqrt(basis.weights)[None, :, None] for basis in bases]
         with unlimited():
             centre = reference_set.reference(grid.times)[:, 0, :, None]
@@ -174,9 +165,8 @@ class CrossMarcher:
         edges = [start, *sorted(cut for cut in between if cut < end), end]
         units = reference_set.states[:, None, None]
         count = self.options.nodes_in_time(self.rtol)
-        tolerance = max(
-            constants.HIGHEST_TIME_MODES_SHARE * level, constants.TIGHTEST_TIME_TOLERANCE
-        )
+        highest_modes = constants.HIGHEST_TIME_MODES_SHARE * level
+        tolerance = max(highest_modes, constants.TIGHTEST_TIME_TOLERANCE)
 
         def in_units(times: Array) -> Array:
             return reference_set.reference(times) / units
@@ -186,11 +176,8 @@ class CrossMarcher:
 
     def _known_elements(self, nodes: int) -> list[KnownElements]:
         """Elements, of so many nodes, that resolve the known functions of each parameter."""
-        reference_set, tolerance = (
-            self.reference_set,
-            constants.KNOWN_FUNCTIONS_SHARE * self.adaptive.level,
-        )
-        known_elements = []
+        reference_set, known_elements = self.reference_set, []
+        tolerance = constants.KNOWN_FUNCTIONS_SHARE * self.adaptive.level
         for j, interval in enumerate(reference_set.domain.box):
             cuts = reference_set.parameter_cuts[j] if reference_set.parameter_cuts else Cuts()
             if cuts.smooth:
@@ -233,16 +220,11 @@ class CrossMarcher:
         """Whether another attempt may be worth its cost; ``grows``: it has more elements."""
         if self.integrated < constants.CHEAP_TRAJECTORIES:
             return grows or stalls < constants.MAX_STALLS
-        untightened = self.adaptive.share == 1.0
-        if (
-            untightened
-            and self.integrated < constants.UNTIGHTENED_RATIO * constants.CHEAP_TRAJECTORIES
-        ):
+        affordable = constants.UNTIGHTENED_RATIO * constants.CHEAP_TRAJECTORIES
+        if self.adaptive.share == 1.0 and self.integrated < affordable:
             return True
-        fast_enough = max(
-            constants.FAR_ERROR_RATIO * self.rtol, constants.FAST_ERROR_RATIO * self.error
-        )
-        return stalls < constants.MAX_COSTLY_STALLS and attempt.error < fast_enough
+        far, fast = constants.FAR_ERROR_RATIO * self.rtol, constants.FAST_ERROR_RATIO * self.error
+        return stalls < constants.MAX_COSTLY_STALLS and attempt.error < max(far, fast)
 
     def _halve_slabs(self) -> None:
         """Halve the slabs on which some trajectory varies more than those of the reference."""
@@ -262,9 +244,8 @@ class CrossMarcher:
         cause = MovingFeatures() if moves else None
         if status not in _UNRESOLVED or trajectories is None or not domain.box:
             return status, cause
-        trajectories.allowed_error = (
-            constants.INTEGRATION_SHARE * self.rtol
-        )  # later attempts cost more
+        # later attempts cost more
+        trajectories.allowed_error = constants.INTEGRATION_SHARE * self.rtol
         lines = [domain.bounds.mean(axis=1)]
         try:
             if attempt.result.slabs:

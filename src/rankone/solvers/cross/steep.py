@@ -21,16 +21,10 @@ def steepest_front(
     domain: Domain,
     points: Sequence[Array],
 ) -> SteepParameter | None:
-    """The narrowest front on lines through points of the box; None if there is none.
+    """The narrowest front on lines through points (d,) of the box; None if there is none.
 
-    Parameters
-    ----------
-    trajectories : callable
-        Trajectories at points (m, d) in units of the states' sizes: shape (n, T, m).
-    system : System
-    domain : Domain
-    points : sequence of ndarray (d,)
-        Through each goes one line for each parameter.
+    Through each point goes one line for each parameter. The trajectories at points (m, d) are in
+    units of the states' sizes: shape (n, T, m).
     """
     fronts: list[tuple[float, SteepParameter]] = []
     with suppress(OutOfBudgetError):  # the fronts so far say it as well

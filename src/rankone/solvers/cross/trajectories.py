@@ -36,30 +36,12 @@ class Trajectories:
     """Trajectories at parameter points, in units of the states' sizes.
 
     A trajectory is a vector (state, time node), scaled so that its norm is the root mean square
-    over the nodes; what the basis misses of it is below the tolerance.
-
-    Parameters
-    ----------
-    reference_set : ReferenceSet
-    grid : TimeGrid
-    allowed_error : float
-        Largest error of the integration in units of sizes.
-    tightness : float
-        First tolerance of the integration and of the basis, over that error. Some trajectories of
-        the reference are integrated together with the first ones; their error then sets it.
-    most : int
-        Largest number of trajectories.
-    workers : Workers, optional
-        Where they are integrated.
-    report : callable, optional
-        Called after each batch with the part of a call that is done.
-
-    Attributes
-    ----------
-    work : float
-        Operations that the trajectories took.
-    highest_modes : ndarray (slabs,)
-        Size of the highest modes in time, the largest of all trajectories.
+    over the nodes; what the basis misses of it is below the tolerance. ``allowed_error`` is that
+    of the integration, in units of sizes, and ``tightness`` the first tolerance of the integration
+    and of the basis over it: some trajectories of the reference are integrated together with the
+    first ones, and their error then sets it. ``report`` is called after each batch with the part
+    of a call that is done. ``highest_modes`` (slabs,) are those in time, the largest of all
+    trajectories, and ``work`` counts the operations.
     """
 
     def __init__(
@@ -75,9 +57,8 @@ class Trajectories:
         self.workers, self.report = workers or Workers(reference_set.system), report
         self.reference_set, self.grid, self.most = reference_set, grid, most
         self.allowed_error = allowed_error
-        self.stiff = self.calibrated = (
-            reference_set.reference.avoided > constants.EXPLICIT_STEP_LIMIT
-        )
+        avoided = reference_set.reference.avoided
+        self.stiff = self.calibrated = avoided > constants.EXPLICIT_STEP_LIMIT
         self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
         self.count, self.work = 0, 0.0
         self.units = reference_set.states * np.sqrt(grid.times.size)
@@ -98,7 +79,6 @@ class Trajectories:
 
     @property
     def sizes(self) -> Array:
-        """Sizes of the states, (n,)."""
         return self.reference_set.states
 
     def uncounted(self, points: Array) -> Array:
@@ -124,17 +104,13 @@ class Trajectories:
             ours, columns = np.split(columns, [len(exact_points)], axis=1)
             errors = exact.swapaxes(1, 2) - self._in_sizes(ours)
             ratio = float(np.abs(errors).max()) / self.allowed_error
-            if (
-                ratio > constants.REFERENCE_ERROR_RATIO * before
-            ):  # the error is that of the reference
+            if ratio > constants.REFERENCE_ERROR_RATIO * before:  # the reference's own error
                 self.tightness = used
                 break
             before, used = ratio, self.tightness
             if not constants.LEAST_ERROR_RATIO <= ratio <= 1.0:
-                factor = max(
-                    constants.AIMED_ERROR_RATIO / max(ratio, 1e-300),
-                    constants.SMALLEST_TIGHTNESS_FACTOR,
-                )
+                factor = constants.AIMED_ERROR_RATIO / max(ratio, 1e-300)
+                factor = max(factor, constants.SMALLEST_TIGHTNESS_FACTOR)
                 self.tightness *= min(factor, constants.LARGEST_TIGHTNESS_FACTOR)
             if ratio <= 1.0:
                 break
@@ -155,7 +131,7 @@ class Trajectories:
         number of points alone, and not on who integrates them.
         """
         reference_set, end = self.reference_set, self.grid.breaks[-1]
-        cuts = [cut for cut in reference_set.cuts if cut < end]
+        cuts = (cut for cut in reference_set.cuts if cut < end)
         edges = [reference_set.domain.horizon[0], *cuts, end]
         tolerance = max(self.tightness * self.allowed_error, constants.TIGHTEST_TOLERANCE)
         least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.states
