@@ -51,7 +51,6 @@ def add_solve_rtol(parser: argparse.ArgumentParser) -> None:
 
 
 def add_states(parser: argparse.ArgumentParser) -> None:
-    """Add the choice of what is evaluated."""
     parser.add_argument(
         "--states",
         choices=("unknowns", "all"),
@@ -60,7 +59,6 @@ def add_states(parser: argparse.ArgumentParser) -> None:
 
 
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of commands that write a model or a page."""
     add_solve_rtol(parser)
     parser.add_argument("--method", help="the engine (default: auto)")
     parser.add_argument(
@@ -141,7 +139,6 @@ def status_of(solution: Solution) -> int:
 
 
 def complain(text: str) -> None:
-    """Print one line on the standard error stream."""
     print(f"rankone: {text}", file=sys.stderr)
 
 

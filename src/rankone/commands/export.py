@@ -60,7 +60,6 @@ def register(commands: Commands) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    """Write a model, or else a standalone solver."""
     is_model = arguments.model or is_saved(arguments.file) or arguments.output.suffix != ".py"
     return _write_model(arguments) if is_model else _write_solver(arguments)
 
@@ -86,7 +85,6 @@ def _write_solver(arguments: argparse.Namespace) -> int:
 
 
 def _write_model(arguments: argparse.Namespace) -> int:
-    """Load or solve, and write a solved model."""
     from rankone.export import check_options, model_target
 
     # before the solve, not after it
@@ -107,7 +105,6 @@ def _write_model(arguments: argparse.Namespace) -> int:
 
 
 def _explore(arguments: argparse.Namespace) -> int:
-    """Load or solve, and write the page."""
     from rankone.export import check_options
     from rankone.export.explorer import page_target
 

@@ -156,7 +156,6 @@ def _statistics(solution: Solution) -> _Statistics | None:
 
 
 def _text(solution: Solution, statistics: _Statistics | None) -> str:
-    """The summary and the statistics as tables."""
     if statistics is None:
         return repr(solution)
     units = dict(solution.metadata.units)
@@ -192,7 +191,6 @@ def _shown(statistic: float | None) -> str:
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
-    """Aligned columns, indented."""
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     return "\n".join(
         "  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in [head, *rows]

@@ -88,7 +88,6 @@ def register(commands: Commands) -> None:
 
 
 def _count(text: str) -> int:
-    """Parse a number of trajectories."""
     try:
         count = int(text)
     except ValueError:

@@ -53,7 +53,6 @@ def bundle(roots: Iterable[str]) -> list[str]:
 
 
 def banner(title: str) -> str:
-    """A comment that opens a section."""
     start = f"# == {title} "
     return start + "=" * max(WIDTH - 1 - len(start), 3)
 
@@ -100,7 +99,6 @@ def _imports(name: str) -> list[str]:
 
 @cache
 def _exists(name: str) -> bool:
-    """Whether there is a module of that name."""
     try:
         return importlib.util.find_spec(name) is not None
     except ModuleNotFoundError:  # the part before the last dot is no package

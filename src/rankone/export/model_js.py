@@ -65,7 +65,6 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
 
 
 def _key(name: str) -> str:
-    """A name as a key of an object."""
     if name == "__proto__":
         return '["__proto__"]'
     return name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else js_string(name)
@@ -132,6 +131,5 @@ def _packed(tensor: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def _base64(arrays: Sequence[NDArray[np.generic]], dtype: str) -> str:
-    """Numbers as text of several lines."""
     joined = np.concatenate(arrays) if arrays else np.empty(0)
     return "\n".join(textwrap.wrap(base64.b64encode(joined.astype(dtype).tobytes()).decode(), LINE))

@@ -102,7 +102,6 @@ class PackedModel:
 
     @property
     def size(self) -> int:
-        """Number of coefficients of the different cores."""
         return sum(core.tensor.size for core in self.distinct[0])
 
 

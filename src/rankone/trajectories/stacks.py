@@ -119,7 +119,6 @@ class _DenseRecord:
             self.early = self.largest
 
     def trajectories(self, state: Array, avoided: float) -> DenseTrajectories:
-        """The trajectories up to the last state (n, m)."""
         steps = tuple(self.times), tuple(self.steps)
         return DenseTrajectories(*steps, state, self.largest, self.early, avoided)
 
@@ -169,7 +168,6 @@ class _Stack:
 
     @cached_property
     def parameters(self) -> Array:
-        """The points as generated functions take them, (d, m)."""
         return np.ascontiguousarray(self.points.T)
 
     def integrate(self, record: _Record) -> tuple[Array, float]:

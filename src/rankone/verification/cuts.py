@@ -174,7 +174,6 @@ def located_cuts(
 
 
 def _distance(x: float, points: Sequence[float]) -> float:
-    """Distance from the nearest of some points."""
     return min(abs(x - point) for point in points)
 
 

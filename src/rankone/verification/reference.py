@@ -90,7 +90,6 @@ class Reference:
 
     @property
     def stiff(self) -> bool:
-        """Whether the stiff integrator was used."""
         return self.avoided > 0.0
 
     def __call__(self, times: Array) -> Array:

@@ -69,7 +69,6 @@ class Notation:
 
     @property
     def derivatives(self) -> frozenset[str]:
-        """Names of derivatives that are states."""
         return frozenset(self._primes)
 
     def _letter_and_index(self, name: str) -> tuple[str, str]:
@@ -101,7 +100,6 @@ class Notation:
         return f"<mrow>{letter}{primes}</mrow>"
 
     def symbol(self, name: str) -> str:
-        """A name as an element that a page can hold."""
         return f"<math>{self.name(name)}</math>"
 
     def equations(self) -> list[list[str]]:
@@ -295,7 +293,6 @@ def _derivatives(metadata: SolutionMetadata) -> Mapping[str, tuple[str, int]]:
 
 
 def _letter_and_index(name: str) -> tuple[str, str]:
-    """Letters and subscript of a name."""
     match = _NAME.fullmatch(name)
     if match is None:
         return name, ""
