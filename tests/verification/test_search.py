@@ -1,9 +1,9 @@
-"""Climbing and bisection come to where they should."""
+"""Climbing comes to where it should."""
 
 import numpy as np
 import pytest
 
-from rankone.verification.search import Climb, bisected, climbed
+from rankone.verification.search import Climb, climbed
 
 BOX = np.array([[0.0, 1.0], [2.0, 6.0]])
 
@@ -28,11 +28,3 @@ def test_climbers_never_go_down_and_stay_where_nothing_is_higher():
     points, heights = climbed(hill, start, hill(start), BOX, climb)
     np.testing.assert_array_equal(points[0], start[0])
     assert heights[1] >= hill(start)[1]
-
-
-def test_segments_are_bisected_to_the_border_of_a_disc():
-    inside, outside = np.zeros((2, 2)), np.array([[3.0, 0.0], [3.0, 4.0]])
-    a, b = bisected(inside, outside, lambda points: np.hypot(*points.T) < 1.0, 50)
-    np.testing.assert_allclose(a, [[1.0, 0.0], [0.6, 0.8]], atol=1e-14)
-    assert (np.hypot(*a.T) < 1.0).all()
-    assert (np.hypot(*b.T) >= 1.0).all()

@@ -12,7 +12,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from rankone.discretization.basis import legendre_derivative, legendre_values
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, bisected
 
 __all__ = ["Polynomials", "TimeGrid", "resolving_breaks"]
 
@@ -219,10 +219,11 @@ class Polynomials:
 
     def _root(self, left: Array, right: Array, sign: Array, columns: NDArray[np.intp]) -> Array:
         """Where some of the functions take the sign that they have at the right ends, (N,)."""
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (left + right)
-            over = self.at(middle, columns) * sign > 0.0
-            left, right = np.where(over, left, middle), np.where(over, middle, right)
+
+        def on_left(times: Array) -> NDArray[np.bool_]:
+            return np.asarray(~(self.at(times, columns) * sign > 0.0))
+
+        left, right = bisected(left, right, on_left, _HALVINGS)
         return np.asarray(0.5 * (left + right))
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.stats
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, bisected
 from rankone.support.errors import optional_module
 
 Density = Callable[[Array], Array]
@@ -106,10 +106,7 @@ class Cells:
     def quantile(self, j: int, shares: Array) -> Array:
         """Quantiles of coordinate j at shares (k,) of the probability."""
         low, high = np.zeros(shares.shape), np.ones(shares.shape)
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            below = self.cumulative(j, middle) < shares
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        low, high = bisected(low, high, lambda z: self.cumulative(j, z) < shares, _BISECTIONS)
         return np.asarray(0.5 * (low + high))
 
     def sample(self, count: int, density: Density, generator: np.random.Generator) -> Array:

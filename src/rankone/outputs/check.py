@@ -13,9 +13,9 @@ from rankone.discretization.time_grid import TimeGrid
 from rankone.ir.request import Domain
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
-from rankone.support.arrays import Array, corners, spread
+from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain, slab_positions
-from rankone.verification.search import Climb, bisected, climbed
+from rankone.verification.search import Climb, climbed
 
 _ROUNDING = 1e-13  # A quantity that is so small, relative to its operands, is zero but for rounding
 _INTERIOR_POINTS = 96  # Points of the interior where an error is measured, as for solutions
@@ -183,7 +183,7 @@ def _on_ridges(domain: Domain, quantities: Quantities) -> Array:
             on_left = sign(left[across])
 
             def like_left(at: Array, on_left: Array = on_left) -> NDArray[np.bool_]:
-                return np.asarray(sign(at) == on_left)
+                return np.asarray(sign(at) == on_left)[:, None]
 
             blocks.append(bisected(left[across], right[across], like_left, _HALVINGS)[0])
     return np.concatenate(blocks)

@@ -1,8 +1,9 @@
-"""The array type of the numeric modules, and points of a cube."""
+"""The array type of the numeric modules, points of a cube, and bisection."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,3 +36,18 @@ def corners(d: int, most: int, generator: np.random.Generator) -> Array:
     drawn = generator.integers(0, 2, (most, d)).astype(float)
     drawn[0], drawn[1] = 0.0, 1.0
     return drawn
+
+
+def bisected(
+    a: Array, b: Array, like_a: Callable[[Array], NDArray[np.bool_]], halvings: int
+) -> tuple[Array, Array]:
+    """The ends of segments [a, b] after halvings around a border between ``a`` and ``b``.
+
+    ``like_a`` tells for points, one on each segment, whether they are on the side of ``a``. Its
+    answer broadcasts with the points: (m,) for points (m,), but (m, 1) for points (m, d).
+    """
+    for _ in range(halvings):
+        middle = 0.5 * (a + b)
+        near_a = like_a(middle)
+        a, b = np.where(near_a, middle, a), np.where(near_a, b, middle)
+    return a, b

@@ -16,6 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
@@ -26,7 +27,7 @@ from rankone.ir.forms import Coordinate, SeparatedForm, State
 from rankone.ir.functions import Table, known_applied
 from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
-from rankone.support.arrays import Array, corners, spread
+from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.support.errors import OptionError, ProblemError, RankoneWarning
 from rankone.support.wording import number, quote
 from rankone.symbolic.features import cuts_of
@@ -287,12 +288,14 @@ def _point_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | Non
     points = lower + (upper - lower) * unit
     a, b = points[:, ::2], points[:, 1::2]
     samples, at_start = [points], pattern(a)
-    for _ in range(_BISECTIONS):  # to where the first of the conditions changes on each line
-        middle = 0.5 * (a + b)
-        same = (pattern(middle) == at_start).all(axis=0)
-        a, b = np.where(same, middle, a), np.where(same, b, middle)
+
+    def like_start(middle: Array) -> NDArray[np.bool_]:
         if len(samples) < _BISECTIONS // 2:
             samples.append(middle)
+        return np.asarray((pattern(middle) == at_start).all(axis=0))
+
+    # to where the first of the conditions changes on each line
+    _, b = bisected(a, b, like_start, _BISECTIONS)
     points = np.concatenate([*samples, b], axis=1)
     inside = np.flatnonzero(truth(points))
     if not inside.size:

@@ -7,6 +7,6 @@ Read in this order:
 ``reference``  reference trajectories, and the intervals on which they reach the end
 ``points``     where they begin: the points of the box at which a solution is checked
 ``cuts``       where known functions of one coordinate are not smooth or narrow
-``search``     climbing and bisection, by which the others find points
+``search``     climbing, by which the others find points
 =============  ====================================================================================
 """

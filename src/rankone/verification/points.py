@@ -11,13 +11,14 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D
 from rankone.ir.request import Domain
 from rankone.ir.system import System
-from rankone.support.arrays import Array, corners, spread
+from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain
-from rankone.verification.search import Climb, bisected, climbed
+from rankone.verification.search import Climb, climbed
 
 FEW_PARAMETERS = 3  # Parameters up to which corners are checked as strictly as the interior
 _FEW_CORNERS = 8  # Corners where they do not count: all of three parameters
@@ -172,7 +173,11 @@ def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] 
 
 def _zeros(functions: Callable[[Array], Array], i: int, below: Array, above: Array) -> Array:
     """Zeros of a function between points where it is negative and points where it is not."""
-    a, b = bisected(below, above, lambda points: functions(points)[i] < 0.0, _SURFACE_HALVINGS)
+
+    def below_zero(points: Array) -> NDArray[np.bool_]:
+        return np.asarray(functions(points)[i] < 0.0)[:, None]
+
+    a, b = bisected(below, above, below_zero, _SURFACE_HALVINGS)
     return np.asarray(0.5 * (a + b))
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rankone.ir.outcome import SafeInterval
 from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
-from rankone.support.arrays import Array
+from rankone.support.arrays import Array, bisected
 from rankone.support.budget import OutOfBudgetError, charge, limited, work_left
 from rankone.support.costs import Cost
 from rankone.support.errors import ConvergenceError
@@ -37,7 +37,6 @@ from rankone.trajectories.integrator import (
 )
 from rankone.trajectories.stacks import StackedIntegrator, has_smooth_rates
 from rankone.verification.points import check_points
-from rankone.verification.search import bisected
 
 _NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
 _LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide between its stages

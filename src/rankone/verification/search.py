@@ -1,4 +1,4 @@
-"""Searches for the worst points of a box: climbing by random steps, and bisection."""
+"""Searches for the worst points of a box: climbing by random steps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 
@@ -49,17 +48,3 @@ def climbed(
         heights = np.where(higher, reached[best, climbers], heights)
         step = np.where(higher[:, None] & climb.patient, step, climb.shrinkage * step)
     return points, heights
-
-
-def bisected(
-    a: Array, b: Array, like_a: Callable[[Array], NDArray[np.bool_]], halvings: int
-) -> tuple[Array, Array]:
-    """The ends of segments [a, b] after halvings around a border between ``a`` and ``b``.
-
-    ``like_a`` tells for points (m, d), one on each segment, whether they are on the side of ``a``.
-    """
-    for _ in range(halvings):
-        middle = 0.5 * (a + b)
-        near_a = like_a(middle)[:, None]
-        a, b = np.where(near_a, middle, a), np.where(near_a, b, middle)
-    return a, b
