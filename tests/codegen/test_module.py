@@ -15,6 +15,7 @@ import sympy as sp
 from rankone.codegen import generate_source, load_module
 from rankone.codegen.header import plain_product
 from rankone.codegen.printer import factor_text
+from rankone.support.errors import OptionError
 from tests.codegen.interpreter import Interpreter
 from tests.codegen.systems import REFERENCE, Separated, driven, lotka_volterra, separated, t
 
@@ -160,3 +161,11 @@ def test_products_are_written_as_quotients():
     k, m = sp.symbols("k m")
     texts = [factor_text(e) for e in (1 / k, 1 / (k * m), k / m, 1 + k, 1 / k + m)]
     assert texts == ["1/k", "1/(k*m)", "(k/m)", "(k + 1)", "(m + 1/k)"]
+
+
+@pytest.mark.parametrize("name", ["rhs", "INITIAL", "TERMS", "KERNELS", "TIME"])
+def test_a_module_without_a_name_that_every_system_has_is_refused(name):
+    source = generate_source(lotka_volterra()).replace(f"{name} = ", "other = ")
+    source = source.replace(f"def {name}(", "def other(")
+    with pytest.raises(OptionError, match=f"defines no `?{name}`?"):
+        load_module(source, "incomplete")

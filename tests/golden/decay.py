@@ -23,9 +23,11 @@ PRODUCTS = ()
 PARAMETERS = ("k",)
 TIME = (0.0, 2.0)
 BOX = ((0.5, 5.0),)
+# coefficient, state, row of the factor of each coordinate, states multiplied
 TERMS = (
     (-1.0, 0, (0, 1), (0,)),  # u': -k*u
 )
+# coefficient, state, row of the factor of each parameter
 INITIAL = (
     (1.0, 0, (0,)),  # u(0): 1
 )
@@ -55,32 +57,6 @@ def parameter_factors(dimension, p):
     return PARAMETER_FACTORS[dimension](p)
 
 
-# --- Kernels --------------------------------------------------------------------------------------
-def linear_0(phi, x):
-    """Linear terms of group 0, to be multiplied by k (1)."""
-    y = np.empty(x.shape)
-    y[0] = -x[0]  # u'
-    return y
-
-
-def linear_adjoint_0(phi, w):
-    """Adjoint of the linear terms of group 0, to be multiplied by k."""
-    v = np.empty(w.shape)
-    v[0] = -w[0]  # u
-    return v
-
-
-SIGNATURES = ((1,),)
-PAIRED = ((),)
-KERNELS = {
-    "constant": (None,),
-    "linear": (linear_0,),
-    "linear_adjoint": (linear_adjoint_0,),
-    "quadratic": (None,),
-    "quadratic_adjoint": (None,),
-}
-
-
 # --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (1, ...): shape (1, ...)."""
@@ -106,3 +82,29 @@ def jacobian(t, u, p):
 def with_products(u):
     """All states, (1, ...): there are no products to append."""
     return np.array(u, dtype=float)
+
+
+# --- Kernels --------------------------------------------------------------------------------------
+def linear_0(phi, x):
+    """Linear terms of group 0, to be multiplied by k (1)."""
+    y = np.empty(x.shape)
+    y[0] = -x[0]  # u'
+    return y
+
+
+def linear_adjoint_0(phi, w):
+    """Adjoint of the linear terms of group 0, to be multiplied by k."""
+    v = np.empty(w.shape)
+    v[0] = -w[0]  # u
+    return v
+
+
+SIGNATURES = ((1,),)
+PAIRED = ((),)
+KERNELS = {
+    "constant": (None,),
+    "linear": (linear_0,),
+    "linear_adjoint": (linear_adjoint_0,),
+    "quadratic": (None,),
+    "quadratic_adjoint": (None,),
+}

@@ -30,6 +30,7 @@ PRODUCTS = ((0, 0),)
 PARAMETERS = ("lambda", "x_{0}")
 TIME = (0.0, 2.0)
 BOX = ((1.0, 2.0), (0.0, 1.0))
+# coefficient, state, row of the factor of each coordinate, states multiplied
 TERMS = (
     (-1.0, 0, (0, 1, 0), (0, 0, 0)),  # x': -exp(-lambda)*x**3
     (0.5, 0, (1, 0, 0), (1,)),  # x': 0.5*sin(t)*y
@@ -38,6 +39,7 @@ TERMS = (
     (-2.0, 1, (0, 0, 0), (1,)),  # y': -2*y
     (0.3333333333333333, 1, (0, 2, 0), (0,)),  # y': 0.3333333333333333*lambda*x
 )
+# coefficient, state, row of the factor of each parameter
 INITIAL = (
     (1.0, 0, (0, 1)),  # x(0): x_{0}
     (1.0, 1, (0, 0)),  # y(0): 1
@@ -77,6 +79,76 @@ PARAMETER_FACTORS = (factors_of_lambda_, factors_of_x_0)
 def parameter_factors(dimension, p):
     """Factors of one parameter at the points p (N,): shape (number, N)."""
     return PARAMETER_FACTORS[dimension](p)
+
+
+# --- Right-hand side ------------------------------------------------------------------------------
+def rhs(t, u, p):
+    """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
+    shape = np.broadcast(t, *u, *p).shape
+    lambda_, _ = p
+    x, y = u
+    # Intermediate terms (4)
+    t_1 = np.sin(t)
+    t_2 = np.cos(t) ** 2
+    lambda_1 = np.exp(-lambda_)
+    c0 = lambda_ * x
+    # Output
+    out = np.empty((2, *shape))
+    out[0] = t_1 * (0.5 * y + 0.25) - lambda_1 * x * x * x  # x'
+    out[1] = y * (t_2 * x * c0 - 2.0) + 0.3333333333333333 * c0  # y'
+    return out
+
+
+def jacobian(t, u, p):
+    """Jacobian df/du at u (2, ...): shape (2, 2, ...)."""
+    shape = np.broadcast(t, *u, *p).shape
+    lambda_, _ = p
+    x, y = u
+    # Intermediate terms (5)
+    t_1 = np.sin(t)
+    t_2 = np.cos(t) ** 2
+    lambda_1 = np.exp(-lambda_)
+    c0 = t_2 * lambda_
+    c1 = x * x
+    # Output
+    out = np.zeros((2, 2, *shape))
+    out[0, 0] = -3.0 * lambda_1 * c1  # d(x')/dx
+    out[0, 1] = 0.5 * t_1  # d(x')/dy
+    out[1, 0] = 2.0 * x * y * c0 + 0.3333333333333333 * lambda_  # d(y')/dx
+    out[1, 1] = c0 * c1 - 2.0  # d(y')/dy
+    return out
+
+
+def with_products(u):
+    """Append the products: (2, ...) to (3, ...)."""
+    u = np.asarray(u, dtype=float)
+    x = np.empty((3, *u.shape[1:]))
+    x[:2] = u
+    x[2] = x[0] * x[0]  # w0 = x*x
+    return x
+
+
+def quadratic_jacobian(t, x, p):
+    """Jacobian of the quadratic system at x (3, ...): shape (3, 3, ...)."""
+    shape = np.broadcast(t, *x, *p).shape
+    lambda_, _ = p
+    x, y, w0 = x
+    # Intermediate terms (4)
+    t_1 = np.sin(t)
+    t_2 = np.cos(t) ** 2
+    lambda_1 = np.exp(-lambda_)
+    c0 = t_2 * lambda_
+    # Output
+    out = np.zeros((3, 3, *shape))
+    out[0, 0] = -lambda_1 * w0  # d(x')/dx
+    out[0, 1] = 0.5 * t_1  # d(x')/dy
+    out[0, 2] = -lambda_1 * x  # d(x')/dw0
+    out[1, 0] = 0.3333333333333333 * lambda_  # d(y')/dx
+    out[1, 1] = w0 * c0 - 2.0  # d(y')/dy
+    out[1, 2] = y * c0  # d(y')/dw0
+    out[2, 0] = 2.0 * x  # d(x*x - w0)/dx
+    out[2, 2] = -1.0  # d(x*x - w0)/dw0
+    return out
 
 
 # --- Kernels --------------------------------------------------------------------------------------
@@ -209,73 +281,3 @@ KERNELS = {
     "quadratic": (quadratic_0, quadratic_1, quadratic_2),
     "quadratic_adjoint": (quadratic_adjoint_0, quadratic_adjoint_1, quadratic_adjoint_2),
 }
-
-
-# --- Right-hand side ------------------------------------------------------------------------------
-def rhs(t, u, p):
-    """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
-    lambda_, _ = p
-    x, y = u
-    # Intermediate terms (4)
-    t_1 = np.sin(t)
-    t_2 = np.cos(t) ** 2
-    lambda_1 = np.exp(-lambda_)
-    c0 = lambda_ * x
-    # Output
-    out = np.empty((2, *shape))
-    out[0] = t_1 * (0.5 * y + 0.25) - lambda_1 * x * x * x  # x'
-    out[1] = y * (t_2 * x * c0 - 2.0) + 0.3333333333333333 * c0  # y'
-    return out
-
-
-def jacobian(t, u, p):
-    """Jacobian df/du at u (2, ...): shape (2, 2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
-    lambda_, _ = p
-    x, y = u
-    # Intermediate terms (5)
-    t_1 = np.sin(t)
-    t_2 = np.cos(t) ** 2
-    lambda_1 = np.exp(-lambda_)
-    c0 = t_2 * lambda_
-    c1 = x * x
-    # Output
-    out = np.zeros((2, 2, *shape))
-    out[0, 0] = -3.0 * lambda_1 * c1  # d(x')/dx
-    out[0, 1] = 0.5 * t_1  # d(x')/dy
-    out[1, 0] = 2.0 * x * y * c0 + 0.3333333333333333 * lambda_  # d(y')/dx
-    out[1, 1] = c0 * c1 - 2.0  # d(y')/dy
-    return out
-
-
-def with_products(u):
-    """Append the products: (2, ...) to (3, ...)."""
-    u = np.asarray(u, dtype=float)
-    x = np.empty((3, *u.shape[1:]))
-    x[:2] = u
-    x[2] = x[0] * x[0]  # w0 = x*x
-    return x
-
-
-def quadratic_jacobian(t, x, p):
-    """Jacobian of the quadratic system at x (3, ...): shape (3, 3, ...)."""
-    shape = np.broadcast(t, *x, *p).shape
-    lambda_, _ = p
-    x, y, w0 = x
-    # Intermediate terms (4)
-    t_1 = np.sin(t)
-    t_2 = np.cos(t) ** 2
-    lambda_1 = np.exp(-lambda_)
-    c0 = t_2 * lambda_
-    # Output
-    out = np.zeros((3, 3, *shape))
-    out[0, 0] = -lambda_1 * w0  # d(x')/dx
-    out[0, 1] = 0.5 * t_1  # d(x')/dy
-    out[0, 2] = -lambda_1 * x  # d(x')/dw0
-    out[1, 0] = 0.3333333333333333 * lambda_  # d(y')/dx
-    out[1, 1] = w0 * c0 - 2.0  # d(y')/dy
-    out[1, 2] = y * c0  # d(y')/dw0
-    out[2, 0] = 2.0 * x  # d(x*x - w0)/dx
-    out[2, 2] = -1.0  # d(x*x - w0)/dw0
-    return out

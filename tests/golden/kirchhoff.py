@@ -38,6 +38,7 @@ PRODUCTS = ()
 PARAMETERS = ("a0", "a1", "a2", "a3", "a4", "a5")
 TIME = (0.0, 3.0)
 BOX = ((0.5, 1.0), (0.5, 1.0), (0.5, 1.0), (0.5, 1.0), (0.5, 1.0), (0.5, 1.0))
+# coefficient, state, row of the factor of each coordinate, states multiplied
 TERMS = (
     (1.25, 0, (0, 0, 0, 0, 0, 0, 0), (1, 5)),  # v0': 1.25*v1*o2
     (-1.5, 0, (0, 0, 0, 0, 0, 0, 0), (2, 4)),  # v0': -1.5*v2*o1
@@ -53,6 +54,7 @@ TERMS = (
     (-0.22222222222222215, 5, (0, 0, 0, 0, 0, 0, 0), (3, 4)),  # o2': -0.22222222222222215*o0*o1
     (-0.5555555555555556, 5, (0, 0, 0, 0, 0, 0, 0), (0, 1)),  # o2': -0.5555555555555556*v0*v1
 )
+# coefficient, state, row of the factor of each parameter
 INITIAL = (
     (1.0, 0, (1, 0, 0, 0, 0, 0)),  # v0(0): a0
     (1.0, 1, (0, 1, 0, 0, 0, 0)),  # v1(0): a1
@@ -85,6 +87,60 @@ PARAMETER_FACTORS = (factors_of_a0_and_5_more,) * 6
 def parameter_factors(dimension, p):
     """Factors of one parameter at the points p (N,): shape (number, N)."""
     return PARAMETER_FACTORS[dimension](p)
+
+
+# --- Right-hand side ------------------------------------------------------------------------------
+def rhs(t, u, p):
+    """Right-hand side f(t, u, p) at u (6, ...): shape (6, ...)."""
+    shape = np.broadcast(t, *u, *p).shape
+    v0, v1, v2, o0, o1, o2 = u
+    # Output
+    out = np.empty((6, *shape))
+    out[0] = 1.25 * v1 * o2 - 1.5 * v2 * o1  # v0'
+    out[1] = 1.2 * v2 * o0 - 0.8 * v0 * o2  # v1'
+    out[2] = 0.6666666666666666 * v0 * o1 - 0.8333333333333334 * v1 * o0 - 0.16666666666666666
+    out[3] = -0.7500000000000001 * o1 * o2 - 1.25 * v1 * v2  # o0'
+    out[4] = 0.8333333333333334 * o0 * o2 + 1.6666666666666667 * v0 * v2  # o1'
+    out[5] = -0.22222222222222215 * o0 * o1 - 0.5555555555555556 * v0 * v1  # o2'
+    return out
+
+
+def jacobian(t, u, p):
+    """Jacobian df/du at u (6, ...): shape (6, 6, ...)."""
+    shape = np.broadcast(t, *u, *p).shape
+    v0, v1, v2, o0, o1, o2 = u
+    # Output
+    out = np.zeros((6, 6, *shape))
+    out[0, 1] = 1.25 * o2  # d(v0')/dv1
+    out[0, 2] = -1.5 * o1  # d(v0')/dv2
+    out[0, 4] = -1.5 * v2  # d(v0')/do1
+    out[0, 5] = 1.25 * v1  # d(v0')/do2
+    out[1, 0] = -0.8 * o2  # d(v1')/dv0
+    out[1, 2] = 1.2 * o0  # d(v1')/dv2
+    out[1, 3] = 1.2 * v2  # d(v1')/do0
+    out[1, 5] = -0.8 * v0  # d(v1')/do2
+    out[2, 0] = 0.6666666666666666 * o1  # d(v2')/dv0
+    out[2, 1] = -0.8333333333333334 * o0  # d(v2')/dv1
+    out[2, 3] = -0.8333333333333334 * v1  # d(v2')/do0
+    out[2, 4] = 0.6666666666666666 * v0  # d(v2')/do1
+    out[3, 1] = -1.25 * v2  # d(o0')/dv1
+    out[3, 2] = -1.25 * v1  # d(o0')/dv2
+    out[3, 4] = -0.7500000000000001 * o2  # d(o0')/do1
+    out[3, 5] = -0.7500000000000001 * o1  # d(o0')/do2
+    out[4, 0] = 1.6666666666666667 * v2  # d(o1')/dv0
+    out[4, 2] = 1.6666666666666667 * v0  # d(o1')/dv2
+    out[4, 3] = 0.8333333333333334 * o2  # d(o1')/do0
+    out[4, 5] = 0.8333333333333334 * o0  # d(o1')/do2
+    out[5, 0] = -0.5555555555555556 * v1  # d(o2')/dv0
+    out[5, 1] = -0.5555555555555556 * v0  # d(o2')/dv1
+    out[5, 3] = -0.22222222222222215 * o1  # d(o2')/do0
+    out[5, 4] = -0.22222222222222215 * o0  # d(o2')/do1
+    return out
+
+
+def with_products(u):
+    """All states, (6, ...): there are no products to append."""
+    return np.array(u, dtype=float)
 
 
 # --- Kernels --------------------------------------------------------------------------------------
@@ -171,57 +227,3 @@ KERNELS = {
     "quadratic": (quadratic_0,),
     "quadratic_adjoint": (quadratic_adjoint_0,),
 }
-
-
-# --- Right-hand side ------------------------------------------------------------------------------
-def rhs(t, u, p):
-    """Right-hand side f(t, u, p) at u (6, ...): shape (6, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
-    v0, v1, v2, o0, o1, o2 = u
-    # Output
-    out = np.empty((6, *shape))
-    out[0] = 1.25 * v1 * o2 - 1.5 * v2 * o1  # v0'
-    out[1] = 1.2 * v2 * o0 - 0.8 * v0 * o2  # v1'
-    out[2] = 0.6666666666666666 * v0 * o1 - 0.8333333333333334 * v1 * o0 - 0.16666666666666666
-    out[3] = -0.7500000000000001 * o1 * o2 - 1.25 * v1 * v2  # o0'
-    out[4] = 0.8333333333333334 * o0 * o2 + 1.6666666666666667 * v0 * v2  # o1'
-    out[5] = -0.22222222222222215 * o0 * o1 - 0.5555555555555556 * v0 * v1  # o2'
-    return out
-
-
-def jacobian(t, u, p):
-    """Jacobian df/du at u (6, ...): shape (6, 6, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
-    v0, v1, v2, o0, o1, o2 = u
-    # Output
-    out = np.zeros((6, 6, *shape))
-    out[0, 1] = 1.25 * o2  # d(v0')/dv1
-    out[0, 2] = -1.5 * o1  # d(v0')/dv2
-    out[0, 4] = -1.5 * v2  # d(v0')/do1
-    out[0, 5] = 1.25 * v1  # d(v0')/do2
-    out[1, 0] = -0.8 * o2  # d(v1')/dv0
-    out[1, 2] = 1.2 * o0  # d(v1')/dv2
-    out[1, 3] = 1.2 * v2  # d(v1')/do0
-    out[1, 5] = -0.8 * v0  # d(v1')/do2
-    out[2, 0] = 0.6666666666666666 * o1  # d(v2')/dv0
-    out[2, 1] = -0.8333333333333334 * o0  # d(v2')/dv1
-    out[2, 3] = -0.8333333333333334 * v1  # d(v2')/do0
-    out[2, 4] = 0.6666666666666666 * v0  # d(v2')/do1
-    out[3, 1] = -1.25 * v2  # d(o0')/dv1
-    out[3, 2] = -1.25 * v1  # d(o0')/dv2
-    out[3, 4] = -0.7500000000000001 * o2  # d(o0')/do1
-    out[3, 5] = -0.7500000000000001 * o1  # d(o0')/do2
-    out[4, 0] = 1.6666666666666667 * v2  # d(o1')/dv0
-    out[4, 2] = 1.6666666666666667 * v0  # d(o1')/dv2
-    out[4, 3] = 0.8333333333333334 * o2  # d(o1')/do0
-    out[4, 5] = 0.8333333333333334 * o0  # d(o1')/do2
-    out[5, 0] = -0.5555555555555556 * v1  # d(o2')/dv0
-    out[5, 1] = -0.5555555555555556 * v0  # d(o2')/dv1
-    out[5, 3] = -0.22222222222222215 * o1  # d(o2')/do0
-    out[5, 4] = -0.22222222222222215 * o0  # d(o2')/do1
-    return out
-
-
-def with_products(u):
-    """All states, (6, ...): there are no products to append."""
-    return np.array(u, dtype=float)

@@ -26,12 +26,14 @@ PRODUCTS = ()
 PARAMETERS = ("x0", "y0")
 TIME = (0.0, 6.0)
 BOX = ((8.0, 12.0), (4.0, 6.0))
+# coefficient, state, row of the factor of each coordinate, states multiplied
 TERMS = (
     (1.5, 0, (0, 0, 0), (0,)),  # x': 1.5*x
     (-1.0, 0, (0, 0, 0), (0, 1)),  # x': -x*y
     (-3.0, 1, (0, 0, 0), (1,)),  # y': -3*y
     (1.0, 1, (0, 0, 0), (0, 1)),  # y': x*y
 )
+# coefficient, state, row of the factor of each parameter
 INITIAL = (
     (1.0, 0, (1, 0)),  # x(0): x0
     (1.0, 1, (0, 1)),  # y(0): y0
@@ -60,6 +62,38 @@ PARAMETER_FACTORS = (factors_of_x0_and_1_more,) * 2
 def parameter_factors(dimension, p):
     """Factors of one parameter at the points p (N,): shape (number, N)."""
     return PARAMETER_FACTORS[dimension](p)
+
+
+# --- Right-hand side ------------------------------------------------------------------------------
+def rhs(t, u, p):
+    """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
+    shape = np.broadcast(t, *u, *p).shape
+    x, y = u
+    # Intermediate terms (1)
+    c0 = x * y
+    # Output
+    out = np.empty((2, *shape))
+    out[0] = 1.5 * x - c0  # x'
+    out[1] = c0 - 3.0 * y  # y'
+    return out
+
+
+def jacobian(t, u, p):
+    """Jacobian df/du at u (2, ...): shape (2, 2, ...)."""
+    shape = np.broadcast(t, *u, *p).shape
+    x, y = u
+    # Output
+    out = np.zeros((2, 2, *shape))
+    out[0, 0] = 1.5 - y  # d(x')/dx
+    out[0, 1] = -x  # d(x')/dy
+    out[1, 0] = y  # d(y')/dx
+    out[1, 1] = x - 3.0  # d(y')/dy
+    return out
+
+
+def with_products(u):
+    """All states, (2, ...): there are no products to append."""
+    return np.array(u, dtype=float)
 
 
 # --- Kernels --------------------------------------------------------------------------------------
@@ -123,35 +157,3 @@ KERNELS = {
     "quadratic": (quadratic_0,),
     "quadratic_adjoint": (quadratic_adjoint_0,),
 }
-
-
-# --- Right-hand side ------------------------------------------------------------------------------
-def rhs(t, u, p):
-    """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
-    x, y = u
-    # Intermediate terms (1)
-    c0 = x * y
-    # Output
-    out = np.empty((2, *shape))
-    out[0] = 1.5 * x - c0  # x'
-    out[1] = c0 - 3.0 * y  # y'
-    return out
-
-
-def jacobian(t, u, p):
-    """Jacobian df/du at u (2, ...): shape (2, 2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
-    x, y = u
-    # Output
-    out = np.zeros((2, 2, *shape))
-    out[0, 0] = 1.5 - y  # d(x')/dx
-    out[0, 1] = -x  # d(x')/dy
-    out[1, 0] = y  # d(y')/dx
-    out[1, 1] = x - 3.0  # d(y')/dy
-    return out
-
-
-def with_products(u):
-    """All states, (2, ...): there are no products to append."""
-    return np.array(u, dtype=float)

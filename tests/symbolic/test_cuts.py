@@ -134,3 +134,21 @@ def test_moving_switches_are_those_of_time_and_parameters():
     coordinates = [TIME, Coordinate("k", k, 0.5, 1.0)]
     rate = sp.Heaviside(2 * t - k) * sp.Heaviside(t - x) + sp.Abs(t - 3) + sp.exp(-k * t)
     assert features_of(coordinates, [rate], []).moving_cuts == (k / 2,)
+
+
+@pytest.mark.parametrize(
+    ("shape", "area"),
+    [
+        ("1e7*exp(-((t - 0.31234)/1e-7)**2)", math.sqrt(math.pi)),
+        ("1e6*(tanh((t - 0.31234)*1e9) - tanh((t - 0.312341)*1e9))", 2.0),
+        ("1e7/(1 + ((t - 0.31234)*1e7)**2)", math.pi),
+    ],
+)
+@pytest.mark.parametrize("method", ["train", "cross"])
+def test_a_narrow_smooth_pulse_is_not_stepped_over(shape, area, method):
+    problem = ro.Problem.from_strings({"x": f"k*{shape}"}, {"x": "1"}, {"k": (0.5, 1.5)}, (0, 1))
+    solution = ro.solve(problem, 1e-4, method=method)
+    if solution.success:
+        assert solution(t=1, k=1)[0] == pytest.approx(1 + area, rel=1e-3)
+    else:
+        assert solution.error > 1e-4

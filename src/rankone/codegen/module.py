@@ -69,18 +69,20 @@ def generate_source(
     features = features_of(system.coordinates, (), expressions)
     sections: dict[str, Sequence[Block]] = {
         "Factors": coordinate_functions(system.coordinates, factors),
-        "Kernels": kernel_blocks(system),
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
         "Lifted states": _lifted(writer, system.differential, meanings),
         **_further_sections(writer, features, system.jumps, system.differential, []),
+        "Kernels": kernel_blocks(system),
     }
     n, names = len(system.differential), system.names
     start = number(system.coordinates[0].lower)
     rates = [(t.coefficient, t.equation, t.factors, t.monomial) for t in system.rhs]
     starts = [(t.coefficient, t.equation, t.factors[1:]) for t in system.initial]
     tables = _tables(True, names, n, system.products, system.coordinates)
+    tables.append("# coefficient, state, row of the factor of each coordinate, states multiplied")
     tables += described_table("TERMS", rates, _term_texts(system.rhs, "{}'", system))
+    tables.append("# coefficient, state, row of the factor of each parameter")
     tables += described_table(
         "INITIAL", starts, _term_texts(system.initial, f"{{}}({start})", system)
     )

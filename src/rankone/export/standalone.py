@@ -159,6 +159,7 @@ def solve(
     OptionError
         An option is out of its range, or a coefficient is not finite on the other ranges.
     """
+    # SYSTEM, ENGINE and METADATA are made at the end of this file, from what stands below
     accuracy = {{"rtol": rtol, "check": check, "cover": cover, "unknowns": unknowns}}
     domain = {{"parameters": parameters, "t_final": t_final}}
     limits = {{"effort": effort, "max_seconds": max_seconds}}

@@ -51,7 +51,8 @@ from rankone.ir.features import (
     unchanged,
 )
 from rankone.support.arrays import Array
-from rankone.support.errors import ProblemError
+from rankone.support.errors import OptionError, ProblemError
+from rankone.support.wording import listing
 
 Kernel: TypeAlias = Callable[..., Array]
 """One of the functions of the table above."""
@@ -169,12 +170,34 @@ class System:
         return start if self.initial_separates else start + self.unseparated_initial(p)
 
 
+_REQUIRED = (
+    *("SEPARATED", "STATES", "N_DIFFERENTIAL", "PRODUCTS", "PARAMETERS", "TIME", "BOX"),
+    *("time_factors", "parameter_factors", "rhs", "jacobian", "with_products"),
+)
+_REQUIRED_BY_FORM = {
+    True: ("TERMS", "INITIAL", "SIGNATURES", "PAIRED", "KERNELS"),
+    False: ("unseparated_initial",),
+}
+"""Names of every system, and by whether it separates."""
+
+
 def system_of(names: Mapping[str, object]) -> System:
     """The system that the names of a generated module make: the one way a System is built.
 
-    Any mapping will do that has the module's names, such as ``vars(module)``. A name that the
-    module does not define becomes an empty member.
+    Any mapping will do that has the module's names, such as ``vars(module)``. Features, jumps, gaps
+    and what else a system may be without become empty members where the module leaves them out.
+
+    Raises
+    ------
+    OptionError
+        If a name is missing that every system has.
     """
+    required = *_REQUIRED, *_REQUIRED_BY_FORM[bool(names.get("SEPARATED"))]
+    if missing := [name for name in required if name not in names]:
+        raise OptionError(
+            f"the module defines no {listing(missing)}",
+            remedy="give the text of generate_source(form)",
+        )
 
     def member(name: str, empty: Member) -> Member:
         return cast(Member, names.get(name, empty))
