@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from rankone.discretization import Basis1D, RadauCollocation
-from rankone.ir.system import System
+from rankone.ir.system import Kernel, System
 from rankone.support.arrays import Array
 
 CONSTANT = 0
@@ -42,8 +41,8 @@ class GroupKernels:
 
     degree: int
     signature: tuple[int, ...]
-    kernel: Any
-    adjoint: Any
+    kernel: Kernel
+    adjoint: Kernel
     paired: list[int]
 
     @property
@@ -54,15 +53,18 @@ class GroupKernels:
 def term_groups(system: System) -> tuple[GroupKernels, ...]:
     """The groups of a generated system, by degree and signature."""
     kernels = system.kernels
-    forward = (kernels.constant, kernels.linear, kernels.quadratic)
-    adjoint = (kernels.constant, kernels.linear_adjoint, kernels.quadratic_adjoint)
+    by_degree = (
+        (CONSTANT, kernels.constant, kernels.constant),
+        (LINEAR, kernels.linear, kernels.linear_adjoint),
+        (QUADRATIC, kernels.quadratic, kernels.quadratic_adjoint),
+    )
     return tuple(
-        GroupKernels(degree, signature, forward[degree][g], adjoint[degree][g], list(paired))
-        for degree in (CONSTANT, LINEAR, QUADRATIC)
-        for g, (signature, paired) in enumerate(
-            zip(kernels.signatures, kernels.paired, strict=True)
+        GroupKernels(degree, signature, kernel, adjoint, list(paired))
+        for degree, forward, backward in by_degree
+        for signature, paired, kernel, adjoint in zip(
+            kernels.signatures, kernels.paired, forward, backward, strict=True
         )
-        if forward[degree][g] is not None
+        if kernel is not None and adjoint is not None
     )
 
 

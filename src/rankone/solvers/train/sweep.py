@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,14 +140,16 @@ class Sweeper:
         for b in range(1, d + 2):
             keys = [(g.degree, g.signature[b - 1 :]) for g in self.groups]
             self._keys[b] = list(dict.fromkeys([*keys, (LINEAR, (0,) * (d + 1 - b))]))
-        self._right: list[dict[Key, Any]] = [{} for _ in range(d + 2)]
+        # a linear key without an entry stands for the identity
+        self._right: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._left: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._right_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._left_halves: list[dict[Key, Array]] = [{} for _ in range(d + 2)]
         self._source_right: list[Array] = [np.ones((1, 1)) for _ in range(d + 2)]
         self._source_left: list[Array] = [np.ones((1, 1)) for _ in range(d + 2)]
         for key in self._keys[d + 1]:
-            self._right[d + 1][key] = None if key[0] == LINEAR else np.ones((1,) * (key[0] + 1))
+            if key[0] != LINEAR:
+                self._right[d + 1][key] = np.ones((1,) * (key[0] + 1))
         self.initial = self.operator.initial(self.source.first)
         for b in range(d, 0, -1):
             self._contract_right(b)
@@ -204,15 +205,15 @@ class Sweeper:
         phi = self.operator.tiled(repeat)
         total = self.operator.minus_jacobian(flat, repeat)
         for group in self.groups:
-            env = self._right[bond][(group.degree, group.signature[bond - 1 :])]
+            right, key = self._right[bond], (group.degree, group.signature[bond - 1 :])
             if group.degree == CONSTANT:
-                y = self.operator.constant(group, phi)[:, :, None] * env
+                y = self.operator.constant(group, phi)[:, :, None] * right[key]
             elif group.degree == LINEAR:
                 y = self.operator.linear(group, phi, flat)
-                if env is not None:
-                    y = (y.reshape(-1, rank) @ env).reshape(n, -1, rank)
+                if key in right:
+                    y = (y.reshape(-1, rank) @ right[key]).reshape(n, -1, rank)
             else:
-                y = self.operator.quadratic(group, phi, flat, env)
+                y = self.operator.quadratic(group, phi, flat, right[key])
             if bond == 2:
                 vector = self.parameters.vector(group.key, 0)
                 y = (y.reshape(n, count, repeat, rank) * vector[:, None]).reshape(n, -1, rank)
@@ -246,8 +247,7 @@ class Sweeper:
         self._right[b] = {}
         for key in self._keys[b]:
             degree, rows = key
-            if degree == LINEAR and rows[0] == 0 and self._right[b + 1][(degree, rows[1:])] is None:
-                self._right[b][key] = None
+            if degree == LINEAR and rows[0] == 0 and (degree, rows[1:]) not in self._right[b + 1]:
                 continue
             half = self._right_half(b, key)
             charge(5.0 * CALL + product(len(half), half.shape[1], r))
@@ -272,16 +272,18 @@ class Sweeper:
         degree, rows = key
         core = self.cores[b]
         r, size, s = core.shape
-        env = self._right[b + 1][(degree, rows[1:])]
+        right, next_key = self._right[b + 1], (degree, rows[1:])
         vector = self.parameters.vector(key, b - 1)
         if degree == CONSTANT:
-            half = np.outer(vector, env)
+            half: Array = np.outer(vector, right[next_key])
         elif degree == LINEAR:
-            half = core if env is None else (core.reshape(-1, s) @ env).reshape(r, size, s)
+            half = core
+            if next_key in right:
+                half = (core.reshape(-1, s) @ right[next_key]).reshape(r, size, s)
             half = half if rows[0] == 0 else half * vector[:, None]
         else:
-            half = right_products(env, core, vector)
-        half = half.reshape(-1, size * env.shape[-1] if env is not None else size * s)
+            half = right_products(right[next_key], core, vector)
+        half = half.reshape(-1, size * s)
         self._right_halves[b][key] = half
         return half
 
