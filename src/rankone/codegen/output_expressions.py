@@ -233,13 +233,14 @@ def _expression(name: str, output: object, metadata: SolutionMetadata) -> sp.Exp
             "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
         }
         where = f"output {quote(name)}"
+        listed = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
         try:
-            return parse_expression(output, names, where=where, further=further)
+            return parse_expression(
+                output, names, where=where, further=further, unknown_name_remedy=listed
+            )
         except ProblemError as error:
-            text = error.message
-            listed = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
-            remedy = listed if "declare" in (error.remedy or "declare") else error.remedy
-            raise OptionError(text, term=output, remedy=remedy) from None
+            remedy = error.remedy or listed
+            raise OptionError(error.message, term=output, remedy=remedy) from None
     try:
         expression = sp.sympify(output, strict=True)
     except (sp.SympifyError, TypeError):

@@ -71,10 +71,11 @@ class PackedCore:
 class PackedModel:
     """A model in plain data; coordinates and cores of a slab are time, then the parameters.
 
-    The ``summary`` has the equations, the box and the measured error, as lines of text. ``errors``
-    are the measured ones of the unknowns relative to their sizes, and the differences from the
-    solution where the model was made smaller; NaN if unchecked. ``units`` belong to names of
-    unknowns and coordinates.
+    The ``summary`` has the equations, the box and the measured error, as lines of text. For a
+    model that was made smaller its last line is ``reduction``, how far the model differs from the
+    solution; else this is None. ``errors`` are the measured ones of the unknowns relative to their
+    sizes, and the differences from the solution where the model was made smaller; NaN if
+    unchecked. ``units`` belong to names of unknowns and coordinates.
     """
 
     unknowns: tuple[str, ...]
@@ -83,6 +84,7 @@ class PackedModel:
     starts: tuple[float, ...]
     slabs: tuple[tuple[PackedCore, ...], ...]
     summary: tuple[str, ...]
+    reduction: str | None
     errors: tuple[float, ...]
     units: tuple[tuple[str, str], ...]
 
@@ -132,16 +134,17 @@ def pack(
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))
     slabs = [slab.with_first(slab.cores[0][list(rows)]) for slab in solution.outcome.slabs]
     errors = [solution.errors[solution.states[row]] for row in rows]
-    summary = _summary(solution, names)
+    summary, reduction = _summary(solution, names), None
     if rtol is not None:
         rounding = rounded_slabs(slabs, intervals, rtol)
         slabs = list(rounding.slabs)
         errors = [a + b for a, b in zip(errors, rounding.differences, strict=True)]
-        summary += (
+        reduction = (
             f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
             f"measured {max(rounding.differences):.1e} at {rounding.points} random points and by "
-            "climbing from the worst of them.",
+            "climbing from the worst of them."
         )
+        summary += (reduction,)
     return PackedModel(
         unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
@@ -155,6 +158,7 @@ def pack(
             for slab in slabs
         ),
         summary=summary,
+        reduction=reduction,
         errors=tuple(map(float, errors)),
         units=tuple(metadata.units),
     )

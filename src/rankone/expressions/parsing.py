@@ -80,6 +80,7 @@ def parse_expression(
     where: str,
     equation: int | None = None,
     further: Mapping[str, Callable[..., sp.Expr]] | None = None,
+    unknown_name_remedy: str = "declare it in `parameters` or give it in `rhs`",
 ) -> sp.Expr:
     """Translate a formula into a SymPy expression.
 
@@ -87,9 +88,10 @@ def parse_expression(
     :data:`FUNCTIONS`. The user's ``names`` come before :data:`CONSTANTS`; a name that stands for
     an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say ``where`` the
     formula is, ``"right-hand side of `x`"``, and the number of the equation. ``further``
-    functions take any number of arguments. Anything else is a ProblemError that quotes the text.
+    functions take any number of arguments. Anything else is a ProblemError that quotes the text;
+    for an unknown name its remedy is ``unknown_name_remedy``.
     """
-    translator = _Translator(text, names, where, equation, further or {})
+    translator = _Translator(text, names, where, equation, further or {}, unknown_name_remedy)
     try:
         one_line = " ".join(text.split())  # with lambda and other keywords as ordinary names
         names_only = _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), one_line)
@@ -141,6 +143,7 @@ class _Translator(ast.NodeVisitor):
     where: str
     equation: int | None
     further: Mapping[str, Callable[..., sp.Expr]]
+    unknown_name_remedy: str
     source: str = ""
     """The piece that is translated."""
 
@@ -198,9 +201,7 @@ class _Translator(ast.NodeVisitor):
         if name in FUNCTIONS:
             raise self.error(f"function {quote(name)} has no argument", f"write {name}(...)")
         hint = did_you_mean(name, [*self.names, *CONSTANTS])
-        raise self.error(
-            f"unknown name {quote(name)}{hint}", "declare it in `parameters` or give it in `rhs`"
-        )
+        raise self.error(f"unknown name {quote(name)}{hint}", self.unknown_name_remedy)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> sp.Expr:
         operand = self.visit(node.operand)

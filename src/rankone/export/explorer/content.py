@@ -210,10 +210,7 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
     if measured.drift is not None:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
-    lines += [
-        f"{line} The errors of the table are those of both together."
-        for line in model.summary
-        if line.startswith("Made smaller")
-    ]
+    if model.reduction is not None:
+        lines.append(f"{model.reduction} The errors of the table are those of both together.")
     # lines break at a hyphen, but not at a minus sign
     return [re.sub(r"(?<=\de)-(?=\d)", "−", line.replace("`", "")) for line in lines]
