@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 import rankone as ro
-from rankone.support.errors import OptionError, ProblemError, optional_module
+from rankone.support.errors import OptionError, ProblemError, optional_module, warn
 from tests.problems import REFERENCE
 
 
@@ -16,6 +16,11 @@ def test_str_joins_message_and_remedy() -> None:
     assert error.message == "equation 2: `x` is missing"
     assert str(error) == "equation 2: `x` is missing; remedy: give its equation"
     assert str(OptionError("no such option")) == "no such option"
+
+
+def test_a_warning_joins_message_and_remedy() -> None:
+    with pytest.warns(ro.RankoneWarning, match="^the tea is cold; remedy: heat it$"):
+        warn("the tea is cold", remedy="heat it")
 
 
 def test_copies_are_equal() -> None:

@@ -122,11 +122,11 @@ def may_be_written(solution: Solution, arguments: argparse.Namespace) -> bool:
     """Whether to write a model of a solution; if not, say so on the standard error stream."""
     if solution.success or arguments.allow_failed:
         return True
+    from rankone.support.errors import with_remedy
+
     again = "solve again" if is_saved(arguments.file) else "another --rtol"
-    complain(
-        f"error: nothing was written: {solution.message}; remedy: {again}, or --allow-failed to "
-        "write it as it is"
-    )
+    message = f"error: nothing was written: {solution.message}"
+    complain(with_remedy(message, f"{again}, or --allow-failed to write it as it is"))
     return False
 
 

@@ -248,6 +248,8 @@ def _can_plot() -> bool:
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
-        complain("warning: no plots without matplotlib; remedy: pip install matplotlib")
+        from rankone.support.errors import with_remedy
+
+        complain(with_remedy("warning: no plots without matplotlib", "pip install matplotlib"))
         return False
     return True

@@ -21,7 +21,7 @@ import scipy.stats
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
 from rankone.support.arrays import Array, bisected
-from rankone.support.errors import optional_module
+from rankone.support.errors import optional_module, with_remedy
 
 Density = Callable[[Array], Array]
 """A density, or its logarithm, at points (N, n) of the unit cube: shape (N,)."""
@@ -286,7 +286,9 @@ class Chain:
         """How long the chain is."""
         time = f"{self.autocorrelation:.3g}"
         text = f"the chain has {self.length} steps, its autocorrelation time is {time}"
-        return text if self.success else f"{text}: too short; remedy: steps={4 * self.length}"
+        if self.success:
+            return text
+        return with_remedy(f"{text}: too short", f"steps={4 * self.length}")
 
     def marginal(self, j: int, z: Array) -> Array:
         """Marginal density of coordinate j at z (k,), by a Gaussian kernel."""

@@ -16,7 +16,7 @@ from rankone.estimation.least_squares import LeastSquares
 from rankone.estimation.observations import Observations
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, with_remedy
 from rankone.support.options import checked_number
 from rankone.support.wording import count, listing, quote
 
@@ -306,24 +306,26 @@ def quantile_of(level: float, sigma_known: bool, dof: int) -> float:
 
 def _findings(fit: Fit) -> Iterator[str]:
     if not fit.converged:
-        yield "the search did not converge; remedy: give a start, or more starts"
+        yield with_remedy("the search did not converge", "give a start, or more starts")
     names = [name for name, identified in fit.identifiable.items() if not identified]
     subject = f"the data do not identify {listing(names)}"
     if len(names) == 1:
-        yield f"{subject}; remedy: fix it, or measure more"
+        yield with_remedy(subject, "fix it, or measure more")
     elif names and fit.combinations:
-        yield f"{subject} alone, only {listing(fit.combinations)}; remedy: fix one of them"
+        yield with_remedy(f"{subject} alone, only {listing(fit.combinations)}", "fix one of them")
     elif names:
-        yield f"{subject} within their bounds; remedy: fix some, measure more, or widen the box"
+        remedy = "fix some, measure more, or widen the box"
+        yield with_remedy(f"{subject} within their bounds", remedy)
     for name, end in fit.at_bounds.items():
         if fit.identifiable[name]:
-            yield (
+            yield with_remedy(
                 f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
-                "are not valid there; remedy: widen the bounds, or solve on a wider box"
+                "are not valid there",
+                "widen the bounds, or solve on a wider box",
             )
     for minimum in fit.others:
         where = ", ".join(f"{name} = {x:.6g}" for name, x in minimum.items())
-        yield f"other values fit as well: {where}; remedy: set bounds, or measure more"
+        yield with_remedy(f"other values fit as well: {where}", "set bounds, or measure more")
     if fit.p_value < _UNLIKELY:
         yield (
             f"the residuals are {fit.sigma:.3g} times as large as sigma (chi2 {fit.chi2:.4g} with "
@@ -345,7 +347,8 @@ def _error_of_solution(fit: Fit) -> Iterator[str]:
         absolute = error * float(fit.size[here][0])
         noise = fit._unit / fit.observations.scale[here]
         if absolute * float(np.sqrt(np.sum(noise**-2.0, where=noise > 0.0))) > _MODEL_SHARE:
-            yield (
+            yield with_remedy(
                 f"the error of the solution, {absolute:.2g} in {quote(name)}, is not small beside "
-                f"the noise, {float(np.median(noise)):.2g}; remedy: solve with a smaller rtol"
+                f"the noise, {float(np.median(noise)):.2g}",
+                "solve with a smaller rtol",
             )

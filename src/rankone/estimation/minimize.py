@@ -27,7 +27,7 @@ from rankone.estimation.observations import checked_times, state_name
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.budget import NORMAL, operations_for
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, with_remedy
 from rankone.support.options import checked_number
 from rankone.support.wording import count, quote
 
@@ -53,7 +53,8 @@ _FEASIBLE_MISS = 1e-6
 _TOLERANCES = (1e-12, 1e-9, 1e-7)  # Tolerances of the scaled objective, one after the other
 _MOST_ITERATIONS = 300  # Most iterations of one search with one tolerance
 _GLOBAL = "; it is the best of the box as far as it was sampled"
-_LOCAL = "; it may be a local one; remedy: raise effort, or narrow the bounds"
+_LOCAL = "; it may be a local one"
+_LOCAL_REMEDY = "raise effort, or narrow the bounds"
 
 
 @dataclass(frozen=True)
@@ -268,6 +269,7 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
             + (f", with {' and '.join(ends)}" if ends else "")
             + (_GLOBAL if is_global else _LOCAL)
         )
+        message = with_remedy(message, None if is_global else _LOCAL_REMEDY)
     return Optimum(
         x=x,
         fun=goal.at(states, best.z),

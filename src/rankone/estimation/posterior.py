@@ -20,7 +20,7 @@ from rankone.statistics.distributions import Distribution, Measure, from_text
 from rankone.statistics.joint_distribution import Distributions, by_name, measures_of
 from rankone.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
-from rankone.support.errors import OptionError
+from rankone.support.errors import OptionError, with_remedy
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import listing, quote
 from rankone.tensors.slab import fixed as with_fixed
@@ -258,7 +258,8 @@ def posterior(
     success = cells.error <= _ACCURATE
     message = f"integrals are exact to about {cells.error:.1e}{boxed}"
     if not success:
-        message += "; remedy: restrict the box to where the density is, or fix parameters"
+        remedy = "restrict the box to where the density is, or fix parameters"
+        message = with_remedy(message, remedy)
     return Posterior(best, "quadrature", evidence, success, message, log_density, cells)
 
 

@@ -26,7 +26,7 @@ Impulses = dict[float, dict[int, sp.Expr]]
 _SEVERAL = (tuple, range, frozenset, sp.Tuple)  # Keys that stand for several times
 _SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
 _REMEDY = "give {time: {unknown: value after it}}, for example {8.0: {x: x + dose}}"
-_LATE = "remedy: remove it, unless `t_final` is to be later"
+_LATE_REMEDY = "remove it, unless `t_final` is to be later"
 _AS_JUMPS = "give the values after it as jumps={time: {unknown: value}}"
 _ADD_IMPULSE = "an impulse adds to a rate: Eq(x.diff(t), f + dose*DiracDelta(t - 8))"
 _LEAST_GAP = 1e-9  # Least time between two jumps, in horizons: closer ones differ by rounding alone
@@ -63,7 +63,10 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
         first = f"the jump at {time[0]} = {late[0]:.12g}"
         further = f" and {len(late) - 1} more" if len(late) > 1 else ""
         near = f" by {_LEAST_GAP:g} of the horizon" if late[0] < time[2] else ""
-        warn(f"{first}{further}: not before the end of time, {time[2]:.12g}{near}; {_LATE}")
+        warn(
+            f"{first}{further}: not before the end of time, {time[2]:.12g}{near}",
+            remedy=_LATE_REMEDY,
+        )
     return {at: resets[at] for at in sorted(resets)}
 
 
@@ -222,12 +225,15 @@ def without_impulses(
                 )
             if at < time[1]:
                 warn(
-                    f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing; "
-                    "remedy: remove it"
+                    f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing",
+                    remedy="remove it",
                 )
                 continue
             if at >= time[2] - _LEAST_GAP * (time[2] - time[1]):
-                warn(f"{quote(impulse)} is not before the end of time, {time[2]:g}; {_LATE}")
+                warn(
+                    f"{quote(impulse)} is not before the end of time, {time[2]:g}",
+                    remedy=_LATE_REMEDY,
+                )
             _check_steady(factor, impulse, at, time[0], origin)
             sizes = added.setdefault(at, {})
             sizes[i] = sizes.get(i, sp.S.Zero) + size * _value_at(factor, time[0], at)

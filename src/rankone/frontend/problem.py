@@ -164,8 +164,8 @@ class Problem:
         for symbol in box:
             if symbol not in used:
                 warn(
-                    f"parameter {quote(symbol)} appears nowhere in the problem; "
-                    "remedy: remove it from `parameters`"
+                    f"parameter {quote(symbol)} appears nowhere in the problem",
+                    remedy="remove it from `parameters`",
                 )
         checked = {
             "equations": equations,

@@ -121,5 +121,6 @@ class Jumps:
         if len(before_end) > len(self.inside(start, end)):
             warn(
                 f"the jump at {before_end[-1]!r} is at the end of the horizon, {end!r}, but for "
-                "rounding, and is not taken; remedy: move the end"
+                "rounding, and is not taken",
+                remedy="move the end",
             )

@@ -213,7 +213,8 @@ class Measure:
         if outside > _WARNED_OUTSIDE and not self.from_problem:
             warn(
                 f"{100 * outside:.3g} % of the distribution of {quote(self.name)} is outside of "
-                f"[{self.lower:g}, {self.upper:g}] and left out; remedy: solve on a wider box"
+                f"[{self.lower:g}, {self.upper:g}] and left out",
+                remedy="solve on a wider box",
             )
 
     @cached_property

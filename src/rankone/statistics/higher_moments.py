@@ -108,7 +108,8 @@ class HigherMoments:
             warn(
                 f"the train minus its mean is truncated to {tolerance:.0e} of its standard "
                 "deviation, since its ranks are high; third and fourth moments are good to a few "
-                "times that; remedy: fix some parameters first, or take moments of samples"
+                "times that",
+                remedy="fix some parameters first, or take moments of samples",
             )
         first, *cores = train.cores
         third, fourth = self._contracted(cores)

@@ -189,8 +189,7 @@ class StatisticsOverBox(SolutionCore):
         """
         indices, doubts = self._indices(t, self._statistics(under, correlation))
         if doubts:
-            remedy = "solve with a smaller rtol if it should vary there"
-            warn(f"{'; '.join(doubts)}; remedy: {remedy}")
+            warn("; ".join(doubts), remedy="solve with a smaller rtol if it should vary there")
         return indices
 
     def main_effects(

@@ -30,7 +30,13 @@ __all__ = [
     "check_kind",
     "optional_module",
     "warn",
+    "with_remedy",
 ]
+
+
+def with_remedy(message: str, remedy: str | None) -> str:
+    """A message for users: what is wrong and, if there is a remedy, what to do about it."""
+    return message if remedy is None else f"{message}; remedy: {remedy}"
 
 
 class RankoneError(Exception):
@@ -51,7 +57,7 @@ class RankoneError(Exception):
         self.message, self.term, self.remedy = message, term, remedy
 
     def __str__(self) -> str:
-        return self.message if self.remedy is None else f"{self.message}; remedy: {self.remedy}"
+        return with_remedy(self.message, self.remedy)
 
 
 class ProblemError(RankoneError, ValueError):
@@ -193,7 +199,7 @@ class RankoneWarning(UserWarning):
     """Something is probably unintended, but well defined."""
 
 
-def warn(message: str) -> None:
+def warn(message: str, *, remedy: str | None = None) -> None:
     """Give a RankoneWarning at the line that called this package from outside."""
     package = __name__.partition(".")[0]
     level = depth = 1
@@ -203,4 +209,4 @@ def warn(message: str) -> None:
         if frame.f_globals.get("__name__", "").partition(".")[0] == package:
             level = depth
         frame = frame.f_back
-    warnings.warn(message, RankoneWarning, stacklevel=level + 1)
+    warnings.warn(with_remedy(message, remedy), RankoneWarning, stacklevel=level + 1)

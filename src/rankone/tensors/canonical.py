@@ -274,7 +274,8 @@ def canonical_form(
     if relative > rtol:
         warn(
             f"canonical form of {label}: {len(amplitudes)} terms leave a relative error of "
-            f"{relative:.2g}, more than rtol = {rtol:g}; remedy: a larger max_rank or rtol"
+            f"{relative:.2g}, more than rtol = {rtol:g}",
+            remedy="a larger max_rank or rtol",
         )
     amplitudes, modes = _standard(amplitudes, modes)
     pairs = zip(modes, axes, strict=True)
