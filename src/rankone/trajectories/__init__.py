@@ -4,7 +4,7 @@ Read in this order:
 
 =================  ================================================================================
 ``integrator``     what an integrator takes and gives: the protocol, tolerances, trajectories
-``stacks``         SciPy's integrators behind it, with all trajectories as one stacked system
+``stacks``         the choice of one: SciPy's, with all trajectories as one stacked system
 ``steppers``       their steps, made again where they missed something: defect control
 ``diagnosis``      why trajectories end, and which states are numerically zero
 ``workers``        chunks of trajectories on several processes

@@ -24,6 +24,7 @@ from rankone.trajectories.integrator import (
     LAST_GAP,
     DenseStep,
     DenseTrajectories,
+    Integrator,
     SampledTrajectories,
     Tolerances,
     jacobians,
@@ -88,6 +89,17 @@ class StackedIntegrator:
         record = _SampleRecord(times, stack.shape)
         state, _ = stack.integrate(record)
         return SampledTrajectories(record.states, record.reached, record.end, state)
+
+
+def integrator_for(
+    system: System, *, stiff: bool = False, bearable_steps: int = 0, looks_anywhere: bool = False
+) -> Integrator:
+    """The integrator for a system, the one place that chooses it.
+
+    The options are those of :class:`StackedIntegrator`; steps look anywhere only in systems that do
+    not separate.
+    """
+    return StackedIntegrator(stiff, bearable_steps, looks_anywhere and not system.separated)
 
 
 def has_smooth_rates(system: System, start: float) -> bool:

@@ -31,11 +31,10 @@ from rankone.trajectories.diagnosis import (
 from rankone.trajectories.integrator import (
     LAST_GAP,
     DenseTrajectories,
-    Integrator,
     Tolerances,
     jacobians,
 )
-from rankone.trajectories.stacks import StackedIntegrator, has_smooth_rates
+from rankone.trajectories.stacks import has_smooth_rates, integrator_for
 from rankone.verification.points import check_points
 
 _NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
@@ -127,7 +126,7 @@ def integrate_reference(
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
-    integrator: Integrator = StackedIntegrator(looks_anywhere=not system.separated)
+    integrator = integrator_for(system, looks_anywhere=True)
     resolution = _Resolution(system, points, start, end, rtol, initial)
     for _ in range(_MOST_INTEGRATIONS):
         tolerances = Tolerances(rtol, resolution.absolute, longest)

@@ -15,7 +15,7 @@ from rankone.support.budget import work_done
 from rankone.tensors.cross import GrowingBasis
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.integrator import Integrator, Tolerances
-from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stacks import integrator_for
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
@@ -137,7 +137,9 @@ class Trajectories:
         least_sizes = constants.ABSOLUTE_TOLERANCE_RATIO * reference_set.states
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         absolute = np.maximum(tolerance * floor, reference_set.reference.rounded)
-        integrator = StackedIntegrator(self.stiff, constants.EXPLICIT_STEP_LIMIT)
+        integrator = integrator_for(
+            reference_set.system, stiff=self.stiff, bearable_steps=constants.EXPLICIT_STEP_LIMIT
+        )
         tolerances = Tolerances(tolerance, absolute[:, None])
         common = integrator, edges, tolerances, self.grid.times, reference_set.states
         chunks = np.array_split(points, max(-(-len(points) // self._chunk_size()), 1))
