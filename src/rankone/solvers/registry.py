@@ -10,6 +10,8 @@ from rankone.solvers.engine import Engine
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean
 
+__all__ = ["AUTO", "ENGINES", "engines_for"]
+
 AUTO = "auto"
 # Most parameters for which train comes first: it is as fast as cross there, and more exact
 _FEW_PARAMETERS = 1
