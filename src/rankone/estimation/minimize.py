@@ -98,7 +98,7 @@ class Optimum:
 
 
 def minimize(
-    solution: SolutionCore,
+    self: SolutionCore,
     objective: object,
     t: ArrayLike | None = None,
     *,
@@ -148,14 +148,14 @@ def minimize(
     OptionError, EvaluationError
         As for :meth:`fit`, and if the objective is not a number or limits contradict each other.
     """
-    solution._evaluator  # noqa: B018 - raises if nothing was solved
+    self._evaluator  # noqa: B018 - raises if nothing was solved
     if sense not in ("min", "max"):
         raise OptionError(f"sense={sense!r} is unknown", remedy='choose "min" or "max"')
-    free = free_parameters(solution, fixed, bounds, start)
+    free = free_parameters(self, fixed, bounds, start)
     starts = checked_number("starts", starts, 0 if start is not None else 1, _MOST_STARTS)
-    times, one = checked_times(solution, t), t is None or np.ndim(t) == 0
+    times, one = checked_times(self, t), t is None or np.ndim(t) == 0
     function = objective if is_function(objective) else None
-    names = [state_name(solution, objective)] if function is None else list(solution.states)
+    names = [state_name(self, objective)] if function is None else list(self.states)
     if function is None and not one:
         raise OptionError(
             f"the objective {quote(names[0])} is given at several times",
@@ -163,12 +163,12 @@ def minimize(
             remedy="give one time, or a function of the values as the objective",
         )
     sign = 1.0 if sense == "min" else -1.0
-    goal = Objective(States(solution, names, times, free), function, sign, one)
+    goal = Objective(States(self, names, times, free), function, sign, one)
     factor = operations_for(effort) / NORMAL
     starts = min(math.ceil(factor * starts), _MOST_STARTS)
     screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
     points = _screened(screened, len(free.names))
-    limits = constraints_of(solution, constraints, t, free, points[:_MOST_STARTS])
+    limits = constraints_of(self, constraints, t, free, points[:_MOST_STARTS])
     objectives = goal.many(points)
     usable = np.isfinite(objectives)
     if not usable.any():

@@ -187,7 +187,7 @@ class Posterior:
 
 
 def posterior(
-    solution: SolutionCore,
+    self: SolutionCore,
     times: Measurements,
     data: Measurements,
     *,
@@ -231,11 +231,11 @@ def posterior(
     RankoneError
         If emcee is needed and not installed.
     """
-    priors = by_name("prior", prior, tuple(solution.parameters))
+    priors = by_name("prior", prior, tuple(self.parameters))
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, _MOST_STEPS)
     best = fit(
-        solution,
+        self,
         times,
         data,
         observe=observe,

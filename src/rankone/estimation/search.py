@@ -32,7 +32,7 @@ _SAME_DISTANCE = 1e-3  # Distance in the cube below which minima are the same
 
 
 def fit(
-    solution: SolutionCore,
+    self: SolutionCore,
     times: Measurements,
     data: Measurements,
     *,
@@ -96,10 +96,10 @@ def fit(
     EvaluationError
         If a time is outside the horizon, or a value outside the box.
     """
-    solution._evaluator  # noqa: B018 - raises if nothing was solved
-    free = free_parameters(solution, fixed, bounds, start)
+    self._evaluator  # noqa: B018 - raises if nothing was solved
+    free = free_parameters(self, fixed, bounds, start)
     observations = observed(
-        solution, times, data, observe, sigma=sigma, weights=weights, missing=missing
+        self, times, data, observe, sigma=sigma, weights=weights, missing=missing
     )
     level = checked_level(level)
     starts = checked_number("starts", starts, 0 if start is not None else 1, _SCREENED_POINTS)
@@ -107,7 +107,7 @@ def fit(
     starts = min(math.ceil(factor * starts), _MOST_STARTS)
     screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
     _check_size(observations, free)
-    model = TrainModel(solution.outcome.slabs, observations.rows, observations.times)
+    model = TrainModel(self.outcome.slabs, observations.rows, observations.times)
     problem = LeastSquares(model, observations, free)
     residuals, first = _starts(problem, starts, max(screened, starts, 1))
     minima = problem.minima(first)
@@ -122,7 +122,7 @@ def fit(
     outputs = range(len(observations.names))
     sizes = np.array([largest[observations.owner == i].max() for i in outputs])
     return Fit(
-        solution,
+        self,
         observations,
         level,
         cost,
