@@ -1,8 +1,8 @@
 """A damped pendulum: theta'' + c theta' + g sin(theta) = 0, released at theta0.
 
 Lengths are in units of the pendulum's. Asked: the angle for every gravity, damping and angle of
-release; sin(theta) is no polynomial, so that the equation is solved by sampling trajectories, or,
-with method="train", with the sine and the cosine of the angle as two further unknowns.
+release; sin(theta) is not a polynomial, so that the equation is solved by sampling trajectories,
+or, with method="train", with the sine and the cosine of the angle as two further unknowns.
 """
 
 import sympy as sp

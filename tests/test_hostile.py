@@ -35,7 +35,7 @@ def plain(equation=None, **more):
         (lambda: plain(name=3), "the name is 3, not text"),
         (lambda: plain(name="\ud800"), "not text"),
         (lambda: plain(name="a\0b"), "not text in one line"),
-        (lambda: plain(parameters={sp.Symbol("\ud800"): (0, 1)}), "no text that can be printed"),
+        (lambda: plain(parameters={sp.Symbol("\ud800"): (0, 1)}), "not text that can be printed"),
         (lambda: plain(parameters={sp.Symbol("c\nexit()#"): (0, 1)}), "printed in one line"),
         (lambda: plain(parameters={sp.Symbol(" "): (0, 1)}), "printed in one line"),
         (
@@ -46,8 +46,8 @@ def plain(equation=None, **more):
         (lambda: plain(parameters={k: (0, 5e-324)}), "too narrow"),
         (lambda: text(f"max({','.join(f'x - {i}*k' for i in range(200))})"), "200 arguments"),
         (lambda: text("Piecewise()"), "`Piecewise` has no branch"),
-        (lambda: text("Piecewise((1, t), (2, True))"), "`t` is no condition"),
-        (lambda: text("Piecewise(1, 2)"), "no branch of a Piecewise"),
+        (lambda: text("Piecewise((1, t), (2, True))"), "`t` is not a condition"),
+        (lambda: text("Piecewise(1, 2)"), "is not a branch of a Piecewise"),
         (lambda: text("(t > 1)*x"), "not understood"),
     ],
 )
@@ -114,7 +114,7 @@ def test_more_values_than_memory(solution):
 def test_a_pipe_is_not_replaced(solution, tmp_path):
     pipe = tmp_path / "u.npz"
     os.mkfifo(pipe)
-    with pytest.raises(ro.StorageError, match="no regular file"):
+    with pytest.raises(ro.StorageError, match="not a regular file"):
         solution.save(pipe, overwrite=True)
     assert pipe.is_fifo()
 
@@ -205,7 +205,7 @@ def test_states_whose_products_are_lost():
     rates = {"x": f"x*(1.5 - y/{small})", "y": f"-y*(3 - x/{small})"}
     starts = {"x": f"a*{small}", "y": f"b*{small}"}
     problem = ro.Problem.from_strings(rates, starts, {"a": (8, 12), "b": (4, 6)}, (0, 6))
-    with pytest.raises(ro.ConvergenceError, match="its products are no floating-point numbers"):
+    with pytest.raises(ro.ConvergenceError, match="its products are not floating-point numbers"):
         ro.solve(problem, 1e-5)
 
 

@@ -4,7 +4,7 @@ Two numbers matter. *Accuracy kept* is the measured error divided by the toleran
 256 random points × 21 times against independent trajectories (tests/reference). *Break-even* is the
 solve time divided by the time of one ``scipy.integrate.solve_ivp(method="DOP853", rtol=1e-8)``
 trajectory at the centre of the box (for the stiff Robertson problem the faster of Radau with its
-Jacobian and LSODA): after so many parameter values rankone has paid for itself against a loop.
+Jacobian and LSODA): after that many parameter values rankone has paid for itself against a loop.
 *Stacked* is the same against one of 500 trajectories integrated by SciPy as one stacked system at
 rtol 1e-8, which is what an expert would do instead of a loop.
 

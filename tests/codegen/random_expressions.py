@@ -16,7 +16,7 @@ __all__ = ["Sample", "sample"]
 
 DIGITS = 400
 _SMALLEST = mpmath.mpf(10) ** -150
-"""What is smaller has squares that are no floating-point numbers."""
+"""What is smaller has squares that are not floating-point numbers."""
 _STEP = mpmath.mpf(10) ** -40
 
 

@@ -77,7 +77,7 @@ def lotka_volterra() -> SeparatedForm:
 
 
 def driven() -> SeparatedForm:
-    """A cubic, explicit time and three signatures, with names that are no identifiers."""
+    """A cubic, explicit time and three signatures, with names that are not identifiers."""
     rate, start = sp.symbols("lambda x_{0}")
     return separated(
         {

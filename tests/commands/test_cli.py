@@ -123,7 +123,7 @@ def test_options_reach_the_solver(file: str, solver: Callable[[Solver], None]) -
     main(["solve", file, "--check", "0"])
     assert [options["rtol"] for options in seen] == [1e-6, 1e-4, 1e-6]
     assert [options["check"] for options in seen] == [True, 7, False]
-    # standard error is no terminal here
+    # standard error is not a terminal here
     assert not any(options["progress"] for options in seen)
 
 
@@ -165,8 +165,8 @@ def test_another_domain_and_options_reach_the_solver(
         (["--options", "max_rank="], "--options: 'max_rank=' cannot be read"),
         (["--options", "max_rank=many"], "max_rank='many' is not valid"),
         (["--options", "max_rnk=3"], "unknown option 'max_rnk' (did you mean `max_rank`?)"),
-        (["--options", "rtol=1e-3"], "--options: `rtol` is no option of the engine"),
-        (["--options", "self=1"], "--options: `self` is no option of the engine"),
+        (["--options", "rtol=1e-3"], "--options: `rtol` is not an option of the engine"),
+        (["--options", "self=1"], "--options: `self` is not an option of the engine"),
     ],
 )
 def test_wrong_domains_and_options_are_named(

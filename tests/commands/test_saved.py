@@ -134,7 +134,7 @@ def test_a_failed_solution_is_evaluated_and_said(run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["u.nc", "--at", "t=3.5", "x0=0", "y0=2"], "`t` = 3.5 is outside of its horizon"),
+        (["u.nc", "--at", "t=3.5", "x0=0", "y0=2"], "`t` = 3.5 is outside its horizon"),
         (["u.nc", "--at", "t=1", "x0=0", "y0=9"], "`y0` = 9 is outside"),
         (["u.nc", "--at", "t=1", "x0=0"], "no value for `y0`"),
         (["u.nc", "--at", "t=1", "x0=0", "y0=2", "z=1"], "unknown name `z`"),
@@ -241,8 +241,8 @@ def test_places_of_reports(run: Run) -> None:
     """Nothing is made where a report cannot be."""
     before = sorted(os.listdir())
     for arguments, message in (
-        (["u.nc", "-o", "u.npz"], "`u.npz` is no directory"),
-        (["u.nc", "-o", "u.npz", "--overwrite"], "`u.npz` is no directory"),
+        (["u.nc", "-o", "u.npz"], "`u.npz` is not a directory"),
+        (["u.nc", "-o", "u.npz", "--overwrite"], "`u.npz` is not a directory"),
         (["u.nc", "-o", "none/out"], "there is no directory `none`"),
         (["none.nc"], "none.nc"),
     ):

@@ -42,7 +42,7 @@ DATA = np.exp(-TIMES)
         ({"start": {"k": 1}, "fixed": {"k": 1}}, "is fixed, and has a start"),
         (
             {"start": {"k": 1}, "bounds": {"k": (2, 3)}},
-            r"`k` = 1 is outside of its bounds \[2, 3\]",
+            r"`k` = 1 is outside its bounds \[2, 3\]",
         ),
         ({"bounds": {"k": (3, 2)}}, "do not ascend"),
         ({"bounds": {"k": 3}}, "not a pair"),
@@ -60,10 +60,10 @@ def test_options(given, message):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"times": TIMES + 1}, r"`t` = 3 is outside of its horizon \[0, 2\]"),
-        ({"fixed": {"k": 9}}, "`k` = 9 is outside of its range"),
-        ({"start": {"k": 0.1}}, "`k` = 0.1 is outside of its range"),
-        ({"bounds": {"k": (0, 1)}}, "`k` = 0 is outside of its range"),
+        ({"times": TIMES + 1}, r"`t` = 3 is outside its horizon \[0, 2\]"),
+        ({"fixed": {"k": 9}}, "`k` = 9 is outside its range"),
+        ({"start": {"k": 0.1}}, "`k` = 0.1 is outside its range"),
+        ({"bounds": {"k": (0, 1)}}, "`k` = 0 is outside its range"),
     ],
 )
 def test_outside(given, message):
@@ -97,7 +97,7 @@ def test_of_a_fit():
         fit.interval_of("log(-k)")
     with pytest.raises(OptionError, match="method='exact'"):
         fit.interval(method="exact")
-    with pytest.raises(OptionError, match="no free parameter"):
+    with pytest.raises(OptionError, match="not a free parameter"):
         fit.profile("u")
 
 

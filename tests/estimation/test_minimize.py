@@ -118,5 +118,5 @@ def test_a_minimum_that_may_be_local():
 def test_bad_input(arguments, given, message):
     with pytest.raises(OptionError, match=message):
         decay().minimize(*arguments, **given)
-    with pytest.raises(EvaluationError, match="outside of its horizon"):
+    with pytest.raises(EvaluationError, match="outside its horizon"):
         decay().minimize("u", 3.0)

@@ -111,7 +111,7 @@ def test_bad_input():
     found = line().posterior(T, DATA, sigma=0.3)
     with pytest.raises(OptionError, match="not in"):
         found.quantile(2)
-    with pytest.raises(OptionError, match="no free parameter"):
+    with pytest.raises(OptionError, match="not a free parameter"):
         found.density("q", 0.0)
 
 

@@ -481,9 +481,9 @@ def test_links(chromium, written):
 @pytest.mark.parametrize(
     ("fragment", "said", "k"),
     [
-        ("#%E0%A4%A", "%E0%A4%A is no name with a value", 30),
+        ("#%E0%A4%A", "%E0%A4%A is not a name with a value", 30),
         ("#k=30&k=31", "k is there more than once", 31),
-        ("#k=31&c", "c is no name with a value", 31),
+        ("#k=31&c", "c is not a name with a value", 31),
         ("#k=%E0%A4%A", "k = %E0%A4%A is not a number", 30),
         ("#k=31&", None, 31),
         ("#quality", None, 30),
@@ -743,7 +743,7 @@ def test_contrast(chromium, written, scheme):
 def test_a_failed_solution_says_so(chromium, tmp_path, written):
     path = failed(SOLVED).explore(tmp_path / "page.html", allow_failed=True)
     with chromium.open(path) as page:
-        assert "no success" in page.locator(".verdict.bad").inner_text()
+        assert "not a success" in page.locator(".verdict.bad").inner_text()
         assert "Rank 100 was reached" in page.locator(".verdict.bad").inner_text()
     with chromium.open(written) as page:
         assert page.locator(".verdict.bad").count() == 0

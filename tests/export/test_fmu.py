@@ -179,7 +179,7 @@ x 3 logStatusError: the model is not for model exchange
  3 logStatusError: the instance has no name
 t=1.0000 k=2.7500 u=0.0639
 t=0.0000 k=1.0000 u=1.0000
-first 2 logStatusDiscard: parameter `k`: 99 is outside of its range [0.5, 5]
+first 2 logStatusDiscard: parameter `k`: 99 is outside its range [0.5, 5]
 first 3 logStatusError: {no_whole_numbers}
 first 2 logStatusDiscard: the step ends at 5, after the stop time 2
 0 1 0 0.0000
@@ -415,14 +415,14 @@ def test_refused_values(fmi, archive):
         one.step(0.0, 1.0)
         before = one.get("t", "x0", "y0", "x", "y")
         bad = [
-            (2, lambda: one.set(x0=12.5), "parameter `x0`: 12.5 is outside of its range [8, 12]"),
-            (2, lambda: one.set(x0=12 + 1e-9), "parameter `x0`: 12.000000001 is outside of "),
-            (2, lambda: one.set(y0=5.5, x0=7.0), "parameter `x0`: 7 is outside of its range"),
+            (2, lambda: one.set(x0=12.5), "parameter `x0`: 12.5 is outside its range [8, 12]"),
+            (2, lambda: one.set(x0=12 + 1e-9), "parameter `x0`: 12.000000001 is outside "),
+            (2, lambda: one.set(y0=5.5, x0=7.0), "parameter `x0`: 7 is outside its range"),
             (2, lambda: one.set(y0=float("nan")), "parameter `y0`: "),
-            (3, lambda: one.set(x=1.0), "the variable with the reference 3 is no parameter"),
-            (3, lambda: one.set(t=1.0), "the variable with the reference 0 is no parameter"),
-            (2, lambda: one.step(1.0, 5.5), "the time 6.5 is outside of [0, 6], which was solved"),
-            (2, lambda: one.step(1.0, float("inf")), "the time inf is outside of [0, 6]"),
+            (3, lambda: one.set(x=1.0), "the variable with the reference 3 is not a parameter"),
+            (3, lambda: one.set(t=1.0), "the variable with the reference 0 is not a parameter"),
+            (2, lambda: one.step(1.0, 5.5), "the time 6.5 is outside [0, 6], which was solved"),
+            (2, lambda: one.step(1.0, float("inf")), "the time inf is outside [0, 6]"),
             (3, lambda: one.step(1.0, 0.0), "the step 0 is not positive"),
             (3, lambda: one.step(1.0, -0.5), "the step -0.5 is not positive"),
             (3, lambda: one.step(1.0, float("nan")), "the step "),
@@ -546,7 +546,7 @@ def test_simulations_beyond_the_horizon(fmi, archive):
     wanted = solved("decay")(found["time"], k=2.75)[0]
     np.testing.assert_allclose(found["u"], wanted, rtol=1e-10)
     (message,) = said
-    assert b"the time 2.4 is outside of [0, 2]" in message
+    assert b"the time 2.4 is outside [0, 2]" in message
 
 
 @runs
@@ -600,9 +600,9 @@ def test_initialization_without_a_start(archive):
 def test_refused_times(fmi, archive):
     _, folder = archive("lotka_volterra", fmi)
     for at, message in (
-        ((-1.0,), "the time -1 is outside of [0, 6]"),
-        ((float("nan"),), "is outside of [0, 6]"),
-        ((0.0, 7.0), "the time 7 is outside of [0, 6]"),
+        ((-1.0,), "the time -1 is outside [0, 6]"),
+        ((float("nan"),), "is outside [0, 6]"),
+        ((0.0, 7.0), "the time 7 is outside [0, 6]"),
         ((3.0, 2.0), "the stop time 2 is before the start time 3"),
     ):
         one = Slave(folder)

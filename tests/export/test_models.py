@@ -176,7 +176,7 @@ def test_python_bounds_and_names(tmp_path):
 
 
 def test_python_names_that_cannot_be_imported(tmp_path):
-    """The docstring says how a file is imported whose name is no identifier."""
+    """The docstring says how a file is imported whose name is not an identifier."""
     path = solved("decay").export(tmp_path / "my-model.py")
     assert 'importlib.import_module("my-model")' in path.read_text()
     assert "import my" not in path.read_text()

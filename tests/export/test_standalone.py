@@ -287,7 +287,7 @@ def test_wrong_arguments_of_the_program(folder):
         (["--save", "folder.npz", "--overwrite"], "cannot be written: it is a directory"),
         (["--save", f"{'x' * 300}.npz"], "cannot be written"),
         (["--load", ""], "cannot be read"),
-        (["--options", "rtol=1"], "--options: `rtol` is no option of the engine"),
+        (["--options", "rtol=1"], "--options: `rtol` is not an option of the engine"),
         (["--options", "cls=1"], "unknown option 'cls'"),
         (["--box", "x0=7"], "not two numbers"),
         (["--grid", "5"], "--grid needs --save"),

@@ -55,7 +55,7 @@ def tried(seed: int, kind: str, method: str) -> tuple[int, str, Verdict]:
 
 
 def judged(case: Case, longest: float = LONGEST, **options: object) -> Verdict:
-    """Solve a case and judge the result; beyond so many seconds it is slow."""
+    """Solve a case and judge the result; beyond this many seconds it is slow."""
     began = time.perf_counter()
     solution = None
     try:

@@ -201,7 +201,7 @@ def test_an_output_that_is_not_resolved_says_so():
         ({"q": sp.sqrt(-1) * x}, "not real"),
         ({"q": ro.maximum(ro.maximum(x) * y)}, "inside another"),
         ({"q": sp.Integral(x, (t, 0, 7))}, "not in"),
-        ({"q": sp.Integral(x, (t, 0, x0))}, "no numbers"),
+        ({"q": sp.Integral(x, (t, 0, x0))}, "are not numbers"),
         ({"q": sp.Integral(x, (t, 0, 1), (x0, 8, 9))}, "several variables"),
         ({"q": ro.first_crossing(x, 2, 3)}, "direction"),
         ({"q": "maximum(x, y)"}, "not understood"),
@@ -281,7 +281,7 @@ s = sp.Symbol("s")
     [
         (sp.Integral(sp.exp(s - t) * S(s), (s, 0, t)), "both `s` and `t`"),
         (sp.Integral(x, (x0, 8, 9)), "`x0` is a parameter"),
-        (sp.Integral(x, (t, 0, sp.I)), "no numbers"),
+        (sp.Integral(x, (t, 0, sp.I)), "are not numbers"),
         (sp.Dummy("x0") * x, "the solution knows"),
         ("max(x)", r"of one argument.*maximum\("),
     ],

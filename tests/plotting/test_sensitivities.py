@@ -113,7 +113,7 @@ def test_main_effects_with_units():
         (lambda s: plotting.plot_sobol(s, kind="totl"), ro.OptionError, "did you mean `total`"),
         (lambda s: plotting.plot_sobol(s, "z"), ro.EvaluationError, "no unknown `z`"),
         (lambda s: plotting.plot_sobol(s, ["x", "y"]), ro.OptionError, "names several"),
-        (lambda s: plotting.plot_sobol(s, t=7.0), ro.EvaluationError, "outside of its horizon"),
+        (lambda s: plotting.plot_sobol(s, t=7.0), ro.EvaluationError, "outside its horizon"),
         (lambda s: plotting.plot_main_effects(s), ro.OptionError, "needs a time"),
         (lambda s: plotting.plot_main_effects(s, t=[1, 2]), ro.OptionError, "several times"),
         (lambda s: plotting.plot_main_effects(s, t="now"), ro.EvaluationError, "not a real number"),

@@ -195,7 +195,7 @@ def test_surfaces_of_one_time():
         ({"x": "t", "y": "t", "y0": 5}, ro.OptionError, "both `t`"),
         ({"x": "t", "y": "x1", "y0": 5}, ro.EvaluationError, "no coordinate `x1`"),
         ({"x": "t", "y": "x0"}, ro.EvaluationError, "no value for `y0`"),
-        ({"x": "t", "y": "x0", "y0": 7}, ro.EvaluationError, "outside of its range"),
+        ({"x": "t", "y": "x0", "y0": 7}, ro.EvaluationError, "outside its range"),
         ({"x": "t", "y": "x0", "y0": [4, 5]}, ro.OptionError, "not a number"),
         ({"x": "t", "y": "x0", "y0": 5, "x0": 9}, ro.OptionError, "along an axis"),
         ({"x": "t", "y": "x0", "y0": 5, "points": 1}, ro.OptionError, "points=1"),

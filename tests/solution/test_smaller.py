@@ -133,7 +133,7 @@ def test_fixed_and_restricted_solutions_are_the_same_functions(tmp_path):
     part = solution.restrict({names[0]: (0.6, 0.8), names[2]: (1.25, 1.5)})
     assert part.parameters[names[0]] == (0.6, 0.8)
     np.testing.assert_allclose(part(0.4, middle), solution(0.4, middle), rtol=1e-12)
-    with pytest.raises(ro.RankoneError, match="outside of its range"):
+    with pytest.raises(ro.RankoneError, match="outside its range"):
         part(0.4, {**middle, names[0]: 0.9})
     for smaller in (fixed, none, part):
         assert smaller.success
@@ -170,7 +170,7 @@ def test_elements_are_cut_where_the_part_ends():
     ("use", "message"),
     [
         (lambda s: s.diff("q"), "there is no parameter `q`"),
-        (lambda s: s.fix(k=9), "`k` = 9 is outside of its range"),
+        (lambda s: s.fix(k=9), "`k` = 9 is outside its range"),
         (lambda s: s.fix(k="x"), "`k` is 'x', not a number"),
         (lambda s: s.fix(j=1), "there is no parameter `j`; remedy: choose from `k`"),
         (lambda s: s.restrict(k=(2, 1)), r"the interval \(2, 1\) of `k` does not ascend"),
@@ -244,7 +244,7 @@ def test_without_time_files_labels_and_models(tmp_path):
         (lambda s: s.at(2.5).mean(1.0), "do not depend on time"),
         (lambda s: s.mean(), "no times were given"),
         (lambda s: s.at([1.0, 2.0]), "not a number"),
-        (lambda s: s.at(7.0), "outside of its horizon"),
+        (lambda s: s.at(7.0), "outside its horizon"),
         (lambda s: s.at(2.5).at(2.5), "do not depend on time"),
         (lambda s: s.at(2.5).diff("t"), "no parameter `t`"),
     ],

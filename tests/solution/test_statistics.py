@@ -282,7 +282,7 @@ def test_what_is_cut_is_said():
 
 
 def test_times_outside():
-    with pytest.raises(EvaluationError, match="`t` = 3 is outside of its horizon"):
+    with pytest.raises(EvaluationError, match="`t` = 3 is outside its horizon"):
         solved("decay", 1e-8).mean([1.0, 3.0])
 
 

@@ -50,8 +50,8 @@ def test_lifted_systems_count_the_same():
     [
         (["z"], "there is no unknown `z`"),
         ([], "no unknown is to count"),
-        ([3], "unknowns=.* is no list of unknowns"),
-        (3, "unknowns=3 is no list of unknowns"),
+        ([3], "unknowns=.* is not a list of unknowns"),
+        (3, "unknowns=3 is not a list of unknowns"),
     ],
 )
 def test_what_is_no_unknown(compiled, unknowns, message):

@@ -282,7 +282,7 @@ def test_only_regular_files_are_read(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if name == "fifo":
         os.mkfifo(path)
-    with pytest.raises(StorageError, match="no regular file"):
+    with pytest.raises(StorageError, match="not a regular file"):
         load(path)
 
 
@@ -356,7 +356,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
         (lambda header, _: header["history"][0].pop("ranks"), "damaged .*ranks"),
         (lambda header, _: header.update(status="FINE"), "damaged"),
         (lambda header, _: header.update(cause={"type": "Status"}), "damaged"),
-        (lambda header, _: header.update(cause={"type": "Remedy", "advice": ""}), "is no Cause"),
+        (lambda header, _: header.update(cause={"type": "Remedy", "advice": ""}), "is not a Cause"),
         (lambda header, _: header.update(notes=[{"type": "StoppedAt", "time": "x"}]), "damaged"),
         (lambda header, _: header["slabs"][0].update(bases=[0, 99]), "damaged"),
         (lambda header, _: header["bases"][0].update(degree=5), "do not fit their bases"),

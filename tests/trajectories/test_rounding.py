@@ -16,7 +16,7 @@ CONSERVED = {
     "c": "b*c/(7 + c) - 0.3*c",
     "x": "1e4*(a/3 - x)",
 }
-"""Stiff kinetics in which a + b + c stays what it was, but for rounding."""
+"""Stiff kinetics in which a + b + c stays what it was, except for rounding."""
 LEFT = "(a + b + c - 1003.3)"
 STARTS = {"a": "1000", "b": "0", "c": "3.3", "x": "17"}
 

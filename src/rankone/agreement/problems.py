@@ -42,7 +42,7 @@ _NEGLIGIBLE_SLOPE = 1e-15  # Derivatives may be off by this share of the change 
 _SLOPE_SPREAD_RATIO = 1e5
 # Share of its size by which an error of a rate may move a state over the horizon
 _NEGLIGIBLE_CHANGE = 1e-13
-_LIFTED_TOLERANCE = 1e-6  # Larger differences of a lifted rate, over its largest, are no rounding
+_LIFTED_TOLERANCE = 1e-6  # Larger differences of a lifted rate, over its largest, are not rounding
 _SEED = 1937
 _REMEDY = "write it in another way, or change the units so that its numbers are closer to 1"
 
@@ -122,7 +122,7 @@ def check_problem(
 class _ProblemCheck:
     """The comparisons of one problem.
 
-    ``highest`` are the indices of the states whose rates are no states themselves: the generated
+    ``highest`` are the indices of the states whose rates are not states themselves: the generated
     code computes these rates, and the equations determine them.
     """
 

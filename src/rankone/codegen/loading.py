@@ -50,7 +50,7 @@ def load_module(
         code = compile(source, filename, "exec")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise OptionError(
-            f"the source of {quote(name)} is no module that Python can compile: {error}",
+            f"the source of {quote(name)} is not a module that Python can compile: {error}",
             remedy="give the text of generate_source(form)",
         ) from None
     exec(code, names)

@@ -35,7 +35,7 @@ _REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)
 _MAX_REPEATS = 201
 # Of the derivatives and reductions at which generated outputs are checked; any will do
 _CHECK_SEED = 1812
-# Relative to an interval: cuts closer to its ends are the ends but for rounding
+# Relative to an interval: cuts closer to its ends are the ends except for rounding
 _END_DISTANCE = 1e-12
 _KINDS = {
     maximum: Kind.MAXIMUM,
@@ -54,8 +54,8 @@ def quantities_of(
     """Outputs of a solution, expressions or their texts by name, as functions of arrays.
 
     The generated functions are checked at ``samples``: times (m,), parameters (d, m) and the states
-    there (n, m). An OptionError if ``outputs`` is no such mapping, or an expression has something
-    that the solution does not hold.
+    there (n, m). An OptionError if ``outputs`` is not such a mapping, or an expression has
+    something that the solution does not hold.
     """
     if not isinstance(outputs, Mapping) or not outputs:
         raise OptionError(
@@ -358,7 +358,7 @@ class _Translator:
         lower, upper = ends
         real = lower.is_extended_real and (upper.is_extended_real or upper == t)
         if not real or not lower.is_number or not (upper.is_number or upper == t):
-            raise self._wrong_integral(name, integral, "its limits are no numbers")
+            raise self._wrong_integral(name, integral, "its limits are not numbers")
         low, high = float(lower), end if upper == t else float(upper)
         if not start <= low <= high <= end:
             raise self._wrong_integral(

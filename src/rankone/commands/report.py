@@ -111,7 +111,7 @@ def _check_place(folder: Path, overwrite: bool) -> None:
             free_target(path, overwrite, StorageError)
     elif exists:
         raise StorageError(
-            f"`{folder}` is no directory", term=folder, remedy="give another: -o DIR"
+            f"`{folder}` is not a directory", term=folder, remedy="give another: -o DIR"
         )
     else:
         free_target(folder, overwrite, StorageError)

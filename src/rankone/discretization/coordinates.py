@@ -23,7 +23,7 @@ _MISSING = object()
 
 
 def round_off(lower: float, upper: float) -> float:
-    """How far outside of an interval a value still counts as its end."""
+    """How far outside an interval a value still counts as its end."""
     return float(max(1e-12 * (upper - lower), 4.0 * np.spacing(max(abs(lower), abs(upper)))))
 
 
@@ -201,7 +201,7 @@ class Coordinates:
         many = f" (the farthest of {outside.size} such values)" if outside.size > 1 else ""
         where = "horizon" if index == 0 else "range"
         raise EvaluationError(
-            f"`{name}` = {worst:.12g} is outside of its {where} {interval}{many}",
+            f"`{name}` = {worst:.12g} is outside its {where} {interval}{many}",
             term=name,
             remedy="nothing is extrapolated; choose values inside",
         )

@@ -66,7 +66,7 @@ class FreeParameters:
         name = name_of(parameter)
         if name not in self.names:
             raise OptionError(
-                f"{quote(name)} is no free parameter{did_you_mean(name, self.names)}",
+                f"{quote(name)} is not a free parameter{did_you_mean(name, self.names)}",
                 term=parameter,
                 remedy=f"choose from {listing(self.names)}",
             )
@@ -130,7 +130,7 @@ def _start(
         x, (lower, upper) = _in_box(solution, name, entry), box[name]
         if not lower <= x <= upper:
             raise OptionError(
-                f"the start {quote(name)} = {x:g} is outside of its bounds [{lower:g}, {upper:g}]",
+                f"the start {quote(name)} = {x:g} is outside its bounds [{lower:g}, {upper:g}]",
                 term=entry,
                 remedy="start inside",
             )

@@ -101,7 +101,7 @@ class Objective:
         return {name: float(row[0]) if self.one else row for name, row in pairs}
 
     def at(self, states: Array, z: Array, inside: bool = True) -> float:
-        """The objective for states (states, times) at z, which may be outside of the cube."""
+        """The objective for states (states, times) at z, which may be outside the cube."""
         if self.function is None:
             return float(states[0, 0])
         free = self.states.free

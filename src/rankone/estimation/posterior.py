@@ -151,7 +151,7 @@ class Posterior:
         return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
     def density(self, parameter: object, values: ArrayLike) -> Array:
-        """The marginal density of one parameter at values; zero outside of its bounds."""
+        """The marginal density of one parameter at values; zero outside its bounds."""
         j = self._log_density.problem.free.index(parameter)
         lower, width = self._log_density.unit
         z = (np.asarray(values, dtype=float) - lower[j]) / width[j]

@@ -23,7 +23,7 @@ Place = float | tuple[float, ...]  # One, or one for each unequal element
 class Model:
     """The unknowns and their derivatives as functions of time and of all parameters.
 
-    The ``coordinates`` are time and the parameters; a value outside of its interval is an error.
+    The ``coordinates`` are time and the parameters; a value outside its interval is an error.
     """
 
     def __init__(

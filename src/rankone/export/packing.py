@@ -116,8 +116,9 @@ def pack(
 ) -> PackedModel:
     """Turn a solution into plain tables.
 
-    With ``rtol`` the model may differ from the solution by so much, relative to the size of each
-    state that is evaluated. A solution that is no success is an ExportError unless it is allowed.
+    With ``rtol`` the model may differ from the solution by this much, relative to the size of each
+    state that is evaluated. A solution that is not a success is an ExportError unless it is
+    allowed.
     """
     check_states(states)
     rtol = checked_rtol(rtol)

@@ -144,7 +144,7 @@ def options_of(texts: Sequence[str] | None, reserved: Sequence[str]) -> dict[str
     options = pairs_of("--options", texts, lambda v: json.loads(v) if v[:1] in as_json else v)
     for name in options:
         if name in reserved:
-            raise OptionError(f"--options: {quote(name)} is no option of the engine")
+            raise OptionError(f"--options: {quote(name)} is not an option of the engine")
     return options
 
 

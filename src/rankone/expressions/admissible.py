@@ -34,7 +34,7 @@ _VANISHES = 1e-13  # Value at a zero, relative to the samples beside it: what ro
 _BESIDE_ZERO = 1e-12  # Distance from a zero, in intervals, at which the function is evaluated again
 _FLAT_RATIO = 0.5  # Least value over that beside it that tells a flat minimum from a zero
 _MOST_CELLS = 1 << 14  # Cells of several comparisons; conditions with more stay as they are
-_SAME_LEVEL = 1e-14  # Relative distance below which two levels are one but for rounding
+_SAME_LEVEL = 1e-14  # Relative distance below which two levels are one except for rounding
 _WITH_EQUALITY = {sp.StrictGreaterThan: sp.Ge, sp.StrictLessThan: sp.Le}
 Truth = NDArray[np.bool_]
 

@@ -311,7 +311,7 @@ class _Translator(ast.NodeVisitor):
         for branch in branches:
             if not isinstance(branch, ast.Tuple) or len(branch.elts) != 2:
                 raise self.error(
-                    f"{quote(ast.unparse(branch))} is no branch of a Piecewise",
+                    f"{quote(ast.unparse(branch))} is not a branch of a Piecewise",
                     "write Piecewise((value, condition), ..., (value, True))",
                 )
             expression, condition = branch.elts
@@ -331,7 +331,7 @@ class _Translator(ast.NodeVisitor):
             pairs = zip(node.ops, itertools.pairwise(sides), strict=True)
             return sp.And(*(_COMPARED[type(op)](a, b) for op, (a, b) in pairs))
         raise self.error(
-            f"{quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ''))} is no condition",
+            f"{quote(ast.unparse(node).replace(_KEYWORD_SUFFIX, ''))} is not a condition",
             "write for example (t > 1) & (t < 2), or 1 < t < 2",
         )
 

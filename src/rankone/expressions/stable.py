@@ -23,7 +23,7 @@ _HIGH_POWER = 8  # From this power on a quotient of powers is written as the pow
 _MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compared with the numerator
 _DIGITS = 20  # Decimal digits of computed numbers: a few more than floating point holds
 _LARGEST_INTEGER = 10**_DIGITS
-_SAME_RATIO = sp.Rational(1, 10**15)  # Coefficients this close are one number but for rounding
+_SAME_RATIO = sp.Rational(1, 10**15)  # Coefficients this close are one number except for rounding
 
 
 class _Real(sp.Function):  # type: ignore[misc]
@@ -185,7 +185,7 @@ def _without_cancellation(total: sp.Expr) -> sp.Expr:
 
 
 def _in_range_sum(total: sp.Expr) -> sp.Expr:
-    """A sum with its largest number taken out, if that is no ordinary number."""
+    """A sum with its largest number taken out, if that is not an ordinary number."""
     if not total.is_Add:
         return total
     numbers = [abs(term.as_coeff_Mul()[0]) for term in total.args]
@@ -246,7 +246,7 @@ def _with_logistic(product: sp.Expr) -> sp.Expr:
 
 
 def _without(total: sp.Expr, summand: sp.Expr) -> sp.Expr | None:
-    """A sum minus some of its terms, but for rounding; None if it does not have these terms."""
+    """A sum minus some of its terms, except for rounding; None if it does not have these terms."""
     difference = total - summand
     sizes, left = total.as_coefficients_dict(), difference.as_coefficients_dict()
     for term in summand.as_coefficients_dict():

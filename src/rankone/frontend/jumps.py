@@ -118,7 +118,7 @@ def _reset(reset: object, at: float, symbols: Symbols) -> dict[sp.Expr, sp.Expr]
             if name in names:
                 hint = f" (did you mean {quote(names[name])}?)"
             raise ProblemError(
-                f"the jump at {time} = {at:g} resets {shown(state)}, which is no state{hint}",
+                f"the jump at {time} = {at:g} resets {shown(state)}, which is not a state{hint}",
                 term=state,
                 remedy=f"use the states themselves as keys: {listing(states)}",
             )
@@ -131,7 +131,7 @@ def _reset(reset: object, at: float, symbols: Symbols) -> dict[sp.Expr, sp.Expr]
         strangers = expression.atoms(AppliedUndef, sp.Derivative) - set(states)
         for stranger in sorted(strangers, key=sp.default_sort_key):
             hint = did_you_mean(str(stranger), map(str, states))
-            message = f"{subject} names {quote(stranger)}, which is no state{hint}"
+            message = f"{subject} names {quote(stranger)}, which is not a state{hint}"
             raise ProblemError(message, term=written, remedy=remedy)
         check_value(expression, subject, symbols, [*symbols.parameters, time], remedy)
         after[state] = _value_at(exact(expression), time, at)

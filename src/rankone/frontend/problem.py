@@ -334,7 +334,7 @@ def _has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
 
 
 def _jumps(jumps: object, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
-    """Jumps with formulas in place of texts; the checks refuse whatever is no mapping."""
+    """Jumps with formulas in place of texts; the checks refuse whatever is not a mapping."""
     if not isinstance(jumps, Mapping):
         return jumps
     parsed: dict[object, object] = {}

@@ -327,7 +327,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         Raises
         ------
         OptionError
-            If there is no such parameter, or its value is outside of its range.
+            If there is no such parameter, or its value is outside its range.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
         return Solution(*with_fixed(self.outcome, self.metadata, merged(values, named)))
@@ -340,7 +340,7 @@ class Solution(DistributionOverBox, EstimationFromData):
         Raises
         ------
         EvaluationError
-            If the time is no number, or outside of the horizon.
+            If the time is not a number, or outside the horizon.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
         time = self._times(t)
@@ -403,7 +403,7 @@ class Solution(DistributionOverBox, EstimationFromData):
             If the solution is not a success or does not depend on time, or the path has another
             suffix, exists or cannot be written.
         OptionError
-            If the title is no text, or ``rtol`` is out of its range.
+            If the title is not text, or ``rtol`` is out of its range.
         """
         from rankone.export.explorer import export_page
 

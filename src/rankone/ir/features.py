@@ -24,7 +24,7 @@ OfStates: TypeAlias = "Callable[[float | Array, VectorLike, VectorLike], Array]"
 """A function of t, u (n, ...) and p (d, ...)."""
 Jumped: TypeAlias = Callable[[int, VectorLike, VectorLike], Array]
 """States after a jump, from its kind, the states before and the parameters."""
-# In horizons: a jump closer to the end than this is at the end but for rounding
+# In horizons: a jump closer to the end than this is at the end except for rounding
 _DISTANCE_FROM_END = 1e-9
 
 GAP_REMEDY = "add a branch (value, True) for everything else, or let its conditions cover this too"

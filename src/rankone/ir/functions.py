@@ -29,7 +29,7 @@ from rankone.support.wording import quote, shown
 _KINDS = ("linear", "cubic", "previous")
 # First letters of a function's name in generated source, so that no local name hides it
 _PREFIX = "f_"
-_AT_THE_ENDS = 1e-9  # Distance outside of a table, over its length, that is taken for rounding
+_AT_THE_ENDS = 1e-9  # Distance outside a table, over its length, that is taken for rounding
 _LONGEST_LINE = 100  # Characters of a line of generated source
 _NUMBERS_PER_LINE = 8  # Numbers in each line of an array that does not fit into one
 
@@ -111,7 +111,7 @@ class Table(DataFunction):
             "",
             "",
             f"def {cls.written()}(x):",
-            f'    """Table of {len(cls.points)} values, {cls.kind}; NaN outside of it."""',
+            f'    """Table of {len(cls.points)} values, {cls.kind}; NaN outside it."""',
             f"    inside = np.clip(x, {points}[0], {points}[-1])",
             f"    value = {interpolated}",
             f"    return np.where(abs(inside - x) <= {near!r}, value, np.nan)",

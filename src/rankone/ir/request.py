@@ -292,7 +292,7 @@ def _counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:
         names = [name_of(unknown) for unknown in listed]
     except (TypeError, EvaluationError):
         raise OptionError(
-            f"unknowns={unknowns!r} is no list of unknowns", term=unknowns, remedy=remedy
+            f"unknowns={unknowns!r} is not a list of unknowns", term=unknowns, remedy=remedy
         ) from None
     for name in names:
         if name not in states:

@@ -189,8 +189,8 @@ class MovingFeatures(Cause):
     """A limit was reached where the rates are not smooth at times that depend on parameters."""
 
     text = (
-        "{status} (the rates switch, or are narrow, at times that depend on parameters: if time, "
-        "or a part of the horizon, is measured in units of such a time, they stand still)"
+        "{status} (the rates switch, or are narrow, at times that depend on parameters: rescale "
+        "time, or a part of the horizon, so that these times are constant)"
     )
 
 

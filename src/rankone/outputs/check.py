@@ -17,7 +17,7 @@ from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain, slab_positions
 from rankone.verification.search import Climb, climbed
 
-_ROUNDING = 1e-13  # A quantity that is so small, relative to its operands, is zero but for rounding
+_ROUNDING = 1e-13  # A quantity below this share of its operands is zero except for rounding
 _INTERIOR_POINTS = 96  # Points of the interior where an error is measured, as for solutions
 _MAX_CORNERS = 32  # Corners where an error is measured: all of five parameters
 _SCOUTS = 512  # Points where a search begins
@@ -39,7 +39,7 @@ class Check:
     """Exact quantities (quantities, rows, m) at points (m, d) of the box.
 
     Their sizes (quantities,) are their largest values, or the largest operand where they vanish
-    but for rounding.
+    except for rounding.
     """
 
     points: Array

@@ -122,7 +122,7 @@ def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
     """Raise unless units are texts by names of quantities."""
     if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
         raise OptionError(
-            f"units={units!r} is no mapping to texts", term=units, remedy='give {"name": "m/s"}'
+            f"units={units!r} is not a mapping to texts", term=units, remedy='give {"name": "m/s"}'
         )
     for name in units:
         if name not in quantities.names:

@@ -70,7 +70,7 @@ def plot_sobol(
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If there is no such unknown or no parameter, a time is outside of the horizon, or there
+        If there is no such unknown or no parameter, a time is outside the horizon, or there
         are no indices at any time.
     OptionError
         If ``kind`` is unknown, ``under`` does not fit, or parameters are correlated.
@@ -145,7 +145,7 @@ def plot_main_effects(
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If there is no such unknown or no parameter, or the time is outside of the horizon.
+        If there is no such unknown or no parameter, or the time is outside the horizon.
     OptionError
         If there is no time, or ``under`` or ``correlation`` do not fit.
     """

@@ -62,9 +62,9 @@ def plot_surface(
         If Matplotlib is not installed.
     EvaluationError
         If there are several unknowns and none was chosen, there is no such unknown or coordinate,
-        a value is missing or outside of its interval.
+        a value is missing or outside its interval.
     OptionError
-        If both coordinates are the same, one has a value as well, or a value is no number.
+        If both coordinates are the same, one has a value as well, or a value is not a number.
     """
     check_solution("plot_surface", solution)
     name = state_of(solution, unknown, "plot_surface")

@@ -82,7 +82,7 @@ def plot_trajectories(
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If there is no such unknown or parameter, a value is missing or outside of the box, the
+        If there is no such unknown or parameter, a value is missing or outside the box, the
         shapes do not broadcast, or the solution has no time.
     OptionError
         If a name is given twice, or there is nothing to plot.
@@ -216,7 +216,7 @@ def plot_bands(
     RankoneError
         If Matplotlib is not installed.
     EvaluationError
-        If there is no such unknown, a time is outside of the horizon, or the solution has no time.
+        If there is no such unknown, a time is outside the horizon, or the solution has no time.
     OptionError
         If quantiles or sigmas are out of their range or both given, or ``under`` or
         ``correlation`` do not fit.

@@ -50,7 +50,7 @@ class SolutionCore:
     - ``solution[x](t=times, x0=9, y0=5)`` has the broadcast shape alone;
     - ``solution.grid(t=times, x0=..., y0=...)`` evaluates every combination.
 
-    Values outside of the box or of the horizon are errors; nothing is extrapolated. ``outcome`` is
+    Values outside the box or the horizon are errors; nothing is extrapolated. ``outcome`` is
     what the engine returned, ``metadata`` what was asked.
     """
 
@@ -83,7 +83,7 @@ class SolutionCore:
         Raises
         ------
         EvaluationError
-            If a coordinate is missing, unknown, given twice, not a real number, or outside of
+            If a coordinate is missing, unknown, given twice, not a real number, or outside
             the box or the horizon.
         """
         return self._evaluate(self._coordinates.gather(at, named), self._unknowns)

@@ -43,7 +43,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
-    """The same at one time, which is no coordinate any more."""
+    """The same at one time, which is no longer a coordinate."""
     slab = at_one_time(outcome.slabs, time, metadata.horizon)
     fixed = (*metadata.fixed, (metadata.time, float(time)))
     metadata = replace(metadata, source=None, timeless=True, fixed=fixed)
@@ -53,7 +53,7 @@ def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
 def with_fixed(
     outcome: Outcome, metadata: SolutionMetadata, parameters: Mapping[str, object]
 ) -> _Pair:
-    """The same with some parameters fixed, which are no coordinates any more."""
+    """The same with some parameters fixed, which are no longer coordinates."""
     for key, at in parameters.items():
         j = _position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
@@ -148,7 +148,7 @@ def _inside(name: str, at: Any, lower: float, upper: float) -> float:
     slack = round_off(lower, upper)
     if not lower - slack <= point <= upper + slack:
         raise OptionError(
-            f"{quote(name)} = {point:g} is outside of its range [{lower:g}, {upper:g}]",
+            f"{quote(name)} = {point:g} is outside its range [{lower:g}, {upper:g}]",
             term=at,
             remedy="nothing is extrapolated; choose values inside",
         )

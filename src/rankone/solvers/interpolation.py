@@ -23,7 +23,7 @@ _LEFT_POINTS = 9  # Random left points of the first attempt; each further attemp
 _HIGHEST_RANK = 200  # Largest rank: initial values and states after jumps are smooth functions
 _INITIAL_TOLERANCE = 1e-13  # Error of initial values, in their sizes: far below that of any solve
 _TRIAL_NODES = 256  # Random nodes at which the interpolation is compared with exact values
-_TRIAL_FACTOR = 30.0  # An error at a trial node above so many tolerances asks for more left points
+_TRIAL_FACTOR = 30.0  # An error at a trial node above this many tolerances needs more left points
 _WORST_NODES = 16  # Trial nodes with the largest errors that become left points
 _ATTEMPTS = 5  # Most attempts: the last one has 144 random left points
 

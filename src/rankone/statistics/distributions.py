@@ -205,14 +205,14 @@ class Measure:
         if outside > _WARNED_OUTSIDE and not math.isfinite(distribution.var()):
             raise OptionError(
                 f"the distribution of {quote(self.name)} has no finite mean and variance, and "
-                f"{100 * outside:.3g} % of it is outside of [{self.lower:g}, {self.upper:g}]: "
+                f"{100 * outside:.3g} % of it is outside [{self.lower:g}, {self.upper:g}]: "
                 "where it is cut would decide about all statistics",
                 term=distribution,
                 remedy=_FINITE_MOMENTS,
             )
         if outside > _WARNED_OUTSIDE and not self.from_problem:
             warn(
-                f"{100 * outside:.3g} % of the distribution of {quote(self.name)} is outside of "
+                f"{100 * outside:.3g} % of the distribution of {quote(self.name)} is outside "
                 f"[{self.lower:g}, {self.upper:g}] and left out",
                 remedy="solve on a wider box",
             )

@@ -34,7 +34,7 @@ def target(path: str | PathLike[str], overwrite: bool) -> Path:
     place = as_path(path, StorageError)
     if place.suffix not in SUFFIXES:
         raise StorageError(
-            f"`{path}` is no name for a saved solution",
+            f"`{path}` is not a name for a saved solution",
             term=path,
             remedy="end the name in .npz, or in .nc for netCDF",
         )

@@ -63,7 +63,7 @@ def reading(path: str | PathLike[str]) -> Iterator[Path]:
     place = as_path(path, StorageError)
     try:
         if place.exists() and not place.is_file():
-            raise StorageError(f"`{place}` cannot be read: it is no regular file", term=place)
+            raise StorageError(f"`{place}` cannot be read: it is not a regular file", term=place)
         yield place
     except StorageError:
         raise

@@ -120,7 +120,7 @@ def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) ->
 
 
 def _dimensions(i: int, j: int, count: int) -> tuple[str, str, str]:
-    """Names of the dimensions of core j of slab i, of so many."""
+    """Names of the dimensions of core j of slab i, which has ``count`` cores."""
     left = "state" if j == 0 else f"rank_{i}_{j - 1}_{j}"
     right = "one" if j == count - 1 else f"rank_{i}_{j}_{j + 1}"
     return left, f"time_mode_{i}" if j == 0 else f"mode_{i}_{j}", right

@@ -33,7 +33,7 @@ def target(path: str | PathLike[str], overwrite: bool) -> Path:
     """The path of an ``.npz`` file that can be written, as in :func:`rankone.storage.target`."""
     if as_path(path, StorageError).suffix != ".npz":
         raise StorageError(
-            f"`{path}` is no name for an .npz file", term=path, remedy="end the name in .npz"
+            f"`{path}` is not a name for an .npz file", term=path, remedy="end the name in .npz"
         )
     return free_target(path, overwrite, StorageError)
 

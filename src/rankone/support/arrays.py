@@ -30,7 +30,7 @@ def spread(count: int, d: int, generator: np.random.Generator) -> Array:
 
 
 def corners(d: int, most: int, generator: np.random.Generator) -> Array:
-    """Corners of the unit cube, (m, d): all, or so many random ones and two that are opposite."""
+    """Corners of the unit cube, (m, d): all, or ``most`` of them: two opposite and random ones."""
     if 2**d <= most:
         return np.array(list(itertools.product((0.0, 1.0), repeat=d))).reshape(2**d, d)
     drawn = generator.integers(0, 2, (most, d)).astype(float)

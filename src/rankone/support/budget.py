@@ -104,7 +104,7 @@ def unlimited() -> Iterator[None]:
 def preparing(seconds: object) -> Iterator[None]:
     """Limit compilation and solve together; a ConvergenceError if compiling takes too long.
 
-    Anything but a positive number is no limit: the solve refuses it.
+    Anything but a positive number is ignored here: the solve refuses it.
     """
     limit = math.inf
     if isinstance(seconds, int | float) and 0.0 < seconds < 1e18:

@@ -34,7 +34,7 @@ class Cost:
     each: float
 
     def __call__(self, columns: float) -> float:
-        """Operations for so many columns."""
+        """Operations for this many columns."""
         return self.once + self.each * columns
 
     def __add__(self, cost: Cost) -> Cost:

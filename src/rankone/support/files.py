@@ -43,7 +43,7 @@ def free_target(path: str | PathLike[str], overwrite: bool, error: type[RankoneE
     if folder:
         raise error(f"`{target}` cannot be written: it is a directory", term=target)
     if exists and not regular:
-        raise error(f"`{target}` cannot be written: it is no regular file", term=target)
+        raise error(f"`{target}` cannot be written: it is not a regular file", term=target)
     if not inside:
         missing = f"there is no directory `{target.parent}`"
         raise error(f"`{target}` cannot be written: {missing}", term=target)

@@ -80,7 +80,7 @@ def _instance(annotation: Any, content: Mapping[str, Any]) -> Any:
     if issubclass(annotation, Tagged):
         tagged = Tagged.subclasses[content["type"]]
         if not issubclass(tagged, annotation):
-            raise TypeError(f"{tagged.__name__} is no {annotation.__name__}")
+            raise TypeError(f"{tagged.__name__} is not a {annotation.__name__}")
         annotation = tagged
     return annotation(
         **{

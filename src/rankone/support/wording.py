@@ -99,7 +99,7 @@ def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
     owners: dict[str, str] = {}
     for name, owner in named:
         if not is_line(name) or not name.strip():
-            return name, f"the name {name!r} is no text that can be printed in one line"
+            return name, f"the name {name!r} is not text that can be printed in one line"
         if name in owners:
             return name, f"the name {quote(name)} belongs both to {owners[name]} and to {owner}"
         owners[name] = owner

@@ -56,7 +56,7 @@ _HUGE = 1e300  # Stands for infinite function values, so that their differences 
 class Cuts:
     """Points of one coordinate at which known functions of it are not smooth.
 
-    ``points`` do not repeat; outside of the interval of the coordinate perhaps some are missing.
+    ``points`` do not repeat; outside the interval of the coordinate perhaps some are missing.
     ``periodic`` has a point and a period for those that do.
     """
 

@@ -248,7 +248,7 @@ def _chunks(positions: NDArray[np.intp], size: int) -> Iterator[NDArray[np.intp]
 class TrainEvaluator:
     """Tensor trains on consecutive time slabs, arranged for fast evaluation.
 
-    Nothing is checked here: points outside of the box or the horizon are extrapolated.
+    Nothing is checked here: points outside the box or the horizon are extrapolated.
     """
 
     def __init__(self, slabs: Sequence[SlabTrain]) -> None:

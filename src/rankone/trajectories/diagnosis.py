@@ -1,7 +1,7 @@
 """What trajectories show: why they end, and which states are numerically zero.
 
 A state is numerically zero if rounding errors of its rate are larger than the state: for example
-the difference of two numbers that stay equal but for rounding, and all that it drives. An
+the difference of two numbers that stay equal except for rounding, and all that it drives. An
 integration that resolves such a state follows rounding errors, with steps that shrink without end.
 """
 
@@ -75,7 +75,7 @@ def first_to_end(system: System, time: float, state: Array, points: Array, floor
 
 
 def runs_away(system: System, time: float, state: Array, point: Array, horizon: float) -> bool:
-    """Whether a state grows at an enormous rate that is no pole: a little later it is the same."""
+    """Whether a state grows at an enormous rate without a pole: shortly after, it is as large."""
     with np.errstate(all="ignore"):
         now, later = (
             system.rhs(time, factor * state[:, None], point[:, None])

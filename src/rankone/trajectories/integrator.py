@@ -67,16 +67,16 @@ class DenseTrajectories:
         return np.asarray(dense(times).reshape(*self.state.shape, -1))
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
-        """At least so many ends of steps, if there are as many, with the states (n, m) there."""
+        """At least ``count`` ends of steps, if there are as many, with the states (n, m) there."""
         steps = self.steps[:: max(1, len(self.steps) // count)]
         return [(step.t, step(step.t).reshape(self.state.shape)) for step in steps]
 
 
 @dataclass(frozen=True)
 class SampledTrajectories:
-    """States (T, n, m) at given times, of which the integration ``reached`` so many.
+    """States (T, n, m) at given times; the integration ``reached`` this number of them.
 
-    It came to the time ``end`` and the last ``state`` (n, m).
+    It ended at the time ``end`` with the last ``state`` (n, m).
     """
 
     states: Array

@@ -43,7 +43,7 @@ _MOST_REPEATED = 10_000  # Most cuts that repeat with a period
 _COINCIDENT = 1e-14  # Cuts are the same if closer, relative to the size of the coordinate
 _MOST_CLOSE_PAIRS = 100  # Most pairs of such cuts that are checked
 _PULSE_SHARE = 1e-9  # Area of a pulse between two such cuts, over the function's, that counts
-_POLE = 1e9  # A factor that is so many times larger at a cut than at samples may have a pole there
+_POLE = 1e9  # A factor this many times larger at a cut than at samples may have a pole there
 _POLE_DISTANCES = (1e-11, 1e-14)  # Widths of the interval from a cut between which a pole grows
 _POLE_GROWTH = 10.0  # Factor by which a pole grows between them; a narrow peak does not
 
@@ -97,7 +97,7 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
 
 
 def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:
-    """Raise an OptionError for a pulse between two cuts that are the same but for rounding."""
+    """Raise an OptionError for a pulse between two cuts that are the same except for rounding."""
     lower, upper = factors.interval
     least = _COINCIDENT * max(abs(lower), abs(upper))
     inside = sorted({x for x in cuts if lower < x < upper})
@@ -187,7 +187,7 @@ def _distinct(points: Sequence[float], least: float) -> list[float]:
 
 
 def _inside(points: Sequence[float], lower: float, upper: float) -> list[float]:
-    """Points inside an interval, ascending, each once but for rounding errors."""
+    """Points inside an interval, ascending, each once except for rounding errors."""
     least = _COINCIDENT * max(abs(lower), abs(upper))
     _, *inside = _distinct([lower, *(x for x in points if x > lower)], least)
     return [x for x in inside if upper - x > least]
@@ -201,7 +201,7 @@ def resolving_pieces(
     nodes: int,
     tolerance: float,
 ) -> list[tuple[float, float]]:
-    """Pieces of an interval on each of which so many Chebyshev nodes resolve functions.
+    """Pieces of an interval on each of which ``nodes`` Chebyshev nodes resolve functions.
 
     The functions map points (N,) to (rows, N). No piece crosses a border; the borders ascend inside
     of the interval. The tolerance is relative to the largest value of each row.
@@ -225,7 +225,7 @@ def _interpolation(shares: Array, nodes: int) -> Array:
 
 @lru_cache(32)
 def _even_interpolation(count: int, nodes: int) -> Array:
-    """The same for the middles of so many equal parts: what a dyadic piece has."""
+    """The same for the middles of ``count`` equal parts, as a dyadic piece has them."""
     return _interpolation((np.arange(count) + 0.5) / count, nodes)
 
 

@@ -1,8 +1,8 @@
 """The reference set of a solve, errors measured against it, and where they are worst.
 
 Trajectories at a few points do not see what is narrow. The residual u' - f(t, p, u) costs a
-microsecond a point instead of a trajectory; it is no error, but at the same time it is about as
-large in proportion to the error at other points as where the error is known.
+microsecond a point instead of a trajectory. The residual is not an error, but at any one time the
+two are in about the same ratio everywhere, and points with known errors give this ratio.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _NEGLIGIBLE = 1e-3  # Smaller errors and residuals count as this part of the tol
 # errors are too large and reach 1.4; where something was missed, 3.
 _DOUBTFUL_ERROR = 1.5
 _MOST_COMPARED = 64  # Reference trajectories whose residuals tell what a residual amounts to
-_JUMP_CANDIDATES = 16_384  # Most points where a jump is checked that is no polynomial
+_JUMP_CANDIDATES = 16_384  # Most points where a jump that is not a polynomial is checked
 _JUMP_ERROR = 3.0  # Error after a jump, over the tolerance, from which a point is doubtful
 _CLIMBERS = 64  # Points with the largest errors after a jump, from which larger ones are looked for
 # The way to them. The last steps are as short as the kinks are thin.
@@ -134,7 +134,7 @@ class ReferenceSet:
         return reference_set
 
     def with_points(self, points: Array) -> ReferenceSet:
-        """The same with more interior points (m, d); those of before are not integrated again."""
+        """The same with more interior points (m, d); the earlier ones are not integrated again."""
         horizon = self.domain.horizon
         further = integrate_reference(self.system, points, *horizon, self.accuracy, self.cuts)
         return replace(self, reference=self.reference.joined(further), checked=True)
@@ -263,21 +263,21 @@ class ReferenceSet:
         return np.delete(array, np.s_[1 : 1 + self.corners], axis=axis)
 
     def _check_sizes(self) -> None:
-        """Raise a ConvergenceError for states of which products are no floating-point numbers."""
+        """Raise a ConvergenceError for states whose products are not floating-point numbers."""
         system = self.system
         if system.separated and max((len(states) for *_, states in system.terms), default=0) < 2:
             return
         for name, size in zip(system.states, self.states, strict=False):
             if not _LEAST_SIZE < size < 1.0 / _LEAST_SIZE:
                 raise ConvergenceError(
-                    f"`{name}` is of the size {size:.1e}: its products are no floating-point "
+                    f"`{name}` is of the size {size:.1e}: its products are not floating-point "
                     "numbers",
                     remedy="change its unit",
                 )
 
 
 def _with_jumps(cuts: Sequence[float], system: System, domain: Domain) -> tuple[float, ...]:
-    """The cuts, and the times of jumps in place of those that are the same but for rounding."""
+    """The cuts, and the times of jumps in place of those that are the same except for rounding."""
     start, end = domain.horizon
     jumps = system.jumps.inside(start, end)
     near = _COINCIDENT * max(abs(start), abs(end))

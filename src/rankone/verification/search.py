@@ -12,7 +12,7 @@ from rankone.support.arrays import Array
 
 @dataclass(frozen=True)
 class Climb:
-    """Rounds of random steps, so many ``tries`` for each climber, that become shorter.
+    """Rounds of random steps that become shorter, with ``tries`` steps for each climber.
 
     ``first_step`` is their first standard deviation, in widths of the box, and ``shrinkage`` the
     factor on it from round to round; a ``patient`` climber applies it only without success.

@@ -186,7 +186,7 @@ def test_a_partial_solution_ends_where_it_was_solved():
     start, end = solution.time
     assert start == 0.0
     assert 0.0 < end < 6.0
-    with pytest.raises(ro.EvaluationError, match="outside of its horizon"):
+    with pytest.raises(ro.EvaluationError, match="outside its horizon"):
         solution(t=6.0, x0=9, y0=5)
     assert np.isfinite(solution(t=end, x0=9, y0=5)).all()
 

@@ -86,7 +86,7 @@ def export_page(
     """What :meth:`rankone.Solution.explore` does."""
     target = page_target(path, overwrite)
     if title is not None and not is_text(title):
-        raise OptionError(f"title={shown(title)} is no text", term=title)
+        raise OptionError(f"title={shown(title)} is not text", term=title)
     if solution.metadata.timeless:
         raise ExportError(
             "these values do not depend on time, and a page shows curves over time",

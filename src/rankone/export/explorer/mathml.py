@@ -1,7 +1,7 @@
 """Equations as people write them, typeset as MathML.
 
 The equations of a solution are texts in Python's arithmetic, which :mod:`ast` reads. Nothing is
-evaluated, and terms keep their order. Text that is no such formula is shown as it is.
+evaluated, and terms keep their order. Text that is not such a formula is shown as it is.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class _Binding(IntEnum):
 
 
 class _NoFormulaError(Exception):
-    """A text that is no formula."""
+    """Text that is not a formula."""
 
 
 class Notation:

@@ -65,7 +65,7 @@ export function toFragment(values) {
 /**
  * Values by name from the fragment of an address, and what is wrong with it.
  *
- * Numbers outside of their range become its nearest end; of several of one name the last counts.
+ * Numbers outside their range become its nearest end; of several of one name the last counts.
  */
 export function fromFragment(fragment, ranges) {
   const values = Object.create(null);
@@ -73,7 +73,7 @@ export function fromFragment(fragment, ranges) {
   for (const pair of fragment.replace(/^#/, "").split("&")) {
     if (!pair) continue;
     if (!pair.includes("=")) {
-      problems.push(`${decoded(pair)} is no name with a value`);
+      problems.push(`${decoded(pair)} is not a name with a value`);
       continue;
     }
     const [name, text] = pair.split(/=(.*)/s).map(decoded);

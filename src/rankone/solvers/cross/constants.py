@@ -20,10 +20,10 @@ MAX_STALLS = 5  # Attempts in a row that may stall as long as attempts are cheap
 MAX_COSTLY_STALLS = 2  # Attempts in a row that may stall afterwards
 # Trajectories in all up to which attempts are cheap: seconds for small systems
 CHEAP_TRAJECTORIES = 80_000
-# Up to so many times the cheap trajectories, tolerances that were never tightened are tightened
+# Below this many times the cheap trajectories, tolerances that were never tightened are tightened
 # once, even if the error did not fall
 UNTIGHTENED_RATIO = 3
-FAR_ERROR_RATIO = 5.0  # An error of so many rtol is far from the goal
+FAR_ERROR_RATIO = 5.0  # An error above this many rtol is far from the goal
 # A costly attempt with an error far from the goal must have lowered it to this part
 FAST_ERROR_RATIO = 0.2
 
@@ -47,7 +47,7 @@ AIMED_ERROR_RATIO = 0.5  # Error aimed at when the tolerance is changed, over th
 # Smallest factor on the tolerance from one calibration to the next
 SMALLEST_TIGHTNESS_FACTOR = 1e-3
 LARGEST_TIGHTNESS_FACTOR = 4.0  # Largest factor on the tolerance from one calibration to the next
-# So many explicit steps cost less than the implicit steps that would replace them
+# This many explicit steps cost less than the implicit steps that would replace them
 EXPLICIT_STEP_LIMIT = 400
 MIN_STACK = 32  # Fewest trajectories integrated together: calls of NumPy dominate below
 MAX_STACK = 1500  # Most trajectories integrated together by explicit steps

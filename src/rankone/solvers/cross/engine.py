@@ -175,7 +175,7 @@ class CrossMarcher:
         return None if breaks is None else TimeGrid(breaks, count)
 
     def _known_elements(self, nodes: int) -> list[KnownElements]:
-        """Elements, of so many nodes, that resolve the known functions of each parameter."""
+        """Elements of ``nodes`` nodes that resolve the known functions of each parameter."""
         reference_set, known_elements = self.reference_set, []
         tolerance = constants.KNOWN_FUNCTIONS_SHARE * self.adaptive.level
         for j, interval in enumerate(reference_set.domain.box):
