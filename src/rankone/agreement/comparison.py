@@ -33,9 +33,11 @@ Number = tuple[int, int, int, int]
 Operation = Callable[..., Number | bool]
 """A function of the values of subexpressions; conditions have truth values."""
 
+# Decimal digits of the numbers: where terms cancel over many decades, more digits remain than the
+# sixteen of floating point
 _DIGITS = 100
 PRECISION = 336
-"""Bits of the numbers: a hundred decimal digits."""
+"""Bits of the numbers: as many as mpmath takes for a hundred decimal digits."""
 _CONTEXT = mpmath.MPContext()
 _CONTEXT.dps = _DIGITS
 _LARGEST_ARGUMENT = 1e300  # Of growing functions, and of logarithms: mpmath takes forever beyond
@@ -46,7 +48,7 @@ _STEP = from_float(1e-35)  # Of difference quotients: half of the digits remain 
 _TOLERANCE = 1e-13
 _LAST_DIGITS = 1e-90  # Relative error of the evaluation: log(1 + 1e-178) has no digits either
 _RUNS = 4  # Evaluations with disturbed intermediate results: few, as only the largest effect counts
-_SEED = 1914
+_SEED = 1914  # Of the disturbances: the same problem is always judged alike
 _SPREAD_RATIO = 10.0  # Largest residual over that effect: a few runs do not meet the worst errors
 LOST_SHARE = 0.01
 """A residual above this share of the largest value leaves no digits that count."""

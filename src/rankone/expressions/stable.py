@@ -22,6 +22,7 @@ _ORDINARY_RATIO = sp.Integer(10) ** 30
 _HIGH_POWER = 8  # From this power on a quotient of powers is written as the power of a quotient
 _MOST_DENOMINATOR_TERMS = 20  # Terms of a denominator up to which it is compared with the numerator
 _DIGITS = 20  # Decimal digits of computed numbers: a few more than floating point holds
+# Numerators and denominators up to this stay exact; larger ones are rounded to the digits above
 _LARGEST_INTEGER = 10**_DIGITS
 _SAME_RATIO = sp.Rational(1, 10**15)  # Coefficients this close are one number except for rounding
 

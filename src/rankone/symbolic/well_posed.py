@@ -43,7 +43,8 @@ _BISECTIONS = 40  # Halvings of lines between such points, to within rounding of
 _TABLE_SAMPLES = 257  # Points at which the argument of a table is compared with the table's ends
 _MOST_CORNERS = 64  # Corners at which the start is evaluated: all of them up to six parameters
 _RANDOM_STARTS = 64  # Random points of the box at which the start is evaluated
-_SEED = 20140
+_START_SEED = 20140  # Of the points at which the start is evaluated: always the same ones
+_GAP_SEED = 20151  # Of the points at which conditions are checked: always the same ones
 
 
 def check_tables(system: FirstOrderSystem, coordinates: Sequence[Coordinate]) -> None:
@@ -102,7 +103,7 @@ def check_start(
     Trajectories start at the centre of the box, its corners and random points.
     """
     clock, *parameters = coordinates
-    generator = np.random.default_rng(_SEED)
+    generator = np.random.default_rng(_START_SEED)
     at_corners = corners(len(parameters), _MOST_CORNERS, generator)
     inside = generator.random((_RANDOM_STARTS, len(parameters)))
     unit = np.concatenate([np.full((1, len(parameters)), 0.5), inside, at_corners])
@@ -284,7 +285,7 @@ def _point_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | Non
     def pattern(points: Array) -> Array:
         return np.array([side(points) for side in sides])
 
-    unit = spread(_GAP_SAMPLES, len(involved), np.random.default_rng(20151)).T
+    unit = spread(_GAP_SAMPLES, len(involved), np.random.default_rng(_GAP_SEED)).T
     points = lower + (upper - lower) * unit
     a, b = points[:, ::2], points[:, 1::2]
     samples, at_start = [points], pattern(a)
