@@ -59,9 +59,12 @@ class Case:
         )
 
 
+_SEED_WORDS = {"surfaces": "ridges"}  # Words that keep the cases of kinds that were renamed
+
+
 def case(kind: str, seed: int) -> Case:
     """The case of a kind with a seed."""
-    return KINDS[kind](random.Random(f"{kind} {seed}"))
+    return KINDS[kind](random.Random(f"{_SEED_WORDS.get(kind, kind)} {seed}"))
 
 
 def kind(make: Callable[[random.Random], Case]) -> Callable[[random.Random], Case]:

@@ -9,7 +9,7 @@ import sympy as sp
 import rankone as ro
 from tests.honesty.cases import Case, alone, kind, logarithmic, number, t, unknown
 
-__all__ = ["data", "moving", "passages", "peaks", "ridges"]
+__all__ = ["data", "moving", "passages", "peaks", "surfaces"]
 
 
 @kind
@@ -56,8 +56,8 @@ def passages(draw: random.Random) -> Case:
 
 
 @kind
-def ridges(draw: random.Random) -> Case:
-    """A ridge, a ring or a sheet across two or three parameters."""
+def surfaces(draw: random.Random) -> Case:
+    """A plane, a ring or a curved surface across two or three parameters."""
     x = unknown("x")
     a, b, c = symbols = sp.symbols("a b c")
     width, middle = logarithmic(draw, 1e-4, 0.2), number(draw, 0.3, 0.7)
@@ -79,7 +79,7 @@ def ridges(draw: random.Random) -> Case:
     shape = draw.choice([sp.exp(-(z**2)), 1 / (1 + z**2), sp.tanh(z), sp.Max(0, 1 - sp.Abs(z))])
     rate = draw.choice([-x * (1 + shape) + 1, -x + shape, -x + 1 + a * shape * x / 2])
     return alone(
-        f"ridge {width} of {d}",
+        f"surface {width} of {d}",
         rate,
         x,
         draw.choice([0, 1]),

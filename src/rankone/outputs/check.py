@@ -27,9 +27,9 @@ _TO_CHANGES = Climb(rounds=24, tries=5, first_step=0.25, shrinkage=0.8)
 _TO_ERRORS = Climb(rounds=10, tries=5, first_step=0.25, shrinkage=0.8)  # The way to larger errors
 # Where slabs are split for the check, so that its nodes differ from the nodes of the grid
 _SPLIT_RATIO = 0.55
-_MAX_BREAKS = 32  # Most breaks of a parameter, and most points on a ridge, that are looked at
+_MAX_BREAKS = 32  # Most breaks of a parameter, and most points on a surface, that are looked at
 _BREAK_DISTANCE = 1e-6  # Distance of points beside a break, in widths of the interval
-_HALVINGS = 60  # Bisections of a segment across a ridge: to the last digit
+_HALVINGS = 60  # Bisections of a segment across a surface: to the last digit
 _SPREAD_SEED = 20145  # Seed of evenly spread points
 _CORNER_SEED = 20146  # Seed of the choice of corners
 
@@ -133,7 +133,7 @@ class CheckPoints:
     @classmethod
     def of(cls, domain: Domain, quantities: Quantities) -> CheckPoints:
         at_corners = _corners(domain)
-        special = [_beside(domain, quantities.cuts[1:]), _on_ridges(domain, quantities)]
+        special = [_beside(domain, quantities.cuts[1:]), _on_surfaces(domain, quantities)]
         halves = np.split(spread_over(domain, 2 * _INTERIOR_POINTS if domain.box else 2), 2)
         aimed, further = (np.concatenate([at_corners, half, *special]) for half in halves)
         return cls(len(at_corners), aimed, further)
@@ -168,7 +168,7 @@ def _beside(domain: Domain, breaks: Sequence[Sequence[float]]) -> Array:
     return np.concatenate(blocks)
 
 
-def _on_ridges(domain: Domain, quantities: Quantities) -> Array:
+def _on_surfaces(domain: Domain, quantities: Quantities) -> Array:
     """Points of the box where functions of several parameters are narrow or not smooth: (m, d)."""
     points = spread_over(domain, 2 * _INTERIOR_POINTS)
     left, right = np.split(points, 2)

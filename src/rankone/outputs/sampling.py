@@ -111,11 +111,11 @@ class Sampler:
         times, sources = self.grid.times[:, None], self.sources(points)
         shape = times.size, len(points)
         with np.errstate(all="ignore"):
-            middles = self.quantities.state_surfaces(times, sources, points.T)
+            surfaces = self.quantities.state_surfaces(times, sources, points.T)
         worst = 0.0
-        at_nodes = self._functions(times, sources, points.T) if middles else []
-        for middle in middles:
-            curves = Polynomials(self.grid, np.broadcast_to(middle, shape))
+        at_nodes = self._functions(times, sources, points.T) if surfaces else []
+        for surface in surfaces:
+            curves = Polynomials(self.grid, np.broadcast_to(surface, shape))
             zeros, columns = curves.zeros(_MAX_MIDDLES)
             at_zeros = self._paired(zeros, points[columns])
             exact = self._functions(zeros[None, :], at_zeros[:, None, :], points[columns].T)

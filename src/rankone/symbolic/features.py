@@ -89,7 +89,7 @@ class SymbolicFeatures:
 
     @property
     def state_surfaces(self) -> tuple[sp.Expr, ...]:
-        """The middles of peaks, then kinks, then steps."""
+        """The surfaces of peaks, then of kinks, then of steps."""
         return (*self.peaks, *self.kinks, *self.steps)
 
 
@@ -160,20 +160,20 @@ def cuts_of(coordinates: Sequence[Coordinate], expressions: Iterable[sp.Basic]) 
 
 
 def _add_narrow(expressions: Sequence[sp.Basic], coordinate: Coordinate, cuts: Cuts) -> None:
-    """Add the middles of peaks and steps that are too narrow for samples."""
+    """Add the points of peaks and steps that are too narrow for samples."""
     x = coordinate.symbol
 
     def alone(expression: sp.Basic) -> set[sp.Expr]:
         of_x = expression.free_symbols == {x} and not expression.has(AppliedUndef)
         return {x} if of_x else set()
 
-    for node, middle in itertools.chain(peaks(expressions, alone), steps(expressions, alone)):
-        if not alone(node) or not alone(middle):
+    for node, surface in itertools.chain(peaks(expressions, alone), steps(expressions, alone)):
+        if not alone(node) or not alone(surface):
             continue
         try:
-            points, periodic = _roots(middle, x)
+            points, periodic = _roots(surface, x)
         except _FAILURES:
-            points, periodic = _sampled(middle, coordinate), set()
+            points, periodic = _sampled(surface, coordinate), set()
         function = numeric(node, coordinate)
         cuts.points.update(at for at in points if _is_narrow(function, coordinate, at))
         for first, period in periodic:

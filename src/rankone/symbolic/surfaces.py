@@ -75,15 +75,15 @@ def peaks(
     """
     for node in subexpressions(expressions, sp.exp, sp.Pow, *_STEEPEST_AT_ZERO):
         if isinstance(node, sp.exp):
-            middles = list(_extrema(node.exp, variables))
+            surfaces = list(_extrema(node.exp, variables))
         elif not node.is_Pow:
-            middles = list(_extrema(node.args[0], variables))
-            middles += [node.args[0]] if isinstance(node, sp.cosh | sp.sech) else []
+            surfaces = list(_extrema(node.args[0], variables))
+            surfaces += [node.args[0]] if isinstance(node, sp.cosh | sp.sech) else []
         elif node.exp.is_number and node.exp.is_negative:
-            middles = list(_extrema(node.base, variables))
+            surfaces = list(_extrema(node.base, variables))
         else:
             continue
-        yield from ((node, middle) for middle in middles)
+        yield from ((node, surface) for surface in surfaces)
 
 
 def steps(
@@ -94,7 +94,7 @@ def steps(
         if not node.is_Pow:
             yield node, node.args[0]
         elif node.exp.is_number and node.exp.is_negative:
-            yield from ((node, middle) for middle in _thresholds(node.base, variables))
+            yield from ((node, surface) for surface in _thresholds(node.base, variables))
 
 
 def valleys(expressions: Iterable[sp.Basic]) -> Iterator[sp.Expr]:
@@ -115,7 +115,7 @@ def subexpressions(expressions: Iterable[sp.Basic], *functions: type) -> list[sp
 def moving_cuts(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
     """Times, as functions of the parameters, at which functions of both switch or are narrow.
 
-    Boundaries that are linear in time, and the middles of narrow exponentials of squares.
+    Boundaries that are linear in time, and the peaks of narrow exponentials of squares.
     """
     t, symbols = coordinates[0].symbol, {c.symbol for c in coordinates}
     times = set(_moving_peaks(coordinates, rates))
@@ -158,9 +158,9 @@ def state_surfaces(
         unknowns = set(expression.atoms(AppliedUndef))
         return unknowns | (expression.free_symbols & {time} if not unknowns else set())
 
-    of_steps = (middle for _, middle in steps(rates, moving))
+    of_steps = (surface for _, surface in steps(rates, moving))
     sorts = (
-        (middle for _, middle in peaks(rates, moving)),
+        (surface for _, surface in peaks(rates, moving)),
         _zeros(rates, CONTINUOUS),
         itertools.chain(of_steps, _zeros(rates, DISCONTINUOUS)),
     )
@@ -170,8 +170,8 @@ def state_surfaces(
         distinct = (f for f in _distinct(filter(moving, functions)) if not surfaces & {f, -f})
         by_sort.append(tuple(itertools.islice(distinct, _MAX_SURFACES - len(surfaces))))
         surfaces.update(by_sort[-1])
-    middles, kinks, jumps = by_sort
-    return middles, kinks, jumps
+    at_peaks, at_kinks, at_steps = by_sort
+    return at_peaks, at_kinks, at_steps
 
 
 def parameter_surfaces(
@@ -185,7 +185,7 @@ def parameter_surfaces(
 
     narrow = itertools.chain(peaks(expressions, variables), steps(expressions, variables))
     surfaces = itertools.chain(
-        (middle for _, middle in narrow),
+        (surface for _, surface in narrow),
         valleys(expressions),
         _zeros(expressions, (*CONTINUOUS, *DISCONTINUOUS)),
     )

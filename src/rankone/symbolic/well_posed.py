@@ -250,10 +250,10 @@ def _cell_inside(region: sp.Basic, involved: Sequence[Coordinate]) -> str | None
     edges = [_edges(region, coordinate) for coordinate in involved]
     shape = [len(each) - 1 for each in edges]
     indices = np.unravel_index(np.arange(min(math.prod(shape), _MAX_CELLS)), shape)
-    middles = [
+    centres = [
         0.5 * (each[:-1] + each[1:])[index] for each, index in zip(edges, indices, strict=True)
     ]
-    inside = np.flatnonzero(_truth(region, involved)(np.array(middles)))
+    inside = np.flatnonzero(_truth(region, involved)(np.array(centres)))
     if not inside.size:
         return None
     texts = []
