@@ -17,7 +17,7 @@ from rankone.commands.common import (
     summary,
     toml_help,
 )
-from rankone.support.budget import EFFORT_HELP, effort_of
+from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
 
 ARGUMENTS = (
     *("self", "rtol", "method", "parameters", "t_final"),
@@ -37,7 +37,6 @@ _CHECK_HELP = "number of check points in the interior; 0 leaves the error unknow
 _BOX_HELP = "other ranges of parameters, for this solve"
 _OPTIONS_HELP = "options of the engine, such as max_rank=300"
 _COVER_HELP = "whether success covers the corners of the box; by default up to three parameters"
-_SECONDS_HELP = "time limit on the clock; the best so far is kept"
 _UNKNOWNS_HELP = "the unknowns whose error has to be within the tolerance; by default all"
 _EXIT_HELP = """\
 exit status:
@@ -69,7 +68,7 @@ def register(commands: Commands) -> None:
     add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
-    add("--max-seconds", metavar="S", type=float, help=_SECONDS_HELP)
+    add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
     add("--json", action="store_true", help="print the summary as JSON")
     add("--quiet", action="store_true", help="no summary (except --json) and no progress bar")

@@ -22,7 +22,7 @@ from rankone.solution.core import SolutionCore, raise_blow_up
 from rankone.solvers.engine import Engine, solve_with
 from rankone.storage.npz import read, target
 from rankone.support.arrays import Array
-from rankone.support.budget import EFFORT_HELP, effort_of
+from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.support.files import npz, write_files
 from rankone.support.wording import quote
@@ -103,7 +103,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
     add("--box", nargs="+", action="extend", metavar=_RANGE_FORM, help="other ranges of parameters")
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
     add("--effort", metavar="E", type=effort_of, help=EFFORT_HELP)
-    add("--max-seconds", type=float, metavar="S", help="time limit; the best so far is kept")
+    add("--max-seconds", type=float, metavar="S", help=SECONDS_HELP)
     add("--options", nargs="+", action="extend", metavar=_PAIR_FORM, help="options of the engine")
     add("--at", nargs="+", action="extend", metavar=_PAIR_FORM, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")

@@ -18,6 +18,7 @@ from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
 
 EFFORT_HELP = "budget of work: low, normal (default), high or a factor; the best so far is kept"
+SECONDS_HELP = "time limit on the clock; the best so far is kept"
 NORMAL = 2.5e10
 """Operations of a solve unless ``effort`` says otherwise: about 25 seconds of a quiet core."""
 _EFFORTS = {"low": 0.2, "normal": 1.0, "high": 10.0}
