@@ -1,4 +1,19 @@
-"""Parameters from data, posterior distributions and best values: methods of a solution."""
+"""Parameters from data, posterior distributions and best values: methods of a solution.
+
+======================  ==========================================================================
+``observations``        measured data, checked
+``free_parameters``     free parameters, their bounds, and starts
+``least_squares``       least squares in a unit cube, for many starts at once
+``search``              ``fit``
+``fit``                 the result of ``fit``, and reasons not to trust it
+``identification``      which parameters and combinations the data identify; profile likelihoods
+``posterior``           ``posterior``, by quadrature or by a Markov chain
+``cube_distributions``  distributions in a unit cube, on cells or as points of a chain
+``objective``           objectives and constraints on a unit cube, with derivatives
+``minimize``            ``minimize``
+``expressions``         quantities of parameters: functions, text, or symbols
+======================  ==========================================================================
+"""
 
 from rankone.estimation import minimize as _minimize
 from rankone.estimation import posterior as _posterior

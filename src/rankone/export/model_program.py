@@ -111,8 +111,8 @@ def _train(cores: Sequence[tuple[Array, Array, Array]], points: Array, derivativ
         for e in np.unique(element):
             here = np.flatnonzero(element == e)
             matrix = tensor[e].reshape(left, -1)
-            for out, (basis, carry) in zip(columns, pairs, strict=True):
-                products = basis[:, None, here] * carry[:, here]
+            for out, (basis, contraction) in zip(columns, pairs, strict=True):
+                products = basis[:, None, here] * contraction[:, here]
                 out[:, here] = matrix @ products.reshape(-1, here.size)
     return np.stack(columns, axis=1)
 

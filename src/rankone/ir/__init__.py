@@ -1,1 +1,13 @@
-"""Frozen data that pass between the front end, code generation, engines and solutions."""
+"""Frozen data that pass between the front end, code generation, engines and solutions.
+
+=============  ===================================================================================
+``forms``      the separated form and the quadratic system, with their terms and factors
+``functions``  functions that SymPy does not know: tables, functions of the user, maxima over time
+``features``   what is not smooth or narrow; gaps of piecewise functions; jumps
+``system``     the system as engines see it, made from a generated module
+``request``    what a solve is asked: domain, tolerance, check, limits, options
+``outcome``    what an engine returns
+``verdict``    how a solve ended: status, cause, notes, and the message made of them
+``metadata``   the problem and the request behind a solution, as plain data
+=============  ===================================================================================
+"""

@@ -1,1 +1,8 @@
-"""A solution: evaluation, smaller solutions, tables with labels, summaries."""
+"""A solution: evaluation, smaller solutions, tables with labels, summaries.
+
+================  ================================================================================
+``core``          evaluation, errors and files; all that an exported solver needs of a solution
+``smaller``       parameters fixed, the box restricted, derivatives
+``presentation``  the printed summary; xarray and pandas
+================  ================================================================================
+"""

@@ -1,1 +1,13 @@
-"""Engines: what separates the solution over the box, and how one is chosen and run."""
+"""Engines: what separates the solution over the box, and how one is chosen and run.
+
+=================  ===============================================================================
+``registry``       the engines by name, and which ones a method tries
+``engine``         the interface of engines; a solve that tries one engine after another
+``attempts``       reference, march, check, tighten, until the measured error fits
+``march``          one pass over the horizon, slab after slab
+``interpolation``  initial values and states after jumps, interpolated in a tensor train
+``cross``          the engine that interpolates trajectories
+``train``          the engine that sweeps over a tensor train
+``greedy``         the classic engine, which enriches by rank-one terms
+=================  ===============================================================================
+"""

@@ -1,1 +1,12 @@
-"""Statistics of a solution over its box: every integral is a product of one-dimensional ones."""
+"""Statistics of a solution over its box: every integral is a product of one-dimensional ones.
+
+=======================  =========================================================================
+``distributions``        distributions of one parameter: scipy.stats, text, quadrature
+``joint_distribution``   all parameters together, joined by a Gaussian copula
+``moments``              means, variances and sensitivities of one train
+``higher_moments``       third and fourth moments of one train
+``densities``            densities and probabilities, from evenly spread points
+``solution_statistics``  statistics of states at given times, and how certain they are
+``over_box``             the methods of a solution
+=======================  =========================================================================
+"""

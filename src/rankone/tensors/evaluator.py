@@ -3,7 +3,7 @@
 The cores are rearranged once: on every element of a dimension the polynomials become Chebyshev
 polynomials, whose values at all points come from few vectorised products, and every core becomes
 one matrix per element. Evaluation then goes from the last dimension to the first; each step
-multiplies the values of the polynomials with the vector carried so far (a column-wise Kronecker
+multiplies the values of the polynomials with the contraction so far (a column-wise Kronecker
 product) and the core with the result, one matrix product for all points of a chunk.
 
 Time is the first dimension and comes last, so that the product of the cores of the parameters at a
@@ -95,8 +95,8 @@ class _Dimension:
         element = max(0, min(int(position), self.elements - 1)) if self.elements > 1 else 0
         return 2.0 * (position - element) - 1.0, element
 
-    def contract(self, points: Array, carry: Array | None, rows: Rows | None = None) -> Array:
-        """Multiply the core, at points (N,), with the carry (right, N): shape (left, N)."""
+    def contract(self, points: Array, contraction: Array | None, rows: Rows | None = None) -> Array:
+        """Multiply the core, at points (N,), with the contraction (right, N): shape (left, N)."""
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree)
         occupied = _occupied(element)
@@ -104,16 +104,16 @@ class _Dimension:
         if rows is not None:
             matrices = [matrix[rows] for matrix in matrices]
         if len(occupied) == 1:
-            return np.asarray(matrices[0] @ _columnwise_kronecker(polynomials, carry))
+            return np.asarray(matrices[0] @ _columnwise_kronecker(polynomials, contraction))
         contracted = np.empty((len(matrices[0]), xi.size))
         for e, matrix in zip(occupied, matrices, strict=True):
             here = np.flatnonzero(element == e)
-            columns = None if carry is None else carry.take(here, 1)
+            columns = None if contraction is None else contraction.take(here, 1)
             contracted[:, here] = matrix @ _columnwise_kronecker(polynomials.take(here, 1), columns)
         return contracted
 
-    def spread(self, points: Array, carry: Array, of: NDArray[np.intp], rows: Rows) -> Array:
-        """Multiply the core, at points (N,), with the columns ``of`` the carry (right, M).
+    def spread(self, points: Array, contraction: Array, of: NDArray[np.intp], rows: Rows) -> Array:
+        """Multiply the core, at points (N,), with the columns ``of`` the contraction (right, M).
 
         The columns (N,) repeat, so that these products come first. The shape is (left, N).
         """
@@ -122,22 +122,22 @@ class _Dimension:
         contracted = np.empty((len(self.matrices[0][rows]), xi.size))
         for e in _occupied(element):
             here = slice(None) if element is None else np.flatnonzero(element == e)
-            products = (self.tensor[e, rows] @ carry).take(of[here], 2)
+            products = (self.tensor[e, rows] @ contraction).take(of[here], 2)
             contracted[:, here] = np.einsum("lnN,nN->lN", products, polynomials[:, here])
         return contracted
 
-    def outer(self, points: Array, carry: Array, rows: Rows | None = None) -> Array:
+    def outer(self, points: Array, contraction: Array, rows: Rows | None = None) -> Array:
         """Multiply the core, at points (N,), with all columns (right, M): shape (left, N, M)."""
         xi, element = self.locate(points)
         polynomials = chebyshev_polynomials(xi, self.degree).T
         tensor = self.tensor if rows is None else self.tensor[:, rows]
         occupied = _occupied(element)
         if len(occupied) == 1:
-            return _multiplied(polynomials, tensor[occupied[0]], carry)
-        contracted = np.empty((tensor.shape[1], xi.size, carry.shape[1]))
+            return _multiplied(polynomials, tensor[occupied[0]], contraction)
+        contracted = np.empty((tensor.shape[1], xi.size, contraction.shape[1]))
         for e in occupied:
             here = np.flatnonzero(element == e)
-            contracted[:, here] = _multiplied(polynomials[here], tensor[e], carry)
+            contracted[:, here] = _multiplied(polynomials[here], tensor[e], contraction)
         return contracted
 
 
@@ -165,19 +165,19 @@ def _occupied(element: NDArray[np.intp] | None) -> list[int]:
     return [0] if element is None else np.flatnonzero(np.bincount(element)).tolist() or [0]
 
 
-def _multiplied(polynomials: Array, core: Array, carry: Array) -> Array:
-    """Values (N, n) by a core (left, n, right) by a carry (right, M): shape (left, N, M)."""
-    (count, degree), (right, columns) = polynomials.shape, carry.shape
+def _multiplied(polynomials: Array, core: Array, contraction: Array) -> Array:
+    """Values (N, n) by a core (left, n, right) by a contraction (right, M): shape (left, N, M)."""
+    (count, degree), (right, columns) = polynomials.shape, contraction.shape
     if right * count * (degree + columns) < degree * columns * (right + count):
-        return np.asarray((polynomials @ core) @ carry)
-    return np.asarray(polynomials @ (core @ carry))
+        return np.asarray((polynomials @ core) @ contraction)
+    return np.asarray(polynomials @ (core @ contraction))
 
 
-def _columnwise_kronecker(polynomials: Array, carry: Array | None) -> Array:
+def _columnwise_kronecker(polynomials: Array, contraction: Array | None) -> Array:
     """Kronecker products of the columns of (n, N) and (r, N): shape (n * r, N)."""
-    if carry is None:
+    if contraction is None:
         return polynomials
-    return np.multiply(polynomials[:, None], carry).reshape(-1, polynomials.shape[1])
+    return np.multiply(polynomials[:, None], contraction).reshape(-1, polynomials.shape[1])
 
 
 class _Train:
@@ -201,35 +201,35 @@ class _Train:
 
     def over_parameters(self, points: Array) -> Array:
         """Product of the cores of the parameters at points (d, N): shape (right of time, N)."""
-        carry = None
+        contraction = None
         for dimension, coordinates in zip(self.dimensions[:0:-1], points[::-1], strict=True):
-            carry = dimension.contract(coordinates, carry)
-        return np.ones((1, points.shape[1])) if carry is None else carry
+            contraction = dimension.contract(coordinates, contraction)
+        return np.ones((1, points.shape[1])) if contraction is None else contraction
 
     def over_grid(self, axes: Sequence[Array]) -> Array:
         """The same on the tensor grid of d axes, flattened."""
-        carry = np.ones((1, 1))
+        contraction = np.ones((1, 1))
         for dimension, axis in zip(self.dimensions[:0:-1], axes[::-1], strict=True):
-            carry = dimension.outer(axis, carry).reshape(dimension.left, -1)
-        return carry
+            contraction = dimension.outer(axis, contraction).reshape(dimension.left, -1)
+        return contraction
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
         """Values at one point, given as 1 + d numbers: shape (rows,)."""
         pairs = zip(self.dimensions, point, strict=True)
         located = [dimension.locate_one(coordinate) for dimension, coordinate in pairs]
         table = chebyshev_polynomials(np.array([xi for xi, _ in located]), self.degree).T
-        carry: Array | None = None
+        contraction: Array | None = None
         for k in range(len(self.dimensions) - 1, -1, -1):
             dimension = self.dimensions[k]
             polynomials = table[k, : dimension.degree]
             matrix = dimension.matrices[located[k][1]]
             if k == 0:
                 matrix = matrix[rows]
-            if carry is not None:
-                polynomials = np.multiply.outer(polynomials, carry).ravel()
-            carry = matrix @ polynomials
-        assert carry is not None
-        return carry
+            if contraction is not None:
+                polynomials = np.multiply.outer(polynomials, contraction).ravel()
+            contraction = matrix @ polynomials
+        assert contraction is not None
+        return contraction
 
 
 def _runs(slabs: Sequence[SlabTrain]) -> Iterator[list[SlabTrain]]:
@@ -269,8 +269,8 @@ class TrainEvaluator:
         for train, owned in self._owned(points[0], self._slab_breaks):
             for here in _chunks(owned, train.chunk):
                 chunk = points.take(here, 1)
-                carry = train.over_parameters(chunk[1:])
-                states[:, here] = train.time.contract(chunk[0], carry, rows)
+                contraction = train.over_parameters(chunk[1:])
+                states[:, here] = train.time.contract(chunk[0], contraction, rows)
         return states
 
     def curves(self, times: Array, points: Array, rows: Rows) -> Array:
@@ -282,12 +282,12 @@ class TrainEvaluator:
         several, count = len(times), points.shape[1]
         if times.shape[1] == 1:
 
-            def carries(train: _Train) -> Iterator[tuple[slice, Array]]:
+            def contractions(train: _Train) -> Iterator[tuple[slice, Array]]:
                 for begin in range(0, count, train.chunk):
                     here = slice(begin, begin + train.chunk)
                     yield here, train.over_parameters(points[:, here])
 
-            return self._at_all(times[:, 0], count, carries, rows)
+            return self._at_all(times[:, 0], count, contractions, rows)
         if several == 1:
             return self.many(np.concatenate([times, points]), rows)[:, None]
         paired = times.T.ravel()
@@ -295,37 +295,37 @@ class TrainEvaluator:
         for train, owned in self._owned(paired, self._breaks):
             for here in _chunks(owned, train.chunk):
                 columns, back = np.unique(here // several, return_inverse=True)
-                carry = train.over_parameters(points.take(columns, 1))
-                states[:, here] = train.time.spread(paired[here], carry, back, rows)
+                contraction = train.over_parameters(points.take(columns, 1))
+                states[:, here] = train.time.spread(paired[here], contraction, back, rows)
         return states.reshape(len(states), count, several).swapaxes(1, 2)
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
         """Evaluate on a tensor grid of 1 + d axes in any order: (rows, *sizes of the axes)."""
         sizes = [axis.size for axis in axes]
 
-        def carries(train: _Train) -> Iterator[tuple[slice, Array]]:
+        def contractions(train: _Train) -> Iterator[tuple[slice, Array]]:
             yield slice(None), train.over_grid(axes[1:])
 
         sizes = [axis.size for axis in axes]
-        states = self._at_all(axes[0], math.prod(sizes[1:]), carries, rows)
+        states = self._at_all(axes[0], math.prod(sizes[1:]), contractions, rows)
         return states.reshape(len(states), *sizes)
 
     def _at_all(
         self,
         times: Array,
         count: int,
-        carries: Callable[[_Train], Iterable[tuple[slice, Array]]],
+        contractions: Callable[[_Train], Iterable[tuple[slice, Array]]],
         rows: Rows,
     ) -> Array:
         """States (rows, T, N) at all times (T,) for N products of the cores of the parameters.
 
-        ``carries`` yields for a train slices of the N columns with the products there.
+        ``contractions`` yields for a train slices of the N columns with the products there.
         """
         states = np.empty((self._count(rows), times.size, count))
         for train, owned in self._owned(times, self._breaks):
-            for columns, carry in carries(train):
-                for here in _chunks(owned, max(_BUFFER // max(carry.shape), _TIMES)):
-                    states[:, here, columns] = train.time.outer(times[here], carry, rows)
+            for columns, contraction in contractions(train):
+                for here in _chunks(owned, max(_BUFFER // max(contraction.shape), _TIMES)):
+                    states[:, here, columns] = train.time.outer(times[here], contraction, rows)
         return states
 
     def _owned(self, times: Array, breaks: Array) -> Iterator[tuple[_Train, NDArray[np.intp]]]:

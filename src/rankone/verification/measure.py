@@ -182,9 +182,11 @@ class ReferenceSet:
         with unlimited():
             errors, largest = np.zeros((self.states.size, m)), self.states
             all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
-            carried = _with_carries(slabs, reference.points)
-            for (slab, carry), times, exact in zip(carried, all_times, all_exact, strict=True):
-                defects = np.abs(slab.on_grid(times, carry) - exact)
+            carried = _with_contractions(slabs, reference.points)
+            for (slab, contraction), times, exact in zip(
+                carried, all_times, all_exact, strict=True
+            ):
+                defects = np.abs(slab.on_grid(times, contraction) - exact)
                 errors = np.maximum(errors, defects.max(axis=2))
                 at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
                 largest = np.maximum(largest, at_corners)
@@ -290,13 +292,15 @@ def times_within(start: float, end: float, shares: Array) -> Array:
     return np.asarray(np.minimum(start + (end - start) * shares, np.nextafter(end, start)))
 
 
-def _with_carries(slabs: Sequence[SlabTrain], points: Array) -> Iterator[tuple[SlabTrain, Array]]:
+def _with_contractions(
+    slabs: Sequence[SlabTrain], points: Array
+) -> Iterator[tuple[SlabTrain, Array]]:
     """Each slab with its trains over the parameters at points (m, d), made once if shared."""
-    last, carry = None, points
+    last, contraction = None, points
     for slab in slabs:
         if last is None or not slab.shares_parameters(last):
-            last, carry = slab, slab.over_parameters(points.T)
-        yield slab, carry
+            last, contraction = slab, slab.over_parameters(points.T)
+        yield slab, contraction
 
 
 def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
@@ -308,9 +312,9 @@ def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
     points = check_points(domain.bounds, _DRIFT_POINTS)
     count = system.n_lifted
     size, worst = np.zeros(count), np.zeros(count)
-    for slab, carry in _with_carries(slabs, points):
+    for slab, contraction in _with_contractions(slabs, points):
         times = times_within(slab.start, slab.end, _DRIFT_SHARES)
-        states = slab.on_grid(times, carry)
+        states = slab.on_grid(times, contraction)
         lifted, meant = states[-count:], system.meanings(times, states, points.T[:, :, None])
         size = np.maximum(size, np.abs(lifted).max(axis=(1, 2)))
         worst = np.maximum(worst, np.abs(lifted - meant).max(axis=(1, 2)))
@@ -352,8 +356,8 @@ class _WorstPoints:
         indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, _MOST_SLABS)})
         points, slabs = np.concatenate([compared, candidates]), [self.slabs[i] for i in indices]
         ratios = np.zeros(len(candidates))
-        for slab, carry in _with_carries(slabs, points):
-            residuals = self._residuals(slab, points, carry)
+        for slab, contraction in _with_contractions(slabs, points):
+            residuals = self._residuals(slab, points, contraction)
             floor = _NEGLIGIBLE * self.rtol / (slab.end - slab.start)
             usual = np.maximum(residuals[:, : len(compared)].max(axis=1, keepdims=True), floor)
             ratios = np.maximum(ratios, (residuals[:, len(compared) :] / usual).max(axis=0))
@@ -373,11 +377,14 @@ class _WorstPoints:
         points[near] = 0.5 + 0.5 * np.sign(offset) * np.abs(offset) ** _CORNER_POWER
         return points, np.where(near, _CORNER_ERROR, 1.0)
 
-    def _residuals(self, slab: SlabTrain, points: Array, carry: Array) -> Array:
+    def _residuals(self, slab: SlabTrain, points: Array, contraction: Array) -> Array:
         """Largest residual of a state, in units of the sizes, at each time and point: (T, m)."""
         system, units = self.reference_set.system, self.reference_set.states[:, None]
         times = slab.start + (slab.end - slab.start) * _RESIDUAL_SHARES
-        states, rates = slab.on_grid(times, carry), slab.derivative().on_grid(times, carry)
+        states, rates = (
+            slab.on_grid(times, contraction),
+            slab.derivative().on_grid(times, contraction),
+        )
         cost = function_cost(system.rhs, system.user_functions)
         charge(len(times) * (cost(len(points)) + 2.0 * states[:, :, 0].size))
         with np.errstate(all="ignore"):
@@ -422,8 +429,8 @@ class _WorstPoints:
         system, time = self.reference_set.system, np.array([before.end])
         charge(function_cost(system.jumps.jumped, system.user_functions)(len(points)))
         start, end = (
-            slab.on_grid(time, carry)[:, :, 0]
-            for slab, carry in _with_carries([before, after], points)
+            slab.on_grid(time, contraction)[:, :, 0]
+            for slab, contraction in _with_contractions([before, after], points)
         )
         with np.errstate(all="ignore"):
             errors = np.abs(end - system.jumps.jumped(kind, start, points.T))

@@ -15,9 +15,10 @@ import pytest
 fcntl = pytest.importorskip("fcntl")  # locks, which the system lifts when a process ends
 
 PARENT = '''\
-import fcntl, os, pathlib, sys, time
+import fcntl, os, pathlib, signal, sys, time
 from rankone.trajectories.workers import open_workers
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a test run under nohup ignores it
 folder = pathlib.Path(sys.argv[1])
 locks = []
 
