@@ -160,3 +160,13 @@ def test_a_rate_that_is_a_tail():
     assert solution(t=1.0, a=1.5, T=319.5)[0] == pytest.approx(
         tail * (1 - np.exp(-1.5)) / 1.5, rel=1e-3
     )
+
+
+def test_terms_of_equal_states_that_cancel_are_rounding():
+    """Complexes of an enzyme that all start from nothing, with constants that cancel there."""
+    rates = {"a": "k*c - a", "b": "c - b", "c": "1000*a*b - 300*c", "d": "a - b - d"}
+    ro.compile(
+        ro.Problem.from_strings(
+            rhs=rates, initial=dict.fromkeys(rates, 0.0), parameters={"k": (0.5, 1.0)}, time=(0, 1)
+        )
+    )

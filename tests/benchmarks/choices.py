@@ -222,7 +222,7 @@ def _trajectories(compiled: ro.CompiledProblem) -> tuple[Any, Any, Any]:
     corners = np.stack(np.meshgrid(*box, indexing="ij"), axis=-1).reshape(-1, d)
     points = np.concatenate([inside, corners])
     times = np.linspace(*system.horizon, 21)
-    return times, points, integrate_reference(system, points, *system.horizon, 1e-10)(times)
+    return times, points, integrate_reference(system, points, system.horizon, 1e-10)(times)
 
 
 def _errors(solution: ro.Solution, times: Any, points: Any, exact: Any) -> tuple[float, float]:

@@ -153,9 +153,13 @@ def test_another_domain_and_options_reach_the_solver(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--box", "x0=7,13"], "--box: 'x0=7,13' cannot be read; remedy: write NAME=LOWER:UPPER"),
-        (["--box", "x0"], "--box: 'x0' cannot be read; remedy: write NAME=LOWER:UPPER"),
+        (
+            ["--box", "x0=7,13"],
+            "--box: 'x0=7,13' cannot be read; remedy: write NAME=LOWER:UPPER[:SCALE]",
+        ),
+        (["--box", "x0"], "--box: 'x0' cannot be read; remedy: write NAME=LOWER:UPPER[:SCALE]"),
         (["--box", "x0=1:2", "x0=3:4"], "--box: 'x0=3:4' has a name that is given twice"),
+        (["--box", "x0=7:13:lg"], "the scale of parameter `x0` is 'lg' (did you mean `log`?)"),
         (["--box", "x0=7"], "the range of `x0` is [7.0], not two numbers"),
         (["--box", "x0=13:7"], "the range of `x0` is [13.0, 7.0], not two numbers"),
         (["--box", "x1=7:13"], "there is no parameter `x1`"),

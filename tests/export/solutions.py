@@ -8,7 +8,13 @@ from functools import cache
 import numpy as np
 
 import rankone as ro
-from rankone.discretization import Basis1D, ChebyshevBasis, LegendreBasis
+from rankone.discretization import (
+    Basis1D,
+    ChebyshevBasis,
+    LegendreBasis,
+    Logarithm,
+    Reciprocal,
+)
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome
 from rankone.ir.verdict import Status
@@ -23,6 +29,7 @@ __all__ = [
     "solved",
     "synthetic",
     "synthetic_with_breaks",
+    "synthetic_with_scales",
 ]
 
 
@@ -86,6 +93,17 @@ def synthetic_with_breaks() -> ro.Solution:
         LegendreBasis(1.0, 2.0, 1, 1),
     )
     return _random([first, second], Status.CONVERGED)
+
+
+@cache
+def synthetic_with_scales() -> ro.Solution:
+    """As before in scales of two parameters, with equal and with unequal elements."""
+    bases = (
+        ChebyshevBasis(-2.0, 3.0, 4),
+        LegendreBasis(0.1, 0.7, 5, breaks=(0.15, 0.4), scale=Logarithm()),
+        ChebyshevBasis(1.0, 2.0, 3, 2, scale=Reciprocal()),
+    )
+    return _random([bases, bases], Status.CONVERGED)
 
 
 def _random(bases_of_slabs: Sequence[tuple[Basis1D, ...]], status: Status) -> ro.Solution:

@@ -22,6 +22,7 @@ from tests.export.solutions import (
     solved,
     synthetic,
     synthetic_with_breaks,
+    synthetic_with_scales,
 )
 from tests.problems import EXAMPLES
 
@@ -33,6 +34,7 @@ SOLUTIONS = {
     **{name: lambda name=name: solved(name) for name in EXAMPLES},
     "synthetic": synthetic,
     "unequal": synthetic_with_breaks,
+    "scaled": synthetic_with_scales,
 }
 
 
@@ -88,7 +90,7 @@ console.log(JSON.stringify([same, Array.from(out), Array.from(one)]));
 
 
 @needs_node
-@pytest.mark.parametrize("name", ["lotka_volterra", "kirchhoff", "unequal"])
+@pytest.mark.parametrize("name", ["lotka_volterra", "kirchhoff", "unequal", "scaled"])
 def test_curve(name, tmp_path):
     """Times in any order, over slabs that share the cores of their parameters and others."""
     solution = SOLUTIONS[name]()

@@ -27,6 +27,7 @@ from tests.export.solutions import (
     solved,
     synthetic,
     synthetic_with_breaks,
+    synthetic_with_scales,
 )
 from tests.problems import EXAMPLES
 
@@ -43,6 +44,7 @@ SOLUTIONS = {
     **{name: lambda name=name: solved(name) for name in EXAMPLES},
     "synthetic": synthetic,
     "unequal": synthetic_with_breaks,
+    "scaled": synthetic_with_scales,
 }
 
 
@@ -275,7 +277,7 @@ def compiled_driver(folder, *flags):
     """Compile model.c with the driver; skip if the compiler lacks what the flags ask for."""
     program = folder / f"driver{abs(hash(flags))}"
     files = [str(folder / "model.c"), str(DRIVER)]
-    command = [COMPILER, *STRICT, *flags, f"-I{folder}", "-o", str(program), *files]
+    command = [COMPILER, *STRICT, *flags, f"-I{folder}", "-o", str(program), *files, "-lm"]
     run = subprocess.run(command, capture_output=True, text=True)
     if run.returncode and "sanitize" in " ".join(flags) and "cannot find" in run.stderr:
         pytest.skip("the compiler has no sanitizers")
@@ -324,7 +326,7 @@ def test_c_agrees(name, tmp_path):
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", ["decay", "unequal"])
+@pytest.mark.parametrize("name", ["decay", "unequal", "scaled"])
 def test_c_single_precision(name, tmp_path):
     solution = SOLUTIONS[name]()
     solution.export(tmp_path / "model.c")

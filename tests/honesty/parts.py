@@ -57,7 +57,10 @@ PARTS: dict[str, tuple[str, Callable[..., object]] | None] = {
     ),
     "points of the residual": ("rankone.solvers.attempts.worst_points", _nothing),
     "steep points and narrow elements": ("rankone.solvers.cross.engine.candidate_points", _nothing),
-    "steps made again": ("rankone.trajectories.steppers.DefectControl.missed", lambda *_: False),
+    "steps made again": (
+        "rankone.trajectories.defects.DefectControl.missed",
+        lambda *_: np.zeros(1, dtype=bool),
+    ),
 }
 """For each part what it is, and what stands in for it."""
 

@@ -88,7 +88,9 @@ def test_repr_fits_one_screen() -> None:
         "  unknowns  x, y\n"
         "  over      t in [0, 3], x0 in [-1, 1], y0 in [2, 3]\n"
         "  success   yes: the measured error is within the tolerance\n"
-        "  error     2e-07 measured on 256 trajectories, tolerance 1e-06; x 1e-07, y 2e-07\n"
+        "  error     2e-07 measured on 256 trajectories (stack, DOP853), tolerance 1e-06; "
+        "x 1e-07, y\n"
+        "            2e-07\n"
         "  train     3 slabs, rank 3, ranks up to (3, 3), nodes up to (14, 15), 0.0058 MB\n"
         "  timings   reference 0.01 s, march 0.25 s, check 0.125 s"
     )

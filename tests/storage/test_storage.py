@@ -29,6 +29,7 @@ from rankone.ir.verdict import (
     EarlyEnd,
     MeasuredError,
     MovingFeatures,
+    NarrowBox,
     Note,
     NothingInterpolated,
     NumericallyZero,
@@ -99,6 +100,17 @@ def test_partial_and_unchecked(name: str, tmp_path: Path) -> None:
     assert again.time == (0.0, 1.0)
     empty = Solution(replace(outcome, slabs=()), SOLUTION.metadata)
     assert load(empty.save(tmp_path / f"b.{name}")).rank == 0
+
+
+def test_files_with_newer_notes_have_the_newer_version(tmp_path: Path) -> None:
+    narrow = NarrowBox((("x0", -0.5, 0.5),))
+    others = OtherEngines("train", (("cross", Verdict(Status.TOLERANCE, notes=(narrow,))),))
+    for note, version in ((Remedy("wait"), 1), (narrow, 2), (others, 2)):
+        outcome = replace(SOLUTION.outcome, status=Status.TOLERANCE, notes=(note,))
+        path = Solution(outcome, SOLUTION.metadata).save(tmp_path / f"{type(note).__name__}.npz")
+        with np.load(path) as file:
+            assert json.loads(str(file["header"]))["format_version"] == version
+        assert load(path).outcome.notes == (note,)
 
 
 def test_the_format_is_open(tmp_path: Path) -> None:
@@ -340,7 +352,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=2), "version 2 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=3), "version 3 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),
@@ -609,6 +621,7 @@ VERDICTS = [
     Verdict(Status.UNCHECKED, UncertainPart(0.1), (PartOfSolution(), NothingInterpolated())),
     Verdict(Status.UNCHECKED, UnknownOutputError(1e-7)),
     Verdict(Status.TOLERANCE, None, (OutputError(1e-3, math.inf, "peak"),)),
+    Verdict(Status.WORK_LIMIT, None, (NarrowBox((("k", 0.1, 1.0), ("m", 2.0, 3.0))),)),
     Verdict(Status.SWITCHES, None, (SwitchingTerm("sign(v)", "equation 2", "v", "tanh(v/w)"),)),
 ]
 

@@ -11,7 +11,7 @@ from rankone.tensors.adaptive import (
     Tightening,
     needed,
 )
-from rankone.tensors.cross import GrowingBasis, _skeleton, interpolate, left_points
+from rankone.tensors.cross import GrowingBasis, _skeleton, batched, interpolate, left_points
 
 
 def test_skeletons_interpolate_with_small_coefficients():
@@ -40,7 +40,8 @@ class Separable:
 @pytest.mark.parametrize("sizes", [(5, 6, 4), (20, 20, 20), (9, 9, 9, 9, 9)])
 def test_a_tensor_of_low_rank_is_found_exactly(sizes):
     samples, bases = Separable(sizes), [ChebyshevBasis(0.0, 1.0, size) for size in sizes]
-    train, limited = interpolate(samples, bases, left_points(sizes, 9, 0), 1e-12, 50)
+    left = batched(left_points(sizes, 9, 0), 6, 3)
+    train, limited = interpolate(samples, bases, left, 1e-12, 50)
     assert not limited
     train = train.rounded(1e-10)
     assert train.ranks == (3,) * len(sizes)
@@ -49,6 +50,31 @@ def test_a_tensor_of_low_rank_is_found_exactly(sizes):
     np.testing.assert_allclose(
         train.first @ unscaled.at_indices(indices), samples(indices), atol=1e-9
     )
+
+
+def test_left_points_are_taken_until_further_ones_add_nothing():
+    sizes = (20, 20, 20)
+    samples, bases = Separable(sizes), [ChebyshevBasis(0.0, 1.0, size) for size in sizes]
+    sampled = []
+
+    def noted(indices):
+        sampled.append(len(indices))
+        return samples(indices)
+
+    interpolate(noted, bases, batched(left_points(sizes, 12, 0), 2, 2), 1e-12, 50)
+    # at the last bond of 20 nodes the second batch is enough; both are sampled in one call before
+    assert sampled[:3] == [4 * 20, 2 * 20, 2 * 20]
+    assert sampled[3] == 4 * 20 * 3
+
+    needy = np.zeros((1, 20, 20, 20))  # each left point sees a direction that no other has
+    needy[0, np.arange(20), np.arange(20), np.arange(20)] = 1.0
+    diagonal = [
+        [np.stack([k, k], axis=1)[:, :b] for k in np.split(np.arange(20), 10)] for b in (1, 2)
+    ]
+    train, _ = interpolate(
+        lambda i: needy[:, *i.T], bases, [[np.zeros((1, 0), dtype=int)], *diagonal], 1e-12, 50
+    )
+    assert train.ranks[2] == 20
 
 
 @pytest.mark.parametrize("ratio", [0.2, 0.5, 0.8])
@@ -94,6 +120,21 @@ def test_smooth_functions_take_one_element_and_few_nodes():
     assert error <= 1e-6
     assert [basis.elements for basis in bases] == [1, 1, 1]
     assert max(basis.size for basis in bases) < 20
+
+
+@pytest.mark.parametrize(("ratio", "tightened"), [(5.0, False), (100.0, True)])
+def test_an_error_that_the_highest_modes_do_not_explain_tightens_the_tolerances(ratio, tightened):
+    limits = InterpolationLimits(ChebyshevBasis, 400, 60)
+    adaptive = AdaptiveInterpolation([(0, 1)] * 2, limits, 1e-6, Tightening(1.2, 1.0, 0.05, 0.5))
+
+    def columns(p):
+        return np.tanh(20 * (p[:, 0] + p[:, 1] - 1))[None]
+
+    adaptive.interpolate(columns, lambda _: [KnownElements()] * 2)
+    largest = max(b.tail(s) for b, s in zip(adaptive.bases, adaptive.spectra, strict=True))
+    assert largest > 1e-6  # more nodes are on the way in any case
+    adaptive.refine(ratio * largest)
+    assert (adaptive.level < 1e-6) == tightened
 
 
 def test_a_steep_function_of_one_parameter_takes_elements():

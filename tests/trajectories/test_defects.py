@@ -7,7 +7,8 @@ import rankone as ro
 from rankone.ir.forms import Coordinate
 from rankone.ir.request import Domain
 from rankone.symbolic.features import features_of
-from rankone.trajectories.steppers import StackedDOP853, roots
+from rankone.trajectories.defects import roots
+from rankone.trajectories.steppers import StackedDOP853
 from rankone.verification.points import check_points, surface_points
 from rankone.verification.reference import integrate_reference
 from tests.honesty.cases import t, unknown
@@ -33,7 +34,7 @@ def test_nothing_narrow_is_stepped_over(shape, area, width):
     rates = {"x": "1", "y": shape.replace("Z", f"((x - 0.5)*{1 / width:.0f})") + f"/{width}"}
     starts = {"x": "0", "y": "1"}
     system = ro.compile(ro.Problem.from_strings(rates, starts, {}, (0, 3))).system
-    reference = integrate_reference(system, np.zeros((1, 0)), 0.0, 3.0, 1e-6)
+    reference = integrate_reference(system, np.zeros((1, 0)), (0.0, 3.0), 1e-6)
     tails = width * (1 / 0.5 + 1 / 2.5) if shape == SHAPES["rational"][0] else 0.0
     assert reference(np.array([3.0]))[1, 0, 0] == pytest.approx(1.0 + area - tails, abs=1e-4)
 
@@ -43,7 +44,7 @@ def test_what_no_event_tells_is_met_at_random_places():
     rate = "1/(1 + 50*k*(0.5 + 0.5*cos(pi*(x - 0.5)/2))**50000)"
     problem = compiled(rate, {"k": (0.5, 1.5)})
     points = check_points(np.array([[0.5, 1.5]]), 96)
-    reference = integrate_reference(problem.system, points, 0.0, 3.0, 3e-6)
+    reference = integrate_reference(problem.system, points, (0.0, 3.0), 3e-6)
     delay = 50 * points[:, 0] * np.sqrt(np.pi / (50000 * np.pi**2 / 16))
     ends = reference(np.array([3.0]))[0, :, 0]
     assert np.abs(ends - (3.0 - delay)).min() < 1e-3
@@ -160,7 +161,9 @@ def test_a_stiff_system_is_handed_over_before_the_watch_refuses_many_steps(monke
     }
     starts = {"x": "100", "y": "167", "z": "116"}
     system = ro.compile(ro.Problem.from_strings(rates, starts, {"k": (0.7, 1.3)}, (0, 30))).system
-    reference = integrate_reference(system, np.linspace(0.7, 1.3, 16)[:, None], 0.0, 30.0, 3e-7)
+    reference = integrate_reference(
+        system, np.linspace(0.7, 1.3, 16)[:, None], (0.0, 30.0), 3e-7, (), "stack"
+    )
     assert reference.stiff
     assert len(steps) < 60
 

@@ -27,7 +27,7 @@ def compiled(rates, starts, end, box):
 
 def reference(problem, points, rtol=3e-7):
     with np.errstate(all="ignore"):
-        return integrate_reference(problem.system, points, *problem.system.horizon, rtol)
+        return integrate_reference(problem.system, points, problem.system.horizon, rtol)
 
 
 @pytest.mark.parametrize(

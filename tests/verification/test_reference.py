@@ -35,7 +35,7 @@ def test_check_points_hold_the_centre_all_corners_and_interior_points():
 def test_stacked_trajectories_equal_single_ones():
     system = module("lotka_volterra")
     points = check_points(np.array(system.box), 3)
-    reference = integrate_reference(system, points, 0.0, 2.0, 1e-11)
+    reference = integrate_reference(system, points, (0.0, 2.0), 1e-11)
     times = np.linspace(0.0, 2.0, 9)
     values = reference(times)
     assert values.shape == (2, len(points), 9)
@@ -55,16 +55,16 @@ def test_stacked_trajectories_equal_single_ones():
 def test_a_stiff_system_is_recognised_and_a_smooth_one_is_not():
     robertson = module("robertson")
     points = check_points(np.array(robertson.box), 2)
-    assert integrate_reference(robertson, points, 0.0, 40.0, 1e-6).stiff
+    assert integrate_reference(robertson, points, (0.0, 40.0), 1e-6, (), "stack").stiff
     smooth = module("lotka_volterra")
     points = check_points(np.array(smooth.box), 2)
-    assert not integrate_reference(smooth, points, 0.0, 6.0, 1e-9).stiff
+    assert not integrate_reference(smooth, points, (0.0, 6.0), 1e-9).stiff
 
 
 def test_the_earliest_blow_up_is_found_with_its_point():
     problem = ro.Problem([sp.Eq(x.diff(t), k * x**2)], (t, 0, 3), {k: (0.2, 0.5)}, {x: 1})
     system = ro.compile(problem).system
-    reference = integrate_reference(system, check_points(np.array(system.box), 4), 0, 3, 1e-8)
+    reference = integrate_reference(system, check_points(np.array(system.box), 4), (0.0, 3), 1e-8)
     assert reference.end == pytest.approx(2.0, rel=1e-3)
     assert reference.points[reference.blown] == 0.5
 
@@ -98,3 +98,18 @@ def test_amplification_of_a_linear_equation(rate, expected):
     growth = ReferenceSet.of(system, request).amplification()
     assert growth(0.0) == pytest.approx(expected, rel=2e-3)
     assert growth(2.0) == 1.0
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_a_state_that_falls_to_nothing_and_grows_again_is_resolved(integrator):
+    problem = ro.Problem.from_strings({"x": "k*(t - 5)*x"}, {"x": "1"}, {"k": (4, 6)}, (0, 10))
+    system = ro.compile(problem).system
+    points = np.array([[4.0], [5.0], [6.0]])
+    reference = integrate_reference(system, points, (0.0, 10.0), 1e-6, integrator=integrator)
+    np.testing.assert_allclose(reference(np.array([10.0]))[0, :, 0], 1.0, rtol=1e-3)
+
+
+def test_a_state_that_falls_below_floating_point_numbers_and_grows_again_is_refused():
+    problem = ro.Problem.from_strings({"x": "k*(t - 5)*x"}, {"x": "1"}, {"k": (60, 61)}, (0, 10))
+    with pytest.raises(ro.ConvergenceError, match="`x` falls below 1e-250 and may grow again"):
+        ro.solve(problem, rtol=1e-3)

@@ -82,7 +82,8 @@ class _Points:
         states = moved * (1.0 + noise * rng.uniform(-1.0, 1.0, moved.shape))
         reach = np.abs(first).max(axis=1, keepdims=True) * (end - start)
         away = noise * np.where(reach > 0.0, reach, 1.0) * (np.resize(_DRIFTS, count) > 0.0)
-        states = np.where(moved == 0.0, away, states)
+        apart = rng.uniform(0.5, 1.0, moved.shape)  # terms of equal states may cancel exactly
+        states = np.where(moved == 0.0, away * apart, states)
         states = np.where(np.isfinite(states), states, initial)
         rates = np.asarray(system.rhs(time, states, p), dtype=float)
         return cls(time, p, states, rates, np.abs(moved).max(axis=1))

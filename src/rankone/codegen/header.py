@@ -11,6 +11,7 @@ from rankone.codegen.printer import factor_text
 from rankone.codegen.text import paragraph
 from rankone.expressions.notation import plain_text
 from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, State, Term
+from rankone.ir.measures import LINEAR
 from rankone.support.wording import number
 from rankone.symbolic.first_order import FirstOrderSystem
 
@@ -72,7 +73,11 @@ def _opening(
         "",
         *(line for text in equations for line in paragraph(f"    {text}")),
         "",
-        *(f"{c.name} in [{number(c.lower)}, {number(c.upper)}]" for c in coordinates),
+        *(
+            f"{c.name} in [{number(c.lower)}, {number(c.upper)}]"
+            + ("" if c.scale == LINEAR else f" ({c.scale})")
+            for c in coordinates
+        ),
     ]
 
 

@@ -18,6 +18,7 @@ from rankone.codegen.text import WIDTH, described_table, docstring, literal, nes
 from rankone.expressions.admissible import known_functions
 from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, SeparatedForm, State, Term
 from rankone.ir.functions import known_applied
+from rankone.ir.measures import LINEAR
 from rankone.support.errors import check_kind
 from rankone.support.progress import timed
 from rankone.support.wording import number
@@ -160,6 +161,7 @@ def _tables(
 ) -> list[str]:
     """Whether it separates, its states, its parameters and their domain."""
     clock, *parameters = coordinates
+    scaled = any(c.scale != LINEAR for c in parameters)
     return [
         f"SEPARATED = {separated}",
         *table("STATES", [quoted(name) for name in names]),
@@ -168,6 +170,7 @@ def _tables(
         *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
         f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
+        *(table("SCALES", [quoted(c.scale) for c in parameters]) if scaled else ()),
     ]
 
 

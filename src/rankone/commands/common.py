@@ -163,6 +163,8 @@ def summary(solution: Solution) -> dict[str, object]:
             ],
             "quantile95": measured.quantile,
             "worst": dict(zip(solution.parameters, measured.worst, strict=False)),
+            "integrator": measured.integrator,
+            "integration_method": measured.method,
         },
         "unknowns": list(solution.unknowns),
         "time": None if solution.metadata.timeless else list(solution.time),
@@ -173,6 +175,7 @@ def summary(solution: Solution) -> dict[str, object]:
         "timings": solution.timings,
         "version": solution.metadata.version,
         "units": dict(solution.metadata.units),
+        "narrower": solution.outcome.verdict.narrower,
     }
 
 

@@ -18,10 +18,11 @@ from rankone.commands.common import (
     toml_help,
 )
 from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
+from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 
 ARGUMENTS = (
-    *("self", "rtol", "method", "parameters", "t_final"),
-    *("check", "cover", "effort", "max_seconds", "unknowns", "progress", "on_failure"),
+    *("self", "rtol", "method", "parameters", "t_final", "check", "cover", "effort"),
+    *("max_seconds", "unknowns", "integrator", "progress", "on_failure"),
 )
 """Arguments of ``CompiledProblem.solve`` beside the options of an engine."""
 # What ``show`` prints: for each flag the title and the attribute of the compiled problem
@@ -34,7 +35,7 @@ _STAGES = {
     "source": ("generated module", "source"),
 }
 _CHECK_HELP = "number of check points in the interior; 0 leaves the error unknown (status 1)"
-_BOX_HELP = "other ranges of parameters, for this solve"
+_BOX_HELP = "other ranges of parameters, for this solve, NAME=LOWER:UPPER:log in the logarithm"
 _OPTIONS_HELP = "options of the engine, such as max_rank=300"
 _COVER_HELP = "whether success covers the corners of the box; by default up to three parameters"
 _UNKNOWNS_HELP = "the unknowns whose error has to be within the tolerance; by default all"
@@ -63,13 +64,14 @@ def register(commands: Commands) -> None:
     add("--overwrite", action="store_true", help="let --save replace a file")
     add("--check", metavar="N", type=_count, help=_CHECK_HELP)
     add("--method", default="auto", help="auto, cross, train or greedy (default: %(default)s)")
-    add("--box", metavar="NAME=LOWER:UPPER", nargs="+", action="extend", help=_BOX_HELP)
+    add("--box", metavar="NAME=LOWER:UPPER[:SCALE]", nargs="+", action="extend", help=_BOX_HELP)
     add("--t-final", metavar="T", type=float, help="another end of the horizon, for this solve")
     add("--options", metavar="NAME=VALUE", nargs="+", action="extend", help=_OPTIONS_HELP)
     add("--cover", choices=("interior", "box"), help=_COVER_HELP)
     add("--effort", metavar="E", type=effort_of, default="normal", help=EFFORT_HELP)
     add("--max-seconds", metavar="S", type=float, help=SECONDS_HELP)
     add("--unknowns", metavar="NAME", nargs="+", help=_UNKNOWNS_HELP)
+    add("--integrator", choices=INTEGRATORS, default="auto", help=INTEGRATOR_HELP)
     add("--json", action="store_true", help="print the summary as JSON")
     add("--quiet", action="store_true", help="no summary (except --json) and no progress bar")
 
@@ -123,6 +125,7 @@ def _solve(arguments: argparse.Namespace) -> int:
             effort=arguments.effort,
             max_seconds=arguments.max_seconds,
             unknowns=arguments.unknowns,
+            integrator=arguments.integrator,
             progress=bar,
             **options,
         )

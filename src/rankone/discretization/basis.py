@@ -18,6 +18,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from rankone.discretization.scales import IDENTITY, Scale
 from rankone.support.arrays import Array
 
 __all__ = [
@@ -93,6 +94,9 @@ class Basis1D(ABC):
     ("scaled values"), so that the Euclidean product is the discrete inner product.
     ``degree`` is the number of nodes of an element. Elements are equal, unless they end at
     ``breaks``, which ascend inside of the interval and give the number of elements.
+
+    The modes are polynomials in the coordinate of ``scale``, in which the elements are equal.
+    Ends, breaks, edges, nodes and the points of evaluation are values of the parameter.
     """
 
     lower: float
@@ -100,10 +104,13 @@ class Basis1D(ABC):
     degree: int
     elements: int = 1
     breaks: tuple[float, ...] = ()
+    scale: Scale = IDENTITY
 
     kind: ClassVar[str]
 
     def __post_init__(self) -> None:
+        if not self.scale.is_identity and not self.scale.allows(self.lower, self.upper):
+            raise ValueError(f"{self.scale} is not finite on {self.lower}, {self.upper}")
         if not len(self.breaks):
             object.__setattr__(self, "breaks", ())
             return
@@ -142,18 +149,43 @@ class Basis1D(ABC):
         """Ends of all elements, ascending, shape (elements + 1,)."""
         if self.breaks:
             return np.array([self.lower, *self.breaks, self.upper])
-        return np.linspace(self.lower, self.upper, self.elements + 1)
+        if self.scale.is_identity:
+            return np.linspace(self.lower, self.upper, self.elements + 1)
+        inside = self.scale.from_scale(self.scaled_edges[1:-1])
+        return np.array([self.lower, *inside.tolist(), self.upper])
+
+    @cached_property
+    def scaled_edges(self) -> Array:
+        """The edges in the coordinate of the scale."""
+        if self.breaks or self.scale.is_identity:
+            return self.scale.to_scale(self.edges)
+        start, end = self._scaled_ends
+        return np.linspace(start, end, self.elements + 1)
+
+    @cached_property
+    def _scaled_ends(self) -> tuple[float, float]:
+        """Both ends of the interval in the coordinate of the scale."""
+        if self.scale.is_identity:
+            return self.lower, self.upper
+        start, end = self.scale.to_scale(np.array([self.lower, self.upper])).tolist()
+        return start, end
 
     @cached_property
     def nodes(self) -> Array:
         """Nodes of all elements, ascending, shape (size,)."""
         xi, _ = self._rule(self.degree)
         if self.breaks:
-            widths = np.diff(self.edges)[:, None]
-            return np.asarray(self.edges[:-1, None] + 0.5 * widths * (xi + 1.0)).ravel()
-        width = (self.upper - self.lower) / self.elements
-        starts = self.lower + width * np.arange(self.elements)
-        return np.asarray(starts[:, None] + 0.5 * width * (xi + 1.0)).ravel()
+            edges = self.scaled_edges
+            widths = np.diff(edges)[:, None]
+            nodes = np.asarray(edges[:-1, None] + 0.5 * widths * (xi + 1.0)).ravel()
+        else:
+            start, end = self._scaled_ends
+            width = (end - start) / self.elements
+            starts = start + width * np.arange(self.elements)
+            nodes = np.asarray(starts[:, None] + 0.5 * width * (xi + 1.0)).ravel()
+        if self.scale.is_identity:
+            return nodes
+        return np.asarray(np.clip(self.scale.from_scale(nodes), self.lower, self.upper))
 
     @cached_property
     def weights(self) -> Array:
@@ -170,40 +202,69 @@ class Basis1D(ABC):
 
         Modes are the orthonormal polynomials of each element, element after element.
         """
-        xi, weights = self._rule(self.degree)
-        block = (self._values(xi, self.degree) * np.sqrt(weights)[:, None]).T
-        return np.asarray(np.kron(np.eye(self.elements), block))
+        block = _to_modal(type(self), self.degree)
+        return block if self.elements == 1 else np.asarray(np.kron(np.eye(self.elements), block))
 
     def modal_values(self, points: Array) -> Array:
         """Values of the modes at points (N,) of the interval: shape (N, size).
 
         A break belongs to the later element.
         """
+        scaled = self.scale.to_scale(points)
         if self.breaks:
-            element = np.searchsorted(self.breaks, points, side="right")
-            scales = 1.0 / np.diff(self.edges)
-            position = (points - self.edges[element]) * scales[element]
+            edges = self.scaled_edges
+            element = np.searchsorted(edges[1:-1], scaled, side="right")
+            scales = 1.0 / np.diff(edges)
+            position = (scaled - edges[element]) * scales[element]
             local = self._values(2.0 * position - 1.0, self.degree)
             return self._spread(local * np.sqrt(self.elements), element)
-        position = (points - self.lower) * (self.elements / (self.upper - self.lower))
+        start, end = self._scaled_ends
+        position = (scaled - start) * (self.elements / (end - start))
         if self.elements == 1:
             return self._values(2.0 * position - 1.0, self.degree)
         element = np.clip(position.astype(int), 0, self.elements - 1)
         local = self._values(2.0 * (position - element) - 1.0, self.degree)
         return self._spread(local * np.sqrt(self.elements), element)
 
+    def modal_slopes(self, points: Array) -> Array:
+        """Derivatives of the modes with respect to the parameter at points (N,): (N, size)."""
+        slopes = self.modal_values(points) @ self.scaled_derivative
+        return slopes if self.scale.is_identity else slopes * self.scale.slope(points)[:, None]
+
     @cached_property
-    def derivative(self) -> Array:
-        """From the coefficients of the modes to those of the derivative, (size, size)."""
+    def scaled_derivative(self) -> Array:
+        """Coefficients of the modes to those of the derivative in the coordinate, (size, size)."""
         block = self._slopes(self.degree)
-        scales = 2.0 / np.diff(self.edges)
+        scales = 2.0 / np.diff(self.scaled_edges)
         return np.asarray(np.kron(np.diag(scales), block))
+
+    @cached_property
+    def derivative(self) -> tuple[Array, Self]:
+        """The map (m, size) from coefficients to those of the derivative, and the basis of these.
+
+        With respect to the parameter. In a scale the slope ds/dx multiplies the modes: the basis
+        has as many nodes more as this needs to be exact to rounding.
+        """
+        if self.scale.is_identity:
+            return self.scaled_derivative, self
+        edges = self.edges
+        more = max(self.scale.slope_modes(float(a), float(b)) for a, b in itertools.pairwise(edges))
+        basis = replace(self, degree=self.degree + more - 1)
+        at_nodes = self.modal_slopes(basis.nodes)
+        return basis.to_modal @ (np.sqrt(basis.weights)[:, None] * at_nodes), basis
 
     def restricted(self, lower: float, upper: float) -> Self:
         """The basis on a part of the interval, with the ends of elements that are inside of it."""
         near = 1e-12 * (self.upper - self.lower)
         inside = [float(e) for e in self.edges if lower + near < e < upper - near]
-        return type(self)(lower, upper, self.degree, len(inside) + 1, tuple(inside))
+        breaks = tuple(inside)
+        return replace(self, lower=lower, upper=upper, elements=len(breaks) + 1, breaks=breaks)
+
+    @property
+    def middles(self) -> Array:
+        """The middle of each element in the coordinate of the scale, (elements,)."""
+        edges = self.scaled_edges
+        return self.scale.from_scale(0.5 * (edges[:-1] + edges[1:]))
 
     def _spread(self, local: Array, element: NDArray[np.intp]) -> Array:
         """Values of the modes (N, size) from those of one element for each point."""
@@ -248,10 +309,18 @@ class Basis1D(ABC):
         if degree <= largest_degree:
             return replace(self, degree=degree)
         if self.breaks:
-            middles = 0.5 * (self.edges[:-1] + self.edges[1:])
-            breaks = np.sort(np.concatenate([self.breaks, middles]))
+            breaks = np.sort(np.concatenate([self.breaks, self.middles]))
             return replace(self, elements=breaks.size + 1, breaks=tuple(breaks.tolist()))
         return replace(self, elements=2 * self.elements)
+
+
+@lru_cache(maxsize=64)
+def _to_modal(kind: type[Basis1D], degree: int) -> Array:
+    """The map :attr:`Basis1D.to_modal` of one element, which all of them share."""
+    xi, weights = kind._rule(degree)
+    block = (kind._values(xi, degree) * np.sqrt(weights)[:, None]).T
+    block.flags.writeable = False
+    return np.asarray(block)
 
 
 class LegendreBasis(Basis1D):

@@ -108,7 +108,7 @@ def _with_slopes(slab: SlabTrain, points: Array, free: Sequence[int]) -> Array:
         matrix = core.reshape(len(core), -1)
         columns = modes.T[:, None, :, None] * products
         if j in free:
-            slopes = (modes @ basis.derivative).T[:, None, :, None] * products[:, :, :1]
+            slopes = basis.modal_slopes(points[j]).T[:, None, :, None] * products[:, :, :1]
             columns = np.concatenate([columns, slopes], axis=3)
         width = columns.shape[3]
         products = (matrix @ columns.reshape(matrix.shape[1], -1)).reshape(-1, count, width)

@@ -14,6 +14,7 @@ module              subject
 ``explorer``        the page with sliders and curves
 ``model_fmu``       the solved model as an FMU: the model in C99 behind the functions of FMI
 ``fmu_description`` the XML files that describe an FMU
+``scales``          scales of parameters in C99 and JavaScript
 ``templates``       templates, comments and strings in C99, JavaScript and HTML
 ==================  ===================================================================
 """

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.export.packing import PackedModel
+from rankone.export.scales import scale_expressions
 from rankone.export.templates import TERMS, c_comment, c_string, comment, filled, wrapped
 from rankone.support import __version__
 from rankone.support.errors import ExportError
@@ -58,6 +59,7 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "time_lower": _number(model.intervals[0][0]),
         "time_upper": _number(model.intervals[0][1]),
         **_tables(model),
+        **_scales(model),
     }
     return {
         path: filled("model.c.in", fields),
@@ -140,6 +142,22 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "most_rows": str(max(_padded(max(left, right), _BLOCK) for _, left, _, right in shapes)),
         "most_polynomials": str(max(degree for _, _, degree, _ in shapes)),
         "most_products": str(max(degree * _padded(right, _LANES) for *_, degree, right in shapes)),
+    }
+
+
+def _scales(model: PackedModel) -> dict[str, str]:
+    """Expressions of the coordinates that have a scale, by case, or nothing."""
+    expressions = [
+        (j, *scale_expressions(scale))
+        for j, scale in enumerate(model.scales)
+        if not scale.is_identity
+    ]
+    return {
+        "scaled": "yes" if expressions else "",
+        "coordinate_cases": "\n".join(
+            f"    case {j}:\n        return {s};" for j, s, _ in expressions
+        ),
+        "slope_cases": "\n".join(f"    case {j}:\n        return {g};" for j, _, g in expressions),
     }
 
 

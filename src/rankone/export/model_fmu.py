@@ -135,7 +135,7 @@ def _binary(about: Description, sources: dict[str, str]) -> dict[str, bytes]:
     try:
         folders, suffix = this_platform()
         name = about.identifier + suffix
-        library = compiled_library(sources, about.sources, name)
+        library = compiled_library(sources, about.sources, name, about.model.is_scaled)
     except CannotCompile as reason:
         warn(
             f"the FMU has no binary, its sources alone: {reason}; it runs in tools that compile "
@@ -173,9 +173,12 @@ def this_platform() -> tuple[dict[FMI, str], str]:
     return {"2.0": f"{system}{bits}", "3.0": f"{processor}-{name}"}, suffix
 
 
-def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str) -> bytes:
+def compiled_library(
+    files: Mapping[str, str], sources: Sequence[str], name: str, needs_math: bool = False
+) -> bytes:
     """Compile C sources to a shared library: ``files`` are texts by name, ``sources`` are compiled.
 
+    With ``needs_math`` it is linked with the library of mathematical functions.
     CannotCompile says that there is no compiler, or that it fails; an ExportError, that there is no
     room for the files.
     """
@@ -186,7 +189,8 @@ def compiled_library(files: Mapping[str, str], sources: Sequence[str], name: str
         with TemporaryDirectory() as folder:
             for file, text in files.items():
                 (Path(folder) / file).write_text(text, encoding="utf-8")
-            return _run_compiler([*command, *sources, "-o", name], Path(folder) / name)
+            last = ["-lm"] if needs_math and sys.platform != "win32" else []
+            return _run_compiler([*command, *sources, "-o", name, *last], Path(folder) / name)
     except OSError as error:  # such as a full disk
         where = error.filename or gettempdir()
         raise ExportError(

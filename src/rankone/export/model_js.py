@@ -16,8 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.discretization import Scale
 from rankone.discretization.coordinates import round_off
 from rankone.export.packing import PackedModel
+from rankone.export.scales import scale_expressions
 from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string
 from rankone.support import __version__
 from rankone.support.arrays import Array
@@ -58,6 +60,8 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "example": js_comment(f"{{ {point} }}" if point else "{}"),
         "times_example": f"{start:g}, {moment}, {end:g}",
         **_tables(model),
+        "scaled": "yes" if model.is_scaled else "",
+        "scales": "\n".join(map(_scale, model.scales)),
     }
     module = filled("model.js.in", fields) + filled("model_train.js.in", fields)
     declarations = path.with_suffix(path.suffix.replace(".", ".d.").replace("js", "ts"))
@@ -84,6 +88,13 @@ def _list(numbers: Iterable[float]) -> str:
 
 def _error(error: float) -> str:
     return _number(error) if np.isfinite(error) else "null"
+
+
+def _scale(scale: Scale) -> str:
+    """An entry of the table of scales."""
+    coordinate, slope = scale_expressions(scale, "Math.")
+    argument = "(x)" if "x" in slope else "()"
+    return f"  {{ coordinate: (x) => {coordinate}, slope: {argument} => {slope} }},"
 
 
 def _tables(model: PackedModel) -> dict[str, str]:

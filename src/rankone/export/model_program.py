@@ -36,10 +36,12 @@ class Model:
         cores: Sequence[tuple[Place, Place, tuple[int, int, int, int]]],
         slabs: Sequence[Sequence[int]],
         coefficients: Array,
+        scales: Sequence[str] = (),
     ) -> None:
         self.unknowns, self.coordinates, self.intervals = unknowns, coordinates, intervals
         self._names = dict(zip(keywords, coordinates, strict=True))
         self._breaks = np.array(starts[1:])
+        self._scales = scales or ["linear"] * len(coordinates)
         tensors: list[tuple[Array, Array, Array]] = []
         offset = 0
         for lower, scale, shape in cores:
@@ -93,20 +95,28 @@ class Model:
             here = np.flatnonzero(owner == index)
             for begin in range(0, here.size, _CHUNK):
                 chunk = here[begin : begin + _CHUNK]
-                states[:, :, chunk] = _train(self._slabs[index], points[:, chunk], derivatives)
+                at = points[:, chunk]
+                states[:, :, chunk] = _train(self._slabs[index], self._scales, at, derivatives)
         return states
 
 
-def _train(cores: Sequence[tuple[Array, Array, Array]], points: Array, derivatives: bool) -> Array:
+def _train(
+    cores: Sequence[tuple[Array, Array, Array]],
+    scales: Sequence[str],
+    points: Array,
+    derivatives: bool,
+) -> Array:
     """Values and derivatives of one slab at points (coordinates, N)."""
     columns = [np.ones((1, points.shape[1]))]
-    for (lower, scale, tensor), coordinate in zip(cores[::-1], points[::-1], strict=True):
+    coordinates = zip(cores[::-1], scales[::-1], points[::-1], strict=True)
+    for (lower, scale, tensor), kind, coordinate in coordinates:
         _, left, degree, _ = tensor.shape
-        element, local, scale = _located(lower, scale, len(tensor), coordinate)
+        scaled, rate = _scaled(kind, coordinate)
+        element, local, scale = _located(lower, scale, len(tensor), scaled)
         t, slope = chebyshev(local, degree)
         pairs = [(t, column) for column in columns]
         if derivatives:
-            pairs.insert(1, (2.0 * scale * slope, columns[0]))
+            pairs.insert(1, (2.0 * scale * rate * slope, columns[0]))
         columns = [np.empty((left, coordinate.size)) for _ in pairs]
         for e in np.unique(element):
             here = np.flatnonzero(element == e)
@@ -115,6 +125,15 @@ def _train(cores: Sequence[tuple[Array, Array, Array]], points: Array, derivativ
                 products = basis[:, None, here] * contraction[:, here]
                 out[:, here] = matrix @ products.reshape(-1, here.size)
     return np.stack(columns, axis=1)
+
+
+def _scaled(kind: str, x: Array) -> tuple[Array, Array]:
+    """The coordinate s in which cores are polynomials, and its slope ds/dx, at x (N,)."""
+    if kind == "log":
+        return np.log(x), 1.0 / x
+    if kind == "reciprocal":
+        return -1.0 / x, 1.0 / (x * x)
+    return x, np.ones_like(x)
 
 
 def _located(

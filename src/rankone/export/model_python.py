@@ -34,6 +34,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     coefficients = np.concatenate([core.tensor.ravel() for core in model.distinct[0]])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
+    end = [_SCALED_MODEL if model.is_scaled else _MODEL, *_END]
     if len(text) <= _LONGEST_DATA:
         imports = _IMPORTS.format("import base64\n", "")
         rows = textwrap.wrap(text, WIDTH)
@@ -47,7 +48,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
         getsource(round_off).strip(),
         source_text("rankone.export.model_program").partition("import Array\n")[2].strip(),
-        "\n".join([banner("Coefficients"), "", *data, "", *_END]),
+        "\n".join([banner("Coefficients"), "", *data, "", *end]),
     ]
     return {path: "\n\n\n".join(blocks) + "\n", **files}
 
@@ -66,8 +67,13 @@ _LOAD_FILE = [
     'with np.load(Path(__file__).with_suffix(".npz"), allow_pickle=False) as file:',
     '    COEFFICIENTS = file["coefficients"]',
 ]
+_MODEL = (
+    "MODEL = Model(UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, CORES, SLABS, COEFFICIENTS)"
+)
+_SCALED_MODEL = """MODEL = Model(
+    UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, CORES, SLABS, COEFFICIENTS, SCALES
+)"""
 _END = [
-    "MODEL = Model(UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, CORES, SLABS, COEFFICIENTS)",
     "value = MODEL.value",
     "gradient = MODEL.gradient",
 ]
@@ -134,4 +140,11 @@ def _tables(model: PackedModel) -> list[str]:
         *table("STARTS", nested(model.starts)),
         "# for each slab which cores it has, for time and for each parameter",
         *table("SLABS", nested(slabs)),
+        *(_scales(model) if model.is_scaled else []),
     ]
+
+
+def _scales(model: PackedModel) -> list[str]:
+    """The table of the scales of all coordinates."""
+    names = [quoted(scale.kind) for scale in model.scales]
+    return ["# the scale of each coordinate, in which its elements lie", *table("SCALES", names)]

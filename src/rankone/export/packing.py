@@ -19,6 +19,8 @@ from typing import Literal
 
 import numpy as np
 
+from rankone.discretization import IDENTITY, Scale
+from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -48,7 +50,8 @@ class PackedCore:
     """One core of one slab: Chebyshev coefficients (elements, left rank, degree, right rank).
 
     The first element begins at ``lower``. ``scale`` is the number of elements per unit of the
-    coordinate; where elements are unequal, ``edges`` are the ends of all of them, else empty.
+    coordinate, both in the scale that the model has for it; where elements are unequal, ``edges``
+    are the ends of all of them, else empty.
     """
 
     lower: float
@@ -75,7 +78,8 @@ class PackedModel:
     model that was made smaller its last line is ``reduction``, how far the model differs from the
     solution; else this is None. ``errors`` are the measured ones of the unknowns relative to their
     sizes, and the differences from the solution where the model was made smaller; NaN if
-    unchecked. ``units`` belong to names of unknowns and coordinates.
+    unchecked. ``units`` belong to names of unknowns and coordinates. ``scales`` has for each
+    coordinate the one in which its cores are polynomials and their elements lie.
     """
 
     unknowns: tuple[str, ...]
@@ -87,6 +91,7 @@ class PackedModel:
     reduction: str | None
     errors: tuple[float, ...]
     units: tuple[tuple[str, str], ...]
+    scales: tuple[Scale, ...]
 
     @cached_property
     def distinct(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
@@ -101,6 +106,11 @@ class PackedModel:
                 cores.setdefault(key, core)
         position = {key: k for k, key in enumerate(cores)}
         return (*cores.values(),), tuple(tuple(position[key] for key in slab) for slab in keys)
+
+    @property
+    def is_scaled(self) -> bool:
+        """Whether some coordinate is not the polynomials' own."""
+        return not all(scale.is_identity for scale in self.scales)
 
     @property
     def size(self) -> int:
@@ -162,7 +172,16 @@ def pack(
         reduction=reduction,
         errors=tuple(map(float, errors)),
         units=tuple(metadata.units),
+        scales=_scales(slabs),
     )
+
+
+def _scales(slabs: Sequence[SlabTrain]) -> tuple[Scale, ...]:
+    """The scales of all coordinates, or an ExportError where slabs have different ones."""
+    by_slab = {tuple(basis.scale for basis in slab.bases) for slab in slabs}
+    if len(by_slab) > 1:
+        raise ExportError("the scale of a parameter is not the same at all times")
+    return (IDENTITY, *by_slab.pop())
 
 
 def check_states(states: States) -> None:
@@ -182,12 +201,15 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
     """Lines that say what the model is and how good it is."""
     metadata = solution.metadata
     coordinates = {metadata.time: solution.time, **solution.parameters}
-    units = dict(metadata.units)
+    units, distributions = dict(metadata.units), dict(metadata.distributions)
     return (
         *(f"    {equation}" for equation in metadata.statements),
         "",
         *(
-            with_unit(f"{name} in [{lower!r}, {upper!r}]", units, name)
+            with_measure(
+                with_unit(f"{name} in [{lower!r}, {upper!r}]", units, name),
+                distributions.get(name),
+            )
             for name, (lower, upper) in coordinates.items()
         ),
         *(f"{name} in {units[name]}" for name in unknowns if name in units),
@@ -280,7 +302,12 @@ def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]
         _SHARES_AT_ENDS, _RANDOM_POINTS // len(_SHARES_AT_ENDS)
     )
     shares = np.where(at_ends, np.round(shares), shares)
-    points = np.clip(ends[:, :1] + shares * np.diff(ends), ends[:, :1], ends[:, 1:])
+    points = ends[:, :1] + shares * np.diff(ends)
+    for j, basis in enumerate(slabs[0].bases, start=1):
+        if not basis.scale.is_identity:
+            start, end = basis.scale.to_scale(ends[j])
+            points[j] = basis.scale.from_scale(start + shares[j] * (end - start))
+    points = np.clip(points, ends[:, :1], ends[:, 1:])
     edges = np.clip([edge for slab in slabs for edge in (slab.start, slab.end)], *ends[0])
     points[0, ::2] = rng.choice(edges, _RANDOM_POINTS // 2)
     return points

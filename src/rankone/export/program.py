@@ -25,11 +25,12 @@ from rankone.support.arrays import Array
 from rankone.support.budget import EFFORT_HELP, SECONDS_HELP, effort_of
 from rankone.support.errors import ConvergenceError, OptionError, RankoneError, StorageError
 from rankone.support.files import npz, write_files
+from rankone.support.options import INTEGRATOR_HELP, INTEGRATORS
 from rankone.support.wording import quote
 
 _LARGEST_GRID = 20_000_000  # Most numbers on a grid of the command line: 160 megabytes
 _PAIR_FORM = "NAME=VALUE"  # How a number for a name is written on the command line
-_RANGE_FORM = "NAME=LOWER:UPPER"  # How a range of a parameter is written on the command line
+_RANGE_FORM = "NAME=LOWER:UPPER[:SCALE]"  # How a range of a parameter is written
 _STATES_HELP = "all: derivatives that are states (x_t) as well, at the point and on the grid"
 Parsed = TypeVar("Parsed")
 
@@ -64,9 +65,9 @@ def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore],
     """
     parser = _parser(about)
     arguments = parser.parse_args()
-    for_solves = ("rtol", "box", "t_final", "effort", "max_seconds", "options")
+    for_solves = ("rtol", "box", "t_final", "effort", "max_seconds", "integrator", "options")
     if arguments.load is not None and any(vars(arguments)[n] is not None for n in for_solves):
-        refused = "--rtol, --box, --t-final, --effort, --max-seconds or --options"
+        refused = "--rtol, --box, --t-final, --effort, --max-seconds, --integrator or --options"
         parser.error(f"--load takes a solution as it is: no {refused}")
     if arguments.grid is not None and arguments.save is None:
         parser.error("--grid needs --save")
@@ -104,6 +105,7 @@ def _parser(description: str) -> argparse.ArgumentParser:
     add("--t-final", type=float, metavar="T", help="another end of the horizon")
     add("--effort", metavar="E", type=effort_of, help=EFFORT_HELP)
     add("--max-seconds", type=float, metavar="S", help=SECONDS_HELP)
+    add("--integrator", choices=INTEGRATORS, help=INTEGRATOR_HELP)
     add("--options", nargs="+", action="extend", metavar=_PAIR_FORM, help="options of the engine")
     add("--at", nargs="+", action="extend", metavar=_PAIR_FORM, help="evaluate at one point")
     add("--grid", type=int, metavar="N", help="evaluate on N values of every coordinate")
@@ -124,6 +126,7 @@ def _solved(solve: Callable[..., SolutionCore], arguments: argparse.Namespace) -
             t_final=arguments.t_final,
             effort="normal" if arguments.effort is None else arguments.effort,
             max_seconds=arguments.max_seconds,
+            integrator=arguments.integrator or "auto",
             **options_of(arguments.options, SOLVE_ARGUMENTS),
         )
     except ConvergenceError as error:
@@ -133,9 +136,14 @@ def _solved(solve: Callable[..., SolutionCore], arguments: argparse.Namespace) -
         return error.solution
 
 
-def box_of(texts: Sequence[str] | None) -> dict[str, list[float]]:
-    """Ranges of parameters as ``--box`` has them."""
-    return pairs_of("--box", texts, lambda text: [float(x) for x in text.split(":")], _RANGE_FORM)
+def box_of(texts: Sequence[str] | None) -> dict[str, list[float | str]]:
+    """Ranges of parameters as ``--box`` has them: ``0.5:1.5``, or ``1e-3:10:log``."""
+
+    def interval(text: str) -> list[float | str]:
+        parts = text.split(":")
+        return [*map(float, parts[:2]), *parts[2:]]
+
+    return pairs_of("--box", texts, interval, _RANGE_FORM)
 
 
 def options_of(texts: Sequence[str] | None, reserved: Sequence[str]) -> dict[str, Any]:
@@ -184,6 +192,7 @@ def _summary(solution: SolutionCore) -> dict[str, object]:
         "error": _finite_or_none(solution.error),
         "errors": {name: _finite_or_none(solution.errors[name]) for name in solution.states},
         "corner_error": _finite_or_none(solution.corner_error),
+        "narrower": solution.outcome.verdict.narrower,
     }
 
 

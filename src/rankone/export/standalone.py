@@ -129,6 +129,7 @@ def solve(
     effort: str | float = "normal",
     max_seconds: float | None = None,
     unknowns: Sequence[str] | None = None,
+    integrator: str = "auto",
     **options: Any,
 ) -> Solution:
     """Solve for every parameter value at once.
@@ -149,6 +150,8 @@ def solve(
         factor; and a time limit on the clock. The best solution so far is returned.
     unknowns : sequence of str, optional
         The unknowns whose error has to be within the tolerance; by default all.
+    integrator : {{"auto", "stack", "single", "compiled"}}
+        How trajectories are integrated: stacked, each alone, or by heyoka; chosen by counted work.
     **options
         Fields of `{options}`.
 
@@ -162,7 +165,7 @@ def solve(
     # SYSTEM, ENGINE and METADATA are made at the end of this file, from what stands below
     accuracy = {{"rtol": rtol, "check": check, "cover": cover, "unknowns": unknowns}}
     domain = {{"parameters": parameters, "t_final": t_final}}
-    limits = {{"effort": effort, "max_seconds": max_seconds}}
+    limits = {{"effort": effort, "max_seconds": max_seconds, "integrator": integrator}}
     request = ir__request.SolveRequest.of(
         SYSTEM, [ENGINE.options], options, **accuracy, **domain, **limits
     )

@@ -12,6 +12,7 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import check_size
+from rankone.ir.measures import check_scale, measure_text, split
 from rankone.ir.metadata import per
 from rankone.ir.request import LEAST_WIDTH
 from rankone.statistics.distributions import as_text, from_text, interval_of
@@ -50,7 +51,8 @@ def check_parameters(
 ) -> tuple[Box, dict[str, str]]:
     """Return the box of ``parameters={symbol: (lower, upper)}`` as floats, and distributions.
 
-    Distributions are texts by the names of their parameters. The interval of a distribution is its
+    Distributions are texts by the names of their parameters, those of intervals with a scale, as
+    ``(lower, upper, "log")``, included. The interval of a distribution is its
     support; where that is unbounded, it reaches from the quantile ``tail`` to ``1 - tail``.
     """
     if isinstance(tail, bool) or not isinstance(tail, numbers.Real) or not 0.0 < float(tail) < 0.5:
@@ -80,6 +82,7 @@ def check_parameters(
                 term=symbol,
                 remedy="rename one of them",
             )
+        bounds, word = split(bounds)
         if hasattr(bounds, "ppf") or isinstance(bounds, str):
             try:
                 text = as_text(from_text(bounds) if isinstance(bounds, str) else bounds)
@@ -89,6 +92,13 @@ def check_parameters(
                 raise ProblemError(message, term=symbol, remedy=error.remedy) from None
             distributions[symbol.name] = text
         box[symbol] = _interval(symbol, bounds)
+        if word is not None:
+            try:
+                measure = measure_text(check_scale(symbol.name, box[symbol], word), box[symbol])
+            except OptionError as error:
+                raise ProblemError(error.message, term=symbol, remedy=error.remedy) from None
+            if measure is not None:
+                distributions[symbol.name] = measure
     return box, distributions
 
 

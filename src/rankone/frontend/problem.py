@@ -6,6 +6,7 @@ import numbers
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, TypeGuard, TypeVar
 
@@ -30,7 +31,9 @@ from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_j
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
+from rankone.ir.measures import LINEAR, with_measure, written_scale
 from rankone.ir.metadata import with_unit
+from rankone.statistics.distributions import scale_of
 from rankone.support.errors import ProblemError, bounded_depth, warn
 from rankone.support.wording import (
     aligned_equations,
@@ -58,9 +61,12 @@ class Problem:
     time : tuple
         ``(t, t0, t1)``: the symbol of time, the start and the end.
     parameters : mapping of Symbol to (float, float) or distribution
-        The box: an interval for each parameter; may be empty. A frozen continuous distribution of
-        scipy.stats stands for its support, or where that is unbounded for the interval between
-        two quantiles, see ``tail``; statistics of solutions are then those under it.
+        The box: an interval for each parameter; may be empty. An interval may end with a scale:
+        ``(1e-3, 10, "log")`` is uniform in the logarithm, as ``scipy.stats.loguniform(1e-3, 10)``
+        is, and ``"reciprocal"`` in ``1/k``; statistics, samples and plots are then in that measure.
+        A frozen continuous distribution of scipy.stats stands for its support, or where that is
+        unbounded for the interval between two quantiles, see ``tail``; statistics of solutions are
+        then those under it.
     initial : mapping of Expr to Expr or number
         For each unknown its value at ``t0``, a number or an expression of the parameters. Unknowns
         of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``.
@@ -206,7 +212,8 @@ class Problem:
         initial : mapping of str to str or float
             For each unknown its initial value, a number or a formula of the parameters.
         parameters : mapping of str to (float, float), distribution or str
-            The box; a distribution of scipy.stats may be a text such as ``"norm(1, 0.1)"``.
+            The box, intervals with a scale ``(1e-3, 10, "log")`` included; a distribution of
+            scipy.stats may be a text such as ``"norm(1, 0.1)"``.
         time : tuple of float
             ``(t0, t1)``.
         name : str, optional
@@ -271,14 +278,31 @@ class Problem:
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The dimensions of the box: time, then the parameters in the order given."""
         intervals = [self.time, *((symbol, *ends) for symbol, ends in self.parameters.items())]
-        return tuple(Coordinate(symbol.name, symbol, a, b) for symbol, a, b in intervals)
+        return tuple(
+            Coordinate(symbol.name, symbol, a, b, self._scales.get(symbol.name, LINEAR))
+            for symbol, a, b in intervals
+        )
+
+    @cached_property
+    def _scales(self) -> dict[str, str]:
+        """The scales of parameters that have one other than the linear one."""
+        scales = {
+            symbol.name: scale_of(self.distributions[symbol.name], lower)
+            for symbol, (lower, _) in self.parameters.items()
+            if symbol.name in self.distributions
+        }
+        return {name: scale for name, scale in scales.items() if scale != LINEAR}
 
     def __reduce__(self) -> tuple[type[Problem], tuple[object, ...]]:
-        texts = self.distributions
+        written = dict(self.parameters)
+        for symbol, ends in self.parameters.items():
+            text = self.distributions.get(symbol.name)
+            word = written_scale(text)
+            written[symbol] = (*ends, word) if word else text or ends
         return type(self), (
             self.equations,
             self.time,
-            {symbol: texts.get(symbol.name, ends) for symbol, ends in self.parameters.items()},
+            written,
             dict(self.initial),
             self.name,
             dict(self.jumps or {}),
@@ -295,8 +319,10 @@ class Problem:
         at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
         units = self.units or {}
         intervals = [
-            with_unit(f"{c.name} in [{c.lower:g}, {c.upper:g}]", units, c.name)
-            + (f" ~ {self.distributions[c.name]}" if c.name in self.distributions else "")
+            with_measure(
+                with_unit(f"{c.name} in [{c.lower:g}, {c.upper:g}]", units, c.name),
+                self.distributions.get(c.name),
+            )
             for c in self.coordinates
         ]
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]

@@ -17,6 +17,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
+from rankone.ir.measures import split
 from rankone.support.errors import ProblemError, RankoneError
 from rankone.support.files import as_path
 from rankone.support.wording import did_you_mean, listing, shown
@@ -44,7 +45,7 @@ t = "years"
 
 [parameters]               # the box; may be left out; or a distribution: "norm(1, 0.1)"
 x0 = [8, 12]
-y0 = [4, 6]
+y0 = [4, 6]                # over decades with a scale: [1e-3, 10, "log"]
 """
 
 _REQUIRED = ("time", "rhs", "initial")
@@ -148,7 +149,7 @@ def _from_toml(file: Path) -> Problem:
         rhs={n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
         initial={n: _formula("initial", n, f) for n, f in _table(content, "initial").items()},
         parameters={
-            name: ends if isinstance(ends, str) else _pair(f"`{name}` in [parameters]", name, ends)
+            name: ends if isinstance(ends, str) else _scaled(name, ends)
             for name, ends in _table(content, "parameters").items()
         },
         time=_horizon(content["time"]),
@@ -230,6 +231,13 @@ def _horizon(time: object) -> tuple[float, float]:
             remedy="give `start` and `end`, or write time = [start, end]",
         )
     return _pair("what [time] holds", "time", [time["start"], time["end"]])
+
+
+def _scaled(name: str, ends: object) -> tuple[object, ...]:
+    """An interval, perhaps with its scale; :class:`Problem` checks the word."""
+    bounds, word = split(ends)
+    pair = _pair(f"`{name}` in [parameters]", name, bounds)
+    return pair if word is None else (*pair, word)
 
 
 def _pair(subject: str, name: str, bounds: object) -> tuple[float, float]:

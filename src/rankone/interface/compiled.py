@@ -44,6 +44,7 @@ from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
+from rankone.ir.measures import with_measure
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import System
@@ -182,7 +183,11 @@ class CompiledProblem:
     def __repr__(self) -> str:
         clock, *parameters = self.separated.coordinates
         names = ", ".join(state.name for state in self.separated.states)
-        box = ", ".join(f"{c.name} in [{c.lower:g}, {c.upper:g}]" for c in (clock, *parameters))
+        distributions = self.problem.distributions
+        box = ", ".join(
+            with_measure(f"{c.name} in [{c.lower:g}, {c.upper:g}]", distributions.get(c.name))
+            for c in (clock, *parameters)
+        )
         general = count(len(self.separated.general), "general term")
         general = f"{general}, " if self.separated.general else ""
         return (
@@ -198,7 +203,7 @@ class CompiledProblem:
         rtol: float = 1e-6,
         *arguments: object,
         method: Literal["auto", "cross", "train", "greedy"] = "auto",
-        parameters: Mapping[Any, Sequence[float]] | None = None,
+        parameters: Mapping[Any, Sequence[float | str]] | None = None,
         t_final: float | None = None,
         progress: bool | Report = False,
         check: bool | int = True,
@@ -206,6 +211,7 @@ class CompiledProblem:
         effort: str | float = "normal",
         max_seconds: float | None = None,
         unknowns: Sequence[object] | None = None,
+        integrator: Literal["auto", "stack", "single", "compiled"] = "auto",
         on_failure: Literal["return", "raise"] = "return",
         **options: Any,
     ) -> Solution:
@@ -223,7 +229,8 @@ class CompiledProblem:
             generalized decomposition with rank-one enrichments. Right-hand sides that do not
             separate need "cross".
         parameters : mapping, optional
-            Other intervals of parameters, by symbols or names; nothing is compiled again.
+            Other intervals of parameters, by symbols or names; nothing is compiled again. One
+            that ends with a scale, ``(1e-3, 10, "log")``, has its measure as well.
         t_final : float, optional
             Another end of the horizon.
         progress : bool or callable
@@ -245,6 +252,10 @@ class CompiledProblem:
         unknowns : sequence, optional
             The unknowns whose error has to be within the tolerance, by functions ``x(t)``, their
             derivatives or names. By default all count, derivatives that are states too.
+        integrator : {"auto", "stack", "single", "compiled"}
+            How trajectories are integrated: many as one stacked system, each alone, or by compiled
+            Taylor series, for which heyoka has to be installed. "auto" chooses by counted work,
+            and changes where a stack stalls.
         on_failure : {"return", "raise"}
             What to do when the tolerance is not reached: return the solution with ``success``
             False, or raise ConvergenceError, which carries it.
@@ -285,6 +296,7 @@ class CompiledProblem:
             effort=effort,
             max_seconds=max_seconds,
             unknowns=unknowns,
+            integrator=integrator,
             arguments=("method", "progress", "on_failure"),
         )
         solution = self._solved(request, engines, form, progress)

@@ -58,7 +58,10 @@ class Solution(DistributionOverBox, EstimationFromData):
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """For each parameter the largest number of nodes over the slabs."""
+        """For each parameter the largest number of nodes over the slabs.
+
+        They are those of the coordinate in which the parameter needs fewest, such as its logarithm.
+        """
         sizes = [[basis.size for basis in slab.bases] for slab in self.outcome.slabs]
         return tuple(max(column) for column in zip(*sizes, strict=True))
 

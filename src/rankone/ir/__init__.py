@@ -5,6 +5,7 @@
 ``functions``  functions that SymPy does not know: tables, functions of the user, maxima over time
 ``features``   what is not smooth or narrow; gaps of piecewise functions; jumps
 ``system``     the system as engines see it, made from a generated module
+``measures``   intervals with a scale: uniform in the logarithm or the reciprocal
 ``request``    what a solve is asked: domain, tolerance, check, limits, options
 ``outcome``    what an engine returns
 ``verdict``    how a solve ended: status, cause, notes, and the message made of them

@@ -20,6 +20,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from rankone.ir.measures import LINEAR
 from rankone.ir.metadata import Role
 from rankone.support.errors import SeparationError
 from rankone.support.wording import (
@@ -41,12 +42,13 @@ _Table = tuple[str, list[str], list[list[str]]]
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One dimension of the box: time (always the first) or a parameter."""
+    """One dimension of the box: time (always the first) or a parameter, with its scale."""
 
     name: str
     symbol: sp.Symbol
     lower: float
     upper: float
+    scale: str = LINEAR
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ class SlabRecord:
 
     ``attempt`` counts from 0: a solve is repeated with a tighter inner tolerance when the check
     asks for it. ``tolerance``, and ``residuals``, the largest change of the train in each sweep,
-    are in units of each state's size.
+    are in units of each state's size. ``integrator`` integrated the trajectories that were sampled,
+    or those of the reference where none are sampled: "stack", "single" or "compiled".
     """
 
     attempt: int
@@ -26,6 +27,7 @@ class SlabRecord:
     residuals: tuple[float, ...]
     ranks: tuple[int, ...]
     nodes: tuple[int, ...]
+    integrator: str = field(default="stack", kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +36,11 @@ class Measured:
 
     ``interior`` has for each state the largest error over interior parameter points, and over the
     corners of the box where ``cover`` is "box"; ``corners`` that over corners, empty without
-    parameters. ``points`` trajectories by the SciPy ``method`` were compared; 95 % of those that
-    count are no worse than ``quantile``, and ``worst`` is the worst of them. ``counted`` are the
-    states that success is for, None for all. ``drift`` is the largest difference between lifted
-    states and what they stand for, relative to their sizes; None where none are lifted.
+    parameters. ``points`` trajectories were compared, made by the ``integrator`` with its
+    ``method``; 95 % of those that count are no worse than ``quantile``, and ``worst`` is the worst
+    of them. ``counted`` are the states that success is for, None for all. ``drift`` is the largest
+    difference between lifted states and what they stand for, relative to their sizes; None where
+    none are lifted.
     """
 
     interior: tuple[float, ...]
@@ -49,6 +52,7 @@ class Measured:
     worst: tuple[float, ...] = ()
     counted: tuple[int, ...] | None = None
     drift: float | None = None
+    integrator: str = "stack"
 
     @property
     def error(self) -> float:

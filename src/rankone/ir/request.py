@@ -14,11 +14,13 @@ from typing import SupportsFloat, TypeVar
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
+from rankone.discretization.scales import SCALES, Scale, first_scale
+from rankone.ir.measures import LINEAR, check_scale, split
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import LEAST_EFFORT, NORMAL, operations_for
-from rankone.support.errors import EvaluationError, OptionError
-from rankone.support.options import Options, checked_number
+from rankone.support.errors import EvaluationError, OptionError, optional_module
+from rankone.support.options import INTEGRATORS, Options, checked_number
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
 SOLVE_ARGUMENTS = (
@@ -30,6 +32,7 @@ SOLVE_ARGUMENTS = (
     "max_seconds",
     "unknowns",
     "effort",
+    "integrator",
 )
 """Arguments of every ``solve``, beside the options of an engine."""
 # Smallest tolerance: the reference, three digits better, comes close to rounding errors there
@@ -52,41 +55,65 @@ EngineOptions = TypeVar("EngineOptions", bound=Options)
 
 @dataclass(frozen=True)
 class Domain:
-    """A horizon in time, and an interval for each parameter."""
+    """A horizon in time, and an interval for each parameter.
+
+    ``scales`` names the coordinate of each interval, a word of
+    :data:`~rankone.discretization.scales.SCALES`; left out, all are linear.
+    """
 
     horizon: tuple[float, float]
     box: tuple[tuple[float, float], ...]
+    scales: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.scales:
+            object.__setattr__(self, "scales", (LINEAR,) * len(self.box))
 
     @classmethod
     def of(cls, system: System) -> Domain:
         """The domain a generated module was written for."""
         box = tuple((float(lower), float(upper)) for lower, upper in system.box)
-        return cls((float(system.horizon[0]), float(system.horizon[1])), box)
+        return cls((float(system.horizon[0]), float(system.horizon[1])), box, system.scales)
 
     @property
     def bounds(self) -> Array:
         """The box as an array (d, 2)."""
         return np.array(self.box, dtype=float).reshape(-1, 2)
 
+    @property
+    def coordinates(self) -> tuple[Scale, ...]:
+        """The scales of the parameters."""
+        return tuple(SCALES[word] for word in self.scales)
+
+    @property
+    def first_coordinates(self) -> tuple[Scale, ...]:
+        """For each parameter the coordinate in which it is looked at first.
+
+        That is its scale if one was given, or else the logarithm over decades.
+        """
+        pairs = zip(self.coordinates, self.box, strict=True)
+        return tuple(first_scale(*box) if scale.is_identity else scale for scale, box in pairs)
+
     def moved(
         self,
         names: Sequence[str],
-        parameters: Mapping[object, Sequence[float]] | None = None,
+        parameters: Mapping[object, Sequence[object]] | None = None,
         t_final: float | None = None,
     ) -> Domain:
         """The domain with other intervals of some parameters, or another end of the horizon.
 
         ``names`` are those of all parameters, ``parameters`` maps some of them, or their symbols,
-        to new intervals. An OptionError if there is no such parameter, or an interval is not two
-        finite ascending numbers.
+        to new intervals, which may end with a scale. An OptionError if there is no such parameter,
+        or an interval is not two finite ascending numbers.
         """
         if not isinstance(parameters, Mapping | None):
             message = f"parameters={parameters!r} is not a mapping from parameters to intervals"
             raise OptionError(message, term=parameters, remedy="give {name: (lower, upper), ...}")
         box = dict(zip(names, self.box, strict=True))
+        scales = dict(zip(names, self.scales, strict=True))
         moved: set[str] = set()
         for key, interval in (parameters or {}).items():
-            name = str(getattr(key, "name", key))  # of a symbol, or the key itself
+            name = _name(key)
             if name not in box:
                 raise OptionError(
                     f"there is no parameter {quote(name)}{did_you_mean(name, box)}",
@@ -96,15 +123,27 @@ class Domain:
             if name in moved:
                 raise OptionError(f"the parameter {quote(name)} is given twice", term=key)
             moved.add(name)
-            box[name] = _interval(f"the range of {quote(name)}", interval)
+            bounds, word = split(interval)
+            box[name] = _interval(f"the range of {quote(name)}", bounds)
+            if word is not None:
+                scales[name] = check_scale(name, box[name], word)
+            elif box[name][0] <= 0.0:
+                scales[name] = LINEAR
         start, end = self.horizon
         horizon = _interval("the horizon", (start, end if t_final is None else t_final))
-        return Domain(horizon, tuple(box.values()))
+        return Domain(horizon, tuple(box.values()), tuple(scales.values()))
 
 
-def _interval(subject: str, interval: Iterable[object]) -> tuple[float, float]:
+def _name(key: object) -> str:
+    """The name of a symbol, or the key itself."""
+    return str(getattr(key, "name", key))
+
+
+def _interval(subject: str, interval: object) -> tuple[float, float]:
     """Two finite numbers in ascending order, or an OptionError."""
     try:
+        if not isinstance(interval, Iterable):
+            raise TypeError
         lower, upper = (
             float(end)
             for end in interval
@@ -222,7 +261,9 @@ class SolveRequest:
     """The request of a solve, with all arguments checked.
 
     ``rtol`` is the largest measured error, relative to the size of each unknown; ``options`` has
-    one group for each engine that may be tried.
+    one group for each engine that may be tried. ``measures`` are the scales, by the names of
+    parameters, that this solve gave to intervals. ``integrator`` is one of
+    INTEGRATORS.
     """
 
     rtol: float
@@ -230,6 +271,8 @@ class SolveRequest:
     check: Check = Check()
     limits: Limits = Limits()
     options: tuple[Options, ...] = ()
+    measures: tuple[tuple[str, str], ...] = ()
+    integrator: str = "auto"
 
     @classmethod
     def of(
@@ -239,13 +282,14 @@ class SolveRequest:
         options: Mapping[str, object],
         *,
         rtol: float = 1e-6,
-        parameters: Mapping[object, Sequence[float]] | None = None,
+        parameters: Mapping[object, Sequence[object]] | None = None,
         t_final: float | None = None,
         check: bool | int = True,
         cover: str | None = None,
         effort: str | float = "normal",
         max_seconds: float | None = None,
         unknowns: object = None,
+        integrator: str = "auto",
         arguments: Sequence[str] = (),
     ) -> SolveRequest:
         """Check the arguments of a ``solve``; an OptionError if one is unknown or out of its range.
@@ -265,7 +309,10 @@ class SolveRequest:
             for group in groups
         )
         domain = Domain.of(system).moved(system.parameters, parameters, t_final)
-        return cls(rtol, domain, compared, Limits.of(system, effort, max_seconds), chosen)
+        limits = Limits.of(system, effort, max_seconds)
+        words = ((_name(key), split(interval)[1]) for key, interval in (parameters or {}).items())
+        measures = tuple((name, word) for name, word in words if word is not None)
+        return cls(rtol, domain, compared, limits, chosen, measures, checked_integrator(integrator))
 
     def options_of(self, group: type[EngineOptions]) -> EngineOptions:
         """The options of one engine, by their type."""
@@ -276,6 +323,21 @@ class SolveRequest:
         box = tuple(intervals.get(j, interval) for j, interval in enumerate(self.domain.box))
         domain = replace(self.domain, box=box)
         return replace(self, domain=domain, limits=self.limits.scaled(factor))
+
+
+def checked_integrator(integrator: object) -> str:
+    """The option ``integrator``, or an OptionError."""
+    if not isinstance(integrator, str) or integrator not in INTEGRATORS:
+        remedy = f"choose one of {', '.join(map(repr, INTEGRATORS))}"
+        raise OptionError(f"integrator={integrator!r} is unknown", term=integrator, remedy=remedy)
+    if integrator == "compiled":
+        optional_module(
+            "heyoka",
+            "integrator='compiled' needs heyoka",
+            'pip install heyoka, or pip install ".[fast]" in the folder of the source',
+            OptionError,
+        )
+    return integrator
 
 
 def _counted_states(system: System, unknowns: object) -> tuple[int, ...] | None:

@@ -50,6 +50,7 @@ from rankone.ir.features import (
     no_rows,
     unchanged,
 )
+from rankone.ir.measures import LINEAR
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError
 from rankone.support.wording import listing
@@ -114,6 +115,7 @@ class System:
     (n, n, ...): rows of differential states hold f with products as states, the row of a product
     the derivative of ``s_a s_b - w``.
 
+    ``scales`` are those of the parameters, words of :data:`~rankone.discretization.scales.SCALES`.
     ``features`` say where the system is not smooth, ``jumps`` where its states are reset, ``gaps``
     where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
     from, if rankone compiled it.
@@ -127,6 +129,7 @@ class System:
     parameters: tuple[str, ...]
     horizon: tuple[float, float]
     box: tuple[tuple[float, float], ...]
+    scales: tuple[str, ...]
     terms: tuple[tuple[float, int, tuple[int, ...], tuple[int, ...]], ...]
     initial_terms: tuple[tuple[float, int, tuple[int, ...]], ...]
     initial_separates: bool
@@ -215,6 +218,7 @@ def system_of(names: Mapping[str, object]) -> System:
         parameters=member("PARAMETERS", ()),
         horizon=member("TIME", (0.0, 0.0)),
         box=box,
+        scales=member("SCALES", (LINEAR,) * len(box)),
         time_factors=member("time_factors", no_rows),
         parameter_factors=member("parameter_factors", no_rows),
         rhs=member("rhs", no_rows),

@@ -91,6 +91,12 @@ class Verdict:
         remedies = [note.advice for note in self.notes if isinstance(note, Remedy)]
         return "; ".join(remedies) or None
 
+    @property
+    def narrower(self) -> dict[str, tuple[float, float]]:
+        """Intervals of parameters on which the solve is predicted to converge; empty if unknown."""
+        boxes = [note.intervals for note in self.notes if isinstance(note, NarrowBox)]
+        return {name: (lower, upper) for box in boxes for name, lower, upper in box}
+
     def without_remedy(self) -> Verdict:
         """The same but for what to do about it."""
         return replace(self, notes=tuple(n for n in self.notes if not isinstance(n, Remedy)))
@@ -339,6 +345,22 @@ class Remedy(Note):
 
     advice: str
     text = "{advice}"
+
+
+@dataclass(frozen=True)
+class NarrowBox(Note):
+    """Parameters to narrow, each with an interval on which the solve is predicted to converge.
+
+    The nodes that the best attempt had, and the modes that it lacked, tell the intervals.
+    """
+
+    intervals: tuple[tuple[str, float, float], ...]
+
+    def sentence(self, status: Status) -> str:
+        ranges = [
+            f"{quote(name)} to [{lower:g}, {upper:g}]" for name, lower, upper in self.intervals
+        ]
+        return f"it is predicted to converge if you narrow {' and '.join(ranges)}"
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.verification.coverage import Coverage
 from rankone.verification.search import Climb, climbed
 
 _ROUNDING = 1e-13  # A quantity below this share of its operands is zero except for rounding
@@ -141,10 +142,9 @@ class CheckPoints:
 
 def spread_over(domain: Domain, count: int) -> Array:
     """Points of the box, evenly spread, the centre first: (count, d)."""
-    lower, upper = domain.bounds.T
-    shares = spread(count, lower.size, np.random.default_rng(_SPREAD_SEED))
-    shares = np.concatenate([np.full((1, lower.size), 0.5), shares[1:]])
-    return np.asarray(lower + (upper - lower) * shares)
+    shares = spread(count, len(domain.box), np.random.default_rng(_SPREAD_SEED))
+    shares = np.concatenate([np.full((1, len(domain.box)), 0.5), shares[1:]])
+    return Coverage.of_domain(domain).points(shares)
 
 
 def split(grid: TimeGrid) -> TimeGrid:

@@ -239,7 +239,8 @@ class OutputInterpolation:
         options, domain = self.options, self.domain
         columns = QuantityColumns(sampler, check.sizes, _BASIS_SHARE * level)
         limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
-        adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING)
+        scales = [basis.scale for basis in self.solution.outcome.slabs[0].bases]
+        adaptive = AdaptiveInterpolation(domain.box, limits, level, _TIGHTENING, scales)
         known_elements = [KnownElements(borders) for borders in self.quantities.cuts[1:]]
         best: tuple[float, tuple[SlabTrain, ...]] | None = None
         for _ in range(_MAX_ATTEMPTS):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rankone.discretization import Logarithm
 from rankone.plotting.arguments import check_solution, state_of
 from rankone.plotting.style import figure_of, several_axes
 from rankone.support.errors import OptionError
@@ -68,11 +69,14 @@ def plot_modes(
     axes = several_axes(ax, len(form.axes) + 1, title)
     shown = min(modes, form.rank)
     for panel, axis in zip(axes, form.axes, strict=False):
-        points = np.linspace(axis.breaks[0], axis.breaks[-1], _POINTS)
+        start, end = axis.scale.to_scale(np.array([axis.breaks[0], axis.breaks[-1]]))
+        points = axis.scale.from_scale(np.linspace(start, end, _POINTS))
         functions = axis.interpolate(form.factors[axis.name][:, :shown], points)
         for i, column in enumerate(functions.T):
             panel.plot(points, column, label=f"{i + 1}")
         panel.set(xlabel=axis.name, title=f"functions of {axis.name}")
+        if isinstance(axis.scale, Logarithm):
+            panel.set_xscale("log")
     if shown:
         lines = axes[0].get_lines()[-shown:]
         if ax is None:

@@ -160,8 +160,7 @@ def plot_main_effects(
     axes = style.axes_for(ax)
     colours = style.colours_for(axes, len(effects.parameters))
     for parameter, colour in zip(effects.parameters, colours, strict=True):
-        lower, upper = solution.parameters[parameter]
-        shares = (effects.values[parameter] - lower) / (upper - lower)
+        shares = style.shares_of(solution, parameter, effects.values[parameter])
         label = style.range_of(solution, parameter)
         axes.plot(shares, effects.means[parameter][row], color=colour, label=label)
     axes.axhline(float(mean), color="0.4", linestyle=":", linewidth=1, zorder=1.5)

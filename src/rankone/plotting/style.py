@@ -10,6 +10,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
+from rankone.ir.measures import LOG
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, optional_module
 from rankone.support.wording import shown
@@ -200,6 +201,18 @@ def label_of(solution: Solution, name: str) -> str:
 def value_of(solution: Solution, name: str, point: float) -> str:
     """A value of a coordinate with its unit: ``t = 2 s``."""
     return f"{name} = {point:.4g} {dict(solution.metadata.units).get(name, '')}".rstrip()
+
+
+def shares_of(solution: Solution, name: str, points: Array) -> Array:
+    """Where values of a parameter lie in its interval, from 0 to 1, on its scale."""
+    scale = solution._scale(name)
+    lower, upper = scale.to_scale(np.array(solution.parameters[name]))
+    return np.asarray((scale.to_scale(points) - lower) / (upper - lower))
+
+
+def axis_scale(solution: Solution, name: str) -> str:
+    """The scale of an axis of a coordinate, as Matplotlib calls it."""
+    return "log" if solution._scale(name).kind == LOG else "linear"
 
 
 def range_of(solution: Solution, name: str) -> str:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
+from rankone.ir.measures import evenly_on_scale
 from rankone.plotting.arguments import check_solution, state_of
-from rankone.plotting.style import axes_for, colour_scale, label_of, value_of
+from rankone.plotting.style import axes_for, axis_scale, colour_scale, label_of, value_of
 from rankone.solution.smaller import merged
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError
@@ -77,13 +78,17 @@ def plot_surface(
     fixed_at = _fixed(merged(values, fixed), across, up)
     coordinates = solution._coordinates
     ranges = dict(zip(coordinates.names, coordinates.intervals, strict=True))
-    lines = {one: np.linspace(*ranges[one], points) for one in (across, up)}
+    lines = {
+        one: evenly_on_scale(solution._scale(one), ranges[one], points) for one in (across, up)
+    }
     heights = np.reshape(solution[name].grid({**fixed_at, **lines}), (points, points))
     if [one for one in coordinates.names if one in lines] == [across, up]:
         heights = heights.T
     drawn = axes_for(ax)
     _draw(drawn, lines[across], lines[up], heights, label_of(solution, name))
     drawn.set(xlabel=label_of(solution, across), ylabel=label_of(solution, up))
+    if drawn.name != "3d":  # there ticks of logarithms would be wrong
+        drawn.set(xscale=axis_scale(solution, across), yscale=axis_scale(solution, up))
     if fixed_at:
         where = (value_of(solution, name, float(at)) for name, at in fixed_at.items())
         drawn.set_title(", ".join(where), fontsize="medium", loc="left")

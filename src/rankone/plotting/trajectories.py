@@ -135,13 +135,13 @@ def _draw_family(
     family: _Family,
 ) -> None:
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.colors import ListedColormap, LogNorm, Normalize
     from matplotlib.lines import Line2D
 
     pairs = (zip(family.names, point, strict=True) for point in family.points.T)
     titles = [", ".join(f"{name} = {x:.4g}" for name, x in point) for point in pairs]
     few = len(titles) <= style.MOST_NAMED
-    colours = _colours(family)
+    colours = _colours(solution, family)
     strokes = [_STROKES[i % len(_STROKES)] for i in range(len(names))]
     for stroke, rows in zip(strokes, curves, strict=True):
         for colour, title, row in zip(colours, titles, rows, strict=True):
@@ -156,7 +156,8 @@ def _draw_family(
         handles += [Line2D([], [], color=colour, label=title) for title, colour in named]
     elif len(family.names) == 1:
         row, shades = family.points[0], style.shades(np.linspace(0.0, 1.0, 256))
-        mappable = ScalarMappable(Normalize(row.min(), row.max()), ListedColormap(shades))
+        norm = LogNorm if style.axis_scale(solution, family.names[0]) == "log" else Normalize
+        mappable = ScalarMappable(norm(row.min(), row.max()), ListedColormap(shades))
         style.colour_scale(ax, mappable, style.label_of(solution, family.names[0]))
     if handles and few:
         style.legend_beside(ax, handles)
@@ -164,11 +165,13 @@ def _draw_family(
         style.legend_inside(ax, handles)
 
 
-def _colours(family: _Family) -> Sequence[ColorType]:
-    """A colour for each curve: of its value where one parameter varies."""
+def _colours(solution: Solution, family: _Family) -> Sequence[ColorType]:
+    """A colour for each curve: of its value on its axis, where one parameter varies."""
     count = family.points.shape[1]
     if len(family.names) == 1:
         row = family.points[0]
+        if style.axis_scale(solution, family.names[0]) == "log":
+            row = np.log(row)
         return style.shades((row - row.min()) / np.ptp(row))
     if count <= style.MOST_NAMED:
         return list(style.PALETTE[:count])

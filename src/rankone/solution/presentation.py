@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.discretization.coordinates import name_of
+from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
 from rankone.solution.core import SolutionCore
 from rankone.support.errors import optional_module
@@ -62,8 +63,7 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
     named = [f"{name} [{units[name]}]" if name in units else name for name in solution.unknowns]
     clock = with_unit(f"{metadata.time} in [{start:g}, {end:g}]{whole}", units, metadata.time)
     box = [
-        with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name)
-        + (f" ~ {distributions[name]}" if name in distributions else "")
+        with_measure(with_unit(f"{name} in [{lo:g}, {hi:g}]", units, name), distributions.get(name))
         for name, (lo, hi) in solution.parameters.items()
     ]
     over = _some(box if metadata.timeless else [clock, *box]) or "nothing"
@@ -78,6 +78,10 @@ def _summary(solution: SolutionCore) -> list[tuple[str, str]]:
         nodes = [max(column) for column in zip(*sizes, strict=True)]
         train.append(f"ranks up to ({_some(map(str, largest))})")
         train.append(f"nodes up to ({_some(map(str, nodes))})")
+    outcome = solution.outcome
+    sampled = outcome.history[-1].integrator if outcome.history else ""
+    if outcome.measured is not None and sampled not in ("", outcome.measured.integrator):
+        train.append(f"samples ({sampled})")
     size = sum(core.nbytes for slab in slabs for core in slab.cores)
     timings = [f"{stage} {seconds:.3g} s" for stage, seconds in solution.outcome.timings.items()]
     return [
@@ -95,7 +99,8 @@ def _error(solution: SolutionCore) -> str:
     measured, tolerance = solution.outcome.measured, f"tolerance {solution.rtol:.3g}"
     if measured is None:
         return f"not measured, {tolerance}"
-    text = f"{solution.error:.2g} measured on {measured.points} trajectories, {tolerance}"
+    means = f"({measured.integrator}, {measured.method})"
+    text = f"{solution.error:.2g} measured on {measured.points} trajectories {means}, {tolerance}"
     if measured.drift is not None:
         text += f", lifted states drift by {measured.drift:.2g}"
     if measured.counted is not None:

@@ -4,6 +4,7 @@
 ``registry``       the engines by name, and which ones a method tries
 ``engine``         the interface of engines; a solve that tries one engine after another
 ``attempts``       reference, march, check, tighten, until the measured error fits
+``narrowing``      which parameters to narrow where that does not happen, and to what
 ``march``          one pass over the horizon, slab after slab
 ``interpolation``  initial values and states after jumps, interpolated in a tensor train
 ``cross``          the engine that interpolates trajectories

@@ -6,12 +6,13 @@ import itertools
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
 
+from rankone.discretization import Basis1D
 from rankone.ir.outcome import Measured, Outcome, SafeInterval, SlabRecord
 from rankone.ir.request import SolveRequest
 from rankone.ir.system import System
@@ -25,13 +26,16 @@ from rankone.ir.verdict import (
     ReferenceLimit,
     Remedy,
     Status,
+    SteepParameter,
     StoppedAt,
 )
 from rankone.solvers.march import MarchResult
+from rankone.solvers.narrowing import Resolution, narrowed_box, spectra_of
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, work_done, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report
+from rankone.trajectories.choice import tell_fallback
 from rankone.verification.measure import ReferenceSet, worst_points
 from rankone.verification.reference import safe_intervals
 
@@ -47,6 +51,10 @@ PAYING_FACTOR = 1.5
 """Factor by which a recent attempt must have lowered the error to go on in any case."""
 RECENT_ATTEMPTS = 3
 """Attempts that count as recent: two that fail in a row may be followed by one that succeeds."""
+# Endings after which a narrower box may help
+_NARROWED = (Status.TOLERANCE, Status.NODE_LIMIT, Status.WORK_LIMIT, Status.TIME_LIMIT)
+_MOST_MISSED = 1e4  # Error over the highest modes from which the modes do not explain it
+_LAST_SHARE = 0.5  # Work of the last attempt over that of all: each costs more than those before
 # Limits in the order in which they explain a failure
 _CAUSES = (Status.NO_CONVERGENCE, *(s for s in Status if s is not Status.NO_CONVERGENCE))
 _REMEDIES = {
@@ -166,6 +174,10 @@ class Marcher(Protocol):
         """The status, or a more precise one, and the cause."""
         return status, None
 
+    def modes_on_lines(self) -> list[tuple[Basis1D, Array]]:
+        """Bases, and the sizes of their modes on some lines, where no attempt came to an end."""
+        return []
+
 
 def solve_in_attempts(
     marcher_of: Callable[[ReferenceSet], Marcher],
@@ -180,6 +192,7 @@ def solve_in_attempts(
     budget is kept back to explain a failure.
     """
     stages = Stages()
+    tell_fallback(system, request.integrator)
     with _keeping_some():
         try:
             with stages.of("reference"):
@@ -192,7 +205,10 @@ def solve_in_attempts(
     status = best.status(reference_set, request.rtol)
     if met is not None and status is not Status.CONVERGED:
         status = met
+    narrower: list[Note] = []
     with stages.of("check"):
+        with suppress(OutOfBudgetError):
+            narrower = _narrowed(marcher, status, best, request, stages)
         try:
             status, cause = marcher.explained(status, best)
         except OutOfBudgetError:
@@ -208,6 +224,8 @@ def solve_in_attempts(
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
         notes += Budget.of(stages.named, stages.budget)
+        if not (isinstance(cause, SteepParameter) and cause.jump):
+            notes += narrower
         notes += [] if remedy is None else [Remedy(remedy)]
     safe: tuple[SafeInterval, ...] = ()
     blow_up, switching = reference_set.blow_up, reference_set.reference.switching
@@ -218,7 +236,7 @@ def solve_in_attempts(
         slabs=tuple(best.result.slabs),
         status=status,
         measured=best.measured,
-        history=tuple(records),
+        history=tuple(_with_integrator(records, reference_set, stages)),
         timings=stages.timings,
         work=stages.work,
         blow_up=blow_up,
@@ -227,6 +245,38 @@ def solve_in_attempts(
         cause=cause,
         notes=tuple(notes),
     )
+
+
+def _with_integrator(
+    records: Sequence[SlabRecord], reference_set: ReferenceSet, stages: Stages
+) -> Sequence[SlabRecord]:
+    """The records with the integrator of the reference, where no trajectories were sampled."""
+    if stages.sampled:
+        return records
+    return [replace(record, integrator=reference_set.reference.integrator) for record in records]
+
+
+def _narrowed(
+    marcher: Marcher, status: Status, best: Attempt, request: SolveRequest, stages: Stages
+) -> list[Note]:
+    """The parameters to narrow, where that is predicted to help."""
+    reference_set, result = marcher.reference_set, best.result
+    if status not in _NARROWED or not reference_set.domain.box:
+        return []
+    march, missed = stages.work["march"], 1.0
+    if result.stopped is None and result.slabs:
+        bases, spectra = result.slabs[-1].bases, spectra_of(result.slabs, reference_set.states)
+        tails = [basis.tail(s) for basis, s in zip(bases, spectra, strict=True)]
+        missed = max(best.error / max(max(tails), 1e-300), 1.0)
+        modes = list(zip(bases, spectra, strict=True))
+    else:
+        modes = marcher.modes_on_lines()
+    if not modes or not missed < _MOST_MISSED:
+        return []
+    resolutions = [Resolution.of(basis, missed * s, request.rtol) for basis, s in modes]
+    names = reference_set.system.parameters
+    box = narrowed_box(names, resolutions, _LAST_SHARE * march, stages.budget)
+    return [] if box is None else [box]
 
 
 def _out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> Outcome:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rankone.ir.measures import moved_measures
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import Domain, SolveRequest, check_factors
@@ -89,7 +90,12 @@ def solve_with(
         outcome, method = _best_outcome(engines, system, request, report)
         outcome = _without_lifted(outcome, system, request, truth)
     box, horizon, rtol = domain.box, domain.horizon, request.rtol
-    return outcome, replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
+    intervals = dict(zip(metadata.parameters, box, strict=True))
+    distributions = metadata.distributions
+    if box != metadata.box or request.measures:
+        distributions = moved_measures(distributions, intervals, dict(request.measures))
+    asked = replace(metadata, box=box, horizon=horizon, rtol=rtol, method=method)
+    return outcome, replace(asked, distributions=distributions)
 
 
 def _best_outcome(

@@ -58,8 +58,13 @@ def interpolated(
     sizes[sizes == 0.0] = 1.0
     counts = [x.size for x in nodes]
     left = left_points(counts, _LEFT_POINTS, 20140)
+
+    def scaled(indices: Integers) -> Array:
+        return np.asarray(function(indices) / sizes)
+
     for attempt in range(1, _ATTEMPTS + 1):
-        train, _ = interpolate(lambda i: function(i) / sizes, nodes, left, tolerance, _HIGHEST_RANK)
+        batches = [[points] for points in left]
+        train, _ = interpolate(scaled, nodes, batches, tolerance, _HIGHEST_RANK)
         unscaled = train.unscaled([x.weights for x in nodes])
         errors = np.abs(train.first @ unscaled.at_indices(trial) - exact / sizes).max(axis=0)
         full = math.prod(counts[:-1]) <= len(left[-1])

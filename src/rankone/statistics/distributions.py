@@ -18,12 +18,14 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from rankone.discretization import Basis1D
+from rankone.discretization import Basis1D, Scale
+from rankone.ir.measures import LINEAR, LOG, written_scale
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, warn
 from rankone.support.wording import did_you_mean, quote
 
 _EXAMPLE = "give one of scipy.stats, for example scipy.stats.norm(1, 0.1)"
+_LOGARITHMIC = ("loguniform", "reciprocal", "lognorm")  # Families whose logarithm is natural
 _FINITE_MOMENTS = "give one with finite moments, or one that is cut, such as scipy.stats.truncnorm"
 
 # Gauss nodes on each panel: exact for smooth densities to rounding on the panels below
@@ -104,6 +106,23 @@ def as_text(distribution: object) -> str:
             remedy="give an interval, and the distribution with under={...} in the statistics",
         )
     return _shown(distribution)
+
+
+def scale_of(text: str, lower: float) -> str:
+    """The scale in which a distribution, as text, is natural from ``lower`` on.
+
+    The logarithm for those of a logarithm that is uniform or normal, :data:`rankone.ir.measures`.
+    """
+    distribution: Any = from_text(text)
+    arguments, family = distribution.args, distribution.dist
+    shift = distribution.kwds.get("loc", 0.0)
+    if len(arguments) > family.numargs:
+        shift = arguments[family.numargs]
+    if lower <= 0.0 or shift != 0.0:
+        return LINEAR
+    if family.name in _LOGARITHMIC:
+        return LOG
+    return written_scale(text) or LINEAR
 
 
 def from_text(text: str) -> Distribution:
@@ -279,20 +298,24 @@ class Measure:
         count = factors * (basis.degree - 1) // 2 + 1
         element = np.searchsorted(basis.edges[1:-1], points, side="right")
         masks = [element == e for e in range(basis.elements)]
-        rules = [gauss_rule(points[mask], weights[mask], count) for mask in masks]
-        points, weights = (np.concatenate(arrays) for arrays in zip(*rules, strict=True))
-        return points, weights / weights.sum()
+        scaled = basis.scale.to_scale(points)
+        rules = [gauss_rule(scaled[mask], weights[mask], count) for mask in masks]
+        scaled, weights = (np.concatenate(arrays) for arrays in zip(*rules, strict=True))
+        return basis.scale.from_scale(scaled), weights / weights.sum()
 
     def _quadrature(self, basis: Basis1D, factors: int = 2) -> tuple[Array, Array]:
         """Points and weights of sum one that integrate products of modes."""
         enough = factors * basis.degree // 2 + 1
+        if not basis.scale.is_identity:  # the density of x over its scale is another factor
+            enough += basis.scale.slope_modes(self.lower, self.upper, inverse=True) // 2
         if self.distribution is None:
-            return _panels(np.asarray(basis.edges), enough, 1.0 / (self.upper - self.lower))
+            return _panels(basis.edges, enough, 1.0 / (self.upper - self.lower), basis.scale)
         shares = np.array([*_PANEL_QUANTILES, *(1.0 - q for q in _PANEL_QUANTILES)])
         quantiles = map(float, self.distribution.ppf(shares))
         inside = [q for q in quantiles if math.isfinite(q) and self.lower < q < self.upper]
         edges = sorted({*basis.edges.tolist(), *inside})
-        points, weights = _panels(np.array(edges), max(_PANEL_NODES, enough), 1.0)
+        count = max(_PANEL_NODES, enough)
+        points, weights = _panels(np.array(edges), count, 1.0, basis.scale)
         weights = weights * self.distribution.pdf(points)
         if not abs(float(weights.sum()) - self.mass) <= _EXACT_MASS_ERROR * self.mass:
             points, weights = self._by_probability(basis)
@@ -366,9 +389,11 @@ def _sums(basis: Basis1D, points: Array, weights: Array) -> Array:
     return np.asarray(np.einsum("kp,kps->ks", weights, modes))
 
 
-def _panels(edges: Array, count: int, factor: float) -> tuple[Array, Array]:
-    """Gauss-Legendre points and weights on consecutive panels."""
+def _panels(edges: Array, count: int, factor: float, scale: Scale) -> tuple[Array, Array]:
+    """Gauss-Legendre points in a scale, and weights, on consecutive panels between edges."""
     xi, weights = leggauss(count)
+    edges = scale.to_scale(edges)
     half = 0.5 * np.diff(edges)[:, None]
-    points = edges[:-1, None] + half * (xi + 1.0)
-    return points.ravel(), (factor * half * weights).ravel()
+    points = scale.from_scale(edges[:-1, None] + half * (xi + 1.0)).ravel()
+    weights = (factor * half * weights).ravel()
+    return points, weights if scale.is_identity else weights / scale.slope(points)

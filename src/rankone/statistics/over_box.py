@@ -8,8 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rankone.discretization.scales import IDENTITY, SCALES, Scale
+from rankone.ir.measures import evenly_on_scale
 from rankone.solution.core import SolutionCore
-from rankone.statistics.distributions import Distribution, from_text
+from rankone.statistics.distributions import Distribution, from_text, scale_of
 from rankone.statistics.joint_distribution import (
     Correlations,
     Distributions,
@@ -210,7 +212,8 @@ class StatisticsOverBox(SolutionCore):
         t, under, correlation
             As for :meth:`mean`.
         count : int
-            Number of values of each parameter, from one end of its interval to the other.
+            Number of values of each parameter, from one end of its interval to the other, evenly
+            spaced on its scale.
         """
         return self._main_effects(t, count, self._statistics(under, correlation))
 
@@ -325,7 +328,10 @@ class StatisticsOverBox(SolutionCore):
 
     def _main_effects(self, t: Times, count: int, statistics: Statistics) -> MainEffects:
         count = checked_count("count", count, 2, self._numbers_each())
-        ranges = {name: np.linspace(*ends, count) for name, ends in self.parameters.items()}
+        ranges = {
+            name: evenly_on_scale(self._scale(name), ends, count)
+            for name, ends in self.parameters.items()
+        }
 
         def mean_given(j: int, points: Array) -> Array:
             return self._at(t, lambda times: statistics.main_effect(times, j, points))
@@ -349,6 +355,11 @@ class StatisticsOverBox(SolutionCore):
                 remedy="leave t out",
             )
         return self._coordinates.checked(0, self.time[0] if t is None else t)
+
+    def _scale(self, name: str) -> Scale:
+        """The scale of a coordinate: that of its distribution in the problem."""
+        text = dict(self.metadata.distributions).get(name)
+        return IDENTITY if text is None else SCALES[scale_of(text, self.parameters[name][0])]
 
     @cached_property
     def _problem_distributions(self) -> dict[str, Distribution]:

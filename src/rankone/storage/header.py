@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -22,10 +23,10 @@ from zlib import error as ZlibError
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.discretization import BASES, Basis1D
+from rankone.discretization import BASES, SCALES, Basis1D, Scale
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
-from rankone.ir.verdict import Status
+from rankone.ir.verdict import NarrowBox, Status
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
 from rankone.support.plain_data import plain, rebuilt
@@ -34,7 +35,9 @@ from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # Newest version that is read
+_FIRST_VERSION = 1  # Version of files that hold nothing of what came with the newest one
+_SECOND_NOTES = (NarrowBox.__name__,)  # Notes that came with version 2, as did scales of bases
 # Fields of an outcome that the header holds as they are
 _PLAIN = ("status", "cause", "notes", "measured", "timings", "work", "blow_up")
 # What reading a damaged file may raise
@@ -97,13 +100,15 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
     for slab in outcome.slabs:
         used = [bases.setdefault(basis, len(bases)) for basis in slab.bases]
         slabs.append({"start": slab.start, "end": slab.end, "bases": used})
+    scaled = any(not basis.scale.is_identity for basis in bases)
+    is_second = scaled or _has_new_notes(plain((outcome.cause, outcome.notes)))
     header = {
         "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format_version": FORMAT_VERSION if is_second else _FIRST_VERSION,
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
         **{name: getattr(outcome, name) for name in ("message", *_PLAIN)},
         "history": outcome.history,
-        "bases": [{"kind": basis.kind, **plain(basis)} for basis in bases],
+        "bases": [_fields(basis) for basis in bases],
         "slabs": slabs,
     }
     arrays = {"header": np.array(json.dumps(plain(header), allow_nan=False))}
@@ -112,6 +117,15 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
             arrays[f"core_{i}_{j}"] = np.ascontiguousarray(core, dtype="<f8")
     arrays["digest"] = np.array(digest_of(arrays))
     return arrays
+
+
+def _has_new_notes(content: object) -> bool:
+    """Whether plain data holds notes of version 2, in notes or in verdicts within them."""
+    if isinstance(content, list):
+        return any(map(_has_new_notes, content))
+    if not isinstance(content, dict):
+        return False
+    return content.get("type") in _SECOND_NOTES or any(map(_has_new_notes, content.values()))
 
 
 def digest_of(arrays: Arrays) -> str:
@@ -181,9 +195,22 @@ def _outcome(header: Mapping[str, Any], record: type[SlabRecord], arrays: Arrays
     )
 
 
+def _fields(basis: Basis1D) -> dict[str, Any]:
+    """One basis as plain data; its scale is left out where it is the parameter itself."""
+    fields: dict[str, Any] = {"kind": basis.kind, **plain(basis)}
+    del fields["scale"]
+    if not basis.scale.is_identity:
+        fields["scale"] = {"kind": basis.scale.kind, **plain(basis.scale)}
+    return fields
+
+
 def _basis(fields: Mapping[str, Any]) -> Basis1D:
     """One basis; its breaks fit the number of elements."""
-    basis: Basis1D = rebuilt(BASES[fields["kind"]], fields)
+    unscaled = {name: content for name, content in fields.items() if name != "scale"}
+    basis: Basis1D = rebuilt(BASES[fields["kind"]], unscaled)
+    if "scale" in fields:
+        scale: Scale = rebuilt(type(SCALES[fields["scale"]["kind"]]), fields["scale"])
+        basis = replace(basis, scale=scale)
     if basis.breaks and basis.elements != fields["elements"]:
         raise ValueError("the breaks of a basis do not fit")
     if min(basis.degree, basis.elements) < 1:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import NamedTuple
@@ -60,13 +60,15 @@ class Account:
     """The work that was counted, and the limits on it.
 
     ``done`` operations are counted, at most ``most`` may be. ``end`` is the deadline, by
-    ``time.perf_counter``; infinite unless a user asked for one.
+    ``time.perf_counter``; infinite unless a user asked for one. ``once`` are the pieces of work
+    whose answer is kept.
     """
 
-    __slots__ = ("done", "end", "most")
+    __slots__ = ("done", "end", "most", "once")
 
     def __init__(self) -> None:
         self.done, self.most, self.end = 0.0, math.inf, math.inf
+        self.once: set[Hashable] = set()
 
 
 _ACCOUNT: ContextVar[Account | None] = ContextVar("rankone_budget", default=None)
@@ -139,6 +141,14 @@ def charge(operations: float) -> None:
         and clock.perf_counter() + _OPERATION_SECONDS * operations > account.end
     ):
         raise OutOfTimeError
+
+
+def charge_once(key: Hashable, operations: float) -> None:
+    """Count operations whose answer is kept, the first time within the outermost limit."""
+    account = _ACCOUNT.get()
+    if account is not None and key not in account.once:
+        account.once.add(key)
+        charge(operations)
 
 
 def check_time() -> None:

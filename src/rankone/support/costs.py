@@ -50,6 +50,9 @@ _TERM = Cost(500.0, 0.5)  # An arithmetic operation on arrays
 _FUNCTION = Cost(900.0, 7.0)  # A call of a NumPy function such as exp
 _POWER = Cost(900.0, 14.0)  # A power
 _USER_FUNCTION = Cost(5e5, 2e3)  # A call of a function of the user, which may be slow
+_SCALAR_ENTRY = 200.0  # A function of floats: it unpacks them, and makes the list it returns
+_SCALAR_TERM = 25.0  # An arithmetic operation on floats
+_SCALAR_CALL = 60.0  # A call of a function of floats
 
 
 @lru_cache(32)
@@ -61,12 +64,7 @@ def function_cost(function: Callable[..., object], users: frozenset[str] = froze
     """
     if not isinstance(function, FunctionType):
         return _ENTRY
-    code = np.frombuffer(function.__code__.co_code, dtype=np.uint8)
-    operations, arguments = code[::2], code[1::2]
-    operators = arguments[operations == _ARITHMETIC_CODE]
-    powers = int(np.isin(operators, _POWER_ARGUMENTS).sum())
-    terms = int((operators != _INDEX_ARGUMENT).sum()) - powers
-    calls = int((operations == _CALL_CODE).sum())
+    terms, powers, calls = _operations(function)
     total = _ENTRY + terms * _TERM + calls * _FUNCTION + powers * _POWER
     for name in function.__code__.co_names:
         callee = function.__globals__.get(name)
@@ -79,6 +77,25 @@ def function_cost(function: Callable[..., object], users: frozenset[str] = froze
         ):
             total += function_cost(callee, users)
     return total
+
+
+def scalar_cost(function: Callable[..., object]) -> float:
+    """What a function of floats costs, by the operations in its code."""
+    if not isinstance(function, FunctionType):
+        return _SCALAR_ENTRY
+    terms, powers, calls = _operations(function)
+    return _SCALAR_ENTRY + _SCALAR_TERM * (terms + powers) + _SCALAR_CALL * calls
+
+
+@lru_cache(32)
+def _operations(function: FunctionType) -> tuple[int, int, int]:
+    """How many arithmetic operations, powers and calls the code of a function has."""
+    code = np.frombuffer(function.__code__.co_code, dtype=np.uint8)
+    operations, arguments = code[::2], code[1::2]
+    operators = arguments[operations == _ARITHMETIC_CODE]
+    powers = int(np.isin(operators, _POWER_ARGUMENTS).sum())
+    terms = int((operators != _INDEX_ARGUMENT).sum()) - powers
+    return terms, powers, int((operations == _CALL_CODE).sum())
 
 
 def in_pieces(stack: Array, each: float) -> list[Array]:

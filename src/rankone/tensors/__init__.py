@@ -6,6 +6,7 @@ module              subject, in the order to read
 ``train``           a tensor train: orthonormal cores, truncation; truncated SVD
 ``slab``            states on a time slab as a train; derivatives and smaller boxes
 ``cross``           cross interpolation of sampled columns in one sweep
+``scale_choice``    the coordinate of each parameter that needs the fewest nodes
 ``adaptive``        its nodes, left points and tolerances, from attempt to attempt
 ``evaluator``       trains at many points, at one point, along curves and on grids
 ``canonical``       sums of products of functions, from the trains of a horizon

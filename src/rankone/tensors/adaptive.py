@@ -14,18 +14,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.discretization import Basis1D
+from rankone.discretization import Basis1D, Scale, first_scale
 from rankone.support.arrays import Array
-from rankone.tensors.cross import Columns, Samples, interpolate, left_points, with_points
-from rankone.tensors.train import Train
+from rankone.tensors.cross import (
+    FULL_GRID_NODES,
+    Columns,
+    Samples,
+    batched,
+    interpolate,
+    left_points,
+    with_points,
+)
+from rankone.tensors.scale_choice import LineColumns, basis_values, best_coordinates
+from rankone.tensors.train import Integers, Train
 
-# Random left points of each bond in the first attempt; a refinement takes half as many again
+# Random left points of each bond to begin with; each refinement takes half as many again
 FIRST_LEFT_POINTS = 7
+MOST_FIRST_LEFT_POINTS = 14  # Most of them in the first attempt, which takes what it needs
+LEFT_POINT_BATCHES = 6, 3  # Left points, corners among them, with which it begins and goes on
 # Tolerance of row spaces, relative to the level of an attempt: an error there is amplified
-ROW_SPACE_SHARE = 0.1
+ROW_SPACE_SHARE = 0.03
 # Size of the highest modes, relative to the level, above which there are more nodes
 HIGHEST_MODES_SHARE = 0.1
-ROUNDING_SHARE = 0.1  # Error of rounding the train, relative to the level
+ROUNDING_SHARE = 0.03  # Error of rounding the train, relative to the level
 # Distance of the second line of a parameter from the centre, in widths of the other intervals:
 # functions with a symmetry about the centre look different there
 SECOND_LINE_OFFSET = 0.35
@@ -40,6 +51,10 @@ BORDER_ERROR_FACTOR = 30.0
 # Largest ratio of successive modes used for a prediction: slower decay looks like none
 SLOWEST_DECAY = 0.95
 FASTEST_DECAY = 1e-3  # Smallest ratio of successive modes used for a prediction
+# Errors above this many times the highest modes have another reason: a mode is larger at corners
+# of the box, and on narrow fronts, than on average;
+# tests/benchmarks/attempts.py shows what it costs
+EXPLAINED_RATIO = 20.0
 MAX_PREDICTED_RATIO = 3.0  # Largest number of nodes predicted, over the nodes it is predicted from
 ELEMENT_NODE_RATIO = 5.0  # Elements are tried above this ratio of nodes to the nodes of the lines
 # In one parameter elements may have this many times the nodes of a single element that does not
@@ -91,9 +106,10 @@ class AdaptiveInterpolation:
     """Cross interpolation of columns, each attempt with more nodes, left points or accuracy.
 
     ``target`` is the error aimed at, in units of the columns, and ``share`` the ratio of the
-    tolerances to the first ones. ``bases`` are those of the last attempt or, after a refinement,
-    of the next one; ``spectra`` holds the norms of the modes of the last attempt. Further lines go
-    through the points ``steep`` (m, d); left points lie near the points ``doubtful`` (m, d).
+    tolerances to the first ones. ``scales`` are the coordinates that are tried first. ``bases`` are
+    those of the last attempt or, after a refinement, of the next one; ``spectra`` holds the norms
+    of the modes of the last attempt. Further lines go through the points ``steep`` (m, d); left
+    points lie near the points ``doubtful`` (m, d).
     """
 
     def __init__(
@@ -102,8 +118,10 @@ class AdaptiveInterpolation:
         limits: InterpolationLimits,
         target: float,
         tightening: Tightening,
+        scales: Sequence[Scale] | None = None,
     ) -> None:
         self.box, self.limits, self.target, self.tightening = box, limits, target, tightening
+        self.scales = tuple(scales or (first_scale(*interval) for interval in box))
         self.share = 1.0
         self.bases: tuple[Basis1D, ...] | None = None
         self.spectra: list[Array] = []
@@ -132,9 +150,7 @@ class AdaptiveInterpolation:
         """
         bases = self._attempt_bases(columns, known_elements)
         if bases:
-            left = left_points([basis.size for basis in bases], self._left_count, SEED)
-            if self.doubtful is not None:
-                left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
+            left = self._left_points(bases)
             tolerance = ROW_SPACE_SHARE * self.level / np.sqrt(len(bases))
             samples, most = Samples(columns, bases), self.limits.max_rank
             train, limited = interpolate(samples, bases, left, tolerance, most, begun)
@@ -146,6 +162,17 @@ class AdaptiveInterpolation:
         self.spectra = train.mode_norms()
         return train, limited
 
+    def _left_points(self, bases: Sequence[Basis1D]) -> list[list[Integers]]:
+        """Batches of left points: several in the first attempt, which takes as many as it needs."""
+        sizes = [basis.size for basis in bases]
+        if self.bases is None and math.prod(sizes) > FULL_GRID_NODES:
+            left = left_points(sizes, MOST_FIRST_LEFT_POINTS, SEED)
+            return batched(left, *LEFT_POINT_BATCHES)
+        left = left_points(sizes, self._left_count, SEED)
+        if self.doubtful is not None:
+            left = with_points(left, [basis.nodes for basis in bases], self.doubtful)
+        return [[points] for points in left]
+
     def _attempt_bases(
         self, columns: Columns, known_elements: Callable[[int], Sequence[KnownElements]]
     ) -> tuple[Basis1D, ...]:
@@ -155,10 +182,10 @@ class AdaptiveInterpolation:
             return ()
         count = min(max(round(4.0 + 1.4 * -math.log10(self.level)), 6), self.limits.max_nodes)
         if self.bases is None:
-            return self._first_bases(Lines(columns, self.box), count, known_elements(count))
+            return self._first_bases(self._lines(columns), count, known_elements(count))
         if not self._divides:
             return self.bases
-        bases = self._divided(self.bases, Lines(columns, self.box, self.steep), count)
+        bases = self._divided(self.bases, self._lines(columns, self.steep), count)
         if bases != self.bases:
             self._undivided = self.bases
         return bases
@@ -171,17 +198,24 @@ class AdaptiveInterpolation:
         The modes of a smooth function fall geometrically, which tells how many are needed beyond
         the ``count`` of the lines.
         """
-        most = self.limits.max_nodes
-        line_bases = [self.limits.basis(lower, upper, count) for lower, upper in self.box]
+        most, tolerance = self.limits.max_nodes, TAIL_SHARE * self.level
+        scaled_box = zip(self.box, self.scales, strict=True)
+        kind = self.limits.basis
+        line_bases = [kind(a, b, count, scale=scale) for (a, b), scale in scaled_box]
         on_lines = lines([(j, basis.nodes) for j, basis in enumerate(line_bases)])
+        drawn = [LineColumns(*pair) for pair in zip(line_bases, on_lines, strict=True)]
+        free = [not (known.borders or known.least_nodes) for known in known_elements]
+        drawn = best_coordinates(
+            drawn, free, lines, lambda spectrum: needed(spectrum, tolerance, math.inf), tolerance
+        )
         bases = []
-        for j, basis in enumerate(line_bases):
-            borders = known_elements[j].borders
-            spectrum = _spectrum(basis, on_lines[j])
-            predicted = needed(spectrum, TAIL_SHARE * self.level, math.inf)
+        for j, line in enumerate(drawn):
+            basis, borders = replace(line.basis, degree=count), known_elements[j].borders
+            predicted = needed(line.spectrum, tolerance, math.inf)
             if borders or (len(self.box) == 1 and predicted > ELEMENT_NODE_RATIO * count):
-                elements = self._elements(lines, j, basis, borders)
-                if elements.size <= predicted or borders:
+                allowed = math.inf if borders else predicted
+                elements = self._elements(lines, j, basis, borders, allowed)
+                if elements is not None:
                     bases.append(elements)
                     continue
             degree = max(min(predicted, math.ceil(MAX_PREDICTED_RATIO * count)), LEAST_NODES)
@@ -189,45 +223,65 @@ class AdaptiveInterpolation:
             bases.append(replace(basis, degree=min(degree, most)))
         return tuple(bases)
 
+    def _lines(self, columns: Columns, steep: Array | None = None) -> Lines:
+        return Lines(columns, self.box, self.scales, steep)
+
     def _divided(self, bases: Sequence[Basis1D], lines: Lines, count: int) -> tuple[Basis1D, ...]:
         """The same bases, but elements where one element of many nodes does no better."""
         divided = list(bases)
         for j, basis in enumerate(bases):
             if basis.elements == 1 and basis.size > ELEMENT_NODE_RATIO * count:
-                elements = self._elements(lines, j, replace(basis, degree=count), ())
-                if elements.size <= basis.size * (ELEMENT_COST_RATIO if len(bases) == 1 else 1.0):
-                    divided[j] = elements
+                allowed = basis.size * (ELEMENT_COST_RATIO if len(bases) == 1 else 1.0)
+                elements = self._elements(lines, j, replace(basis, degree=count), (), allowed)
+                divided[j] = elements or basis
         return tuple(divided)
 
-    def _elements(self, lines: Lines, j: int, basis: Basis1D, borders: Sequence[float]) -> Basis1D:
-        """Elements that begin at the borders and are halved until the lines are resolved."""
-        tolerance = STEEP_TAIL_SHARE * self.level
-        width = basis.upper - basis.lower
-        waiting = list(itertools.pairwise([basis.lower, *borders, basis.upper]))
-        ends = {basis.upper}
+    def _elements(
+        self, lines: Lines, j: int, basis: Basis1D, borders: Sequence[float], allowed: float
+    ) -> Basis1D | None:
+        """Elements that begin at the borders and are halved until the lines are resolved.
+
+        None as soon as it is certain that they need more nodes than ``allowed``.
+        """
+        tolerance, scale = STEEP_TAIL_SHARE * self.level, basis.scale
+        ends = np.array([basis.lower, *borders, basis.upper])
+        edges = scale.to_scale(ends).tolist()
+        in_user = dict(zip(edges, ends.tolist(), strict=True))
+        width = edges[-1] - edges[0]
+        waiting = list(itertools.pairwise(edges))
+        begins = list[float]()
         while waiting:
-            pieces = [replace(basis, lower=a, upper=b) for a, b in waiting]
+            if (len(begins) + len(waiting)) * basis.degree > allowed:
+                return None
+            pieces = [replace(basis, lower=in_user[a], upper=in_user[b]) for a, b in waiting]
             insets = [min(BORDER_DISTANCE * width, 0.01 * (b - a)) for a, b in waiting]
-            beside = [np.array([a + s, b - s]) for (a, b), s in zip(waiting, insets, strict=True)]
+            beside = [
+                scale.from_scale(np.array([a + s, b - s]))
+                for (a, b), s in zip(waiting, insets, strict=True)
+            ]
             points = zip((piece.nodes for piece in pieces), beside, strict=True)
             on_lines = lines([(j, np.concatenate(pair)) for pair in points])
             halves: list[tuple[float, float]] = []
-            for piece, points_beside, columns in zip(pieces, beside, on_lines, strict=True):
-                a, b = piece.lower, piece.upper
+            for (a, b), piece, points_beside, columns in zip(
+                waiting, pieces, beside, on_lines, strict=True
+            ):
                 at_nodes, exact = columns[..., :-2], columns[..., -2:]
-                rough = needed(_spectrum(piece, at_nodes), tolerance, math.inf) > piece.degree
+                line = LineColumns(piece, at_nodes)
+                rough = needed(line.spectrum, tolerance, math.inf) > piece.degree
                 if not rough:  # a layer may hide between the last node and the border
-                    modal = piece.modal_values(points_beside) @ piece.to_modal
+                    modal = basis_values(piece, points_beside)
                     errors = at_nodes * np.sqrt(piece.weights) @ modal.T - exact
                     error = float(np.linalg.norm(errors, axis=0).max())
                     rough = error > BORDER_ERROR_FACTOR * tolerance
-                room = (len(ends) + len(halves) + 2) * basis.degree <= self.limits.max_nodes
+                room = (len(begins) + len(halves) + 3) * basis.degree <= self.limits.max_nodes
                 if rough and room and b - a > NARROWEST_ELEMENT * width:
-                    halves += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
+                    middle = 0.5 * (a + b)
+                    in_user[middle] = float(scale.from_scale(np.array(middle)))
+                    halves += [(a, middle), (middle, b)]
                 else:
-                    ends.add(a)
+                    begins.append(in_user[a])
             waiting = halves
-        return replace(basis, breaks=tuple(sorted(ends)[1:-1]))
+        return replace(basis, breaks=tuple(sorted(begins)[1:]))
 
     @property
     def adds_elements(self) -> bool:
@@ -240,11 +294,19 @@ class AdaptiveInterpolation:
         assert self.bases is not None
         finer, growth = self._finer(), self.tightening.settled_growth
         pairs = zip(finer, self.bases, strict=True)
-        if tighten or all(basis.size <= growth * before.size for basis, before in pairs):
+        settled = all(basis.size <= growth * before.size for basis, before in pairs)
+        if tighten or settled or not self._explains(error):
             self.share *= self.tightening.factor(self.target, error)
             finer = self._finer()
         self._left_count = -(-3 * self._left_count // 2)
         self.bases = finer
+
+    def _explains(self, error: float) -> bool:
+        """Whether the highest modes may be the reason of an error: then more nodes suffice."""
+        assert self.bases is not None
+        pairs = zip(self.bases, self.spectra, strict=True)
+        tail = max((basis.tail(spectrum) for basis, spectrum in pairs), default=0.0)
+        return EXPLAINED_RATIO * tail > error
 
     def undo_division(self) -> bool:
         """Go back to the bases before they were divided, for good; whether they had been.
@@ -279,13 +341,22 @@ class Lines:
     """
 
     def __init__(
-        self, columns: Columns, box: Sequence[tuple[float, float]], steep: Array | None = None
+        self,
+        columns: Columns,
+        box: Sequence[tuple[float, float]],
+        scales: Sequence[Scale],
+        steep: Array | None = None,
     ) -> None:
         self.columns = columns
-        lower, upper = np.array(box, dtype=float).reshape(-1, 2).T
+        scaled = [scale.to_scale(np.array(ends)) for scale, ends in zip(scales, box, strict=True)]
+        lower, upper = np.array(scaled, dtype=float).reshape(-1, 2).T
         centre = 0.5 * (lower + upper)
         sides = np.random.default_rng(SEED).choice([-1.0, 1.0], centre.size)
         points = [centre, centre + SECOND_LINE_OFFSET * sides * (upper - lower)]
+        points = [
+            np.array([scale.from_scale(s) for scale, s in zip(scales, point, strict=True)])
+            for point in points
+        ]
         if steep is not None:
             points += list(steep[:: -(-len(steep) // MAX_STEEP_LINES)])
         self.points = points[: None if centre.size > 1 else 1]
@@ -302,12 +373,6 @@ class Lines:
         sizes = np.cumsum([len(self.points) * coordinates.size for _, coordinates in places])[:-1]
         on_lines = np.split(coefficients, sizes, axis=1)
         return [block.reshape(len(block), len(self.points), -1) for block in on_lines]
-
-
-def _spectrum(basis: Basis1D, coefficients: Array) -> Array:
-    """Largest size of each mode of columns (rank, lines, nodes) on some lines."""
-    scaled = coefficients * np.sqrt(basis.weights)
-    return np.asarray(np.linalg.norm(scaled @ basis.to_modal.T, axis=0).max(axis=0))
 
 
 def needed(spectrum: Array, tolerance: float, max_ratio: float = MAX_PREDICTED_RATIO) -> int:
@@ -328,12 +393,12 @@ def _halved(basis: Basis1D, spectrum: Array, tolerance: float, most: int) -> Bas
     """The elements with the highest tails halved, the worst first, as far as there is room."""
     tails = np.linalg.norm(spectrum.reshape(basis.elements, -1)[:, -2:], axis=1)
     tails *= math.sqrt(basis.elements)
-    narrowest = NARROWEST_ELEMENT * (basis.upper - basis.lower)
-    rough = (tails > tolerance) & (np.diff(basis.edges) > narrowest)
+    edges = basis.scaled_edges
+    narrowest = NARROWEST_ELEMENT * (edges[-1] - edges[0])
+    rough = (tails > tolerance) & (np.diff(edges) > narrowest)
     room = max(most // basis.degree - basis.elements, 0)
     chosen = np.flatnonzero(rough)[np.argsort(-tails[rough])][:room]
     if not chosen.size:
         return basis
-    middles = 0.5 * (basis.edges[:-1] + basis.edges[1:])[chosen]
-    breaks = np.sort(np.concatenate([basis.edges[1:-1], middles]))
+    breaks = np.sort(np.concatenate([basis.edges[1:-1], basis.middles[chosen]]))
     return replace(basis, elements=breaks.size + 1, breaks=tuple(breaks.tolist()))

@@ -20,13 +20,13 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from rankone.discretization import Basis1D, legendre_values
+from rankone.discretization import IDENTITY, Basis1D, Scale, legendre_values
 from rankone.discretization.coordinates import Coordinates, name_of, round_off
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, warn
@@ -46,40 +46,52 @@ _MAX_TERM_SWEEPS = 20_000  # Most sweeps times terms: a sweep costs in proportio
 class Axis:
     """Piecewise polynomials of a coordinate, held by values at Gauss points.
 
-    ``breaks`` are the ends of the elements, ``degrees`` their numbers of Gauss points.
+    ``breaks`` are the ends of the elements, ``degrees`` their numbers of Gauss points. They are
+    polynomials in the coordinate of ``scale``; breaks and nodes are values of the parameter.
     """
 
     name: str
     breaks: tuple[float, ...]
     degrees: tuple[int, ...]
+    scale: Scale = IDENTITY
 
     @cached_property
     def nodes(self) -> Array:
         """Gauss points of all elements, ascending, shape (N,)."""
-        return np.concatenate(
+        scaled = np.concatenate(
             [0.5 * (a + b) + 0.5 * (b - a) * leggauss(count)[0] for a, b, count in self._elements]
         )
+        return self.scale.from_scale(scaled)
 
     @cached_property
     def weights(self) -> Array:
         """Weights of the mean over the interval, of sum one, shape (N,)."""
         width = self.breaks[-1] - self.breaks[0]
-        return np.concatenate(
+        weights = np.concatenate(
             [0.5 * (b - a) / width * leggauss(count)[1] for a, b, count in self._elements]
         )
+        return weights if self.scale.is_identity else weights / self.scale.slope(self.nodes)
 
     @property
     def _elements(self) -> Iterator[tuple[float, float, int]]:
-        """Ends and number of Gauss points of each element."""
-        return zip(self.breaks[:-1], self.breaks[1:], self.degrees, strict=True)
+        """Ends, in the scale, and number of Gauss points of each element."""
+        breaks = self._scaled_breaks
+        return zip(breaks[:-1], breaks[1:], self.degrees, strict=True)
+
+    @cached_property
+    def _scaled_breaks(self) -> tuple[float, ...]:
+        if self.scale.is_identity:
+            return self.breaks
+        return tuple(self.scale.to_scale(np.array(self.breaks)).tolist())
 
     def interpolate(self, values: Array, points: Array) -> Array:
         """Interpolate values at the nodes, (N, R), to points (M,): shape (M, R)."""
-        element = np.searchsorted(self.breaks[1:-1], points, side="right")
+        breaks, points = self._scaled_breaks, self.scale.to_scale(points)
+        element = np.searchsorted(breaks[1:-1], points, side="right")
         offsets = np.concatenate([[0], np.cumsum(self.degrees)])
         interpolated = np.empty((points.size, values.shape[1]))
         for e in np.unique(element):
-            a, b, count = self.breaks[e], self.breaks[e + 1], self.degrees[e]
+            a, b, count = breaks[e], breaks[e + 1], self.degrees[e]
             xi, weights = leggauss(count)
             to_modal = legendre_values(xi, count).T * (0.5 * weights)
             here = np.flatnonzero(element == e)
@@ -289,9 +301,13 @@ def _common_axes(slabs: Sequence[SlabTrain], names: Sequence[str]) -> tuple[Axis
     axes = [Axis(names[0], ends, tuple(slab.cores[0].shape[1] for slab in slabs))]
     for j, name in enumerate(names[1:]):
         bases = [slab.bases[j] for slab in slabs]
-        breaks = _common_edges(bases)
-        degree = max(basis.degree for basis in bases)
-        axes.append(Axis(name, tuple(breaks.tolist()), (degree,) * (breaks.size - 1)))
+        breaks, scale = _common_edges(bases), bases[0].scale
+        # in a scale, products of modes have the density of the parameter as another factor
+        density = 1
+        if not scale.is_identity:
+            density = scale.slope_modes(bases[0].lower, bases[0].upper, inverse=True)
+        degree = max(basis.degree for basis in bases) + density // 2
+        axes.append(Axis(name, tuple(breaks.tolist()), (degree,) * (breaks.size - 1), scale))
     return tuple(axes)
 
 
@@ -299,7 +315,7 @@ def _common_edges(bases: Sequence[Basis1D]) -> Array:
     """Ends of elements each of which lies in one element of every basis."""
     if not any(basis.breaks for basis in bases):
         elements = math.lcm(*(basis.elements for basis in bases))
-        return np.linspace(bases[0].lower, bases[0].upper, elements + 1)
+        return replace(bases[0], elements=elements).edges
     lower, upper = bases[0].lower, bases[0].upper
     inside = np.unique(np.concatenate([basis.edges[1:-1] for basis in bases]))
     rounding = round_off(lower, upper)  # between the same break, computed in two ways
@@ -439,7 +455,8 @@ def _least_squares(
         error = math.sqrt(max(square, 0.0))
         if error <= 0.9 * tolerance:
             break
-        if sweep > 3 and error * (error / previous) ** (most - sweep) > tolerance:
+        ratio = min(error / previous, 2.0)  # larger powers may overflow, and say the same
+        if sweep > 3 and error * ratio ** (most - sweep) > tolerance:
             break
         previous = error
     return amplitudes, modes

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -21,18 +22,21 @@ from rankone.discretization import Basis1D
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import product, qr, svd
-from rankone.tensors.train import Integers, Train, truncated_svd
+from rankone.tensors.train import Integers, Train, row_space
 
 # Grids up to this many nodes are sampled completely: adapting would save nothing
-_FULL_GRID_NODES = 1600
+FULL_GRID_NODES = 1600
 _CORNER_RATIO = 0.45  # Corners among the left points, over the random ones
 _CORNER_WEIGHT = 0.5  # Weight of corners in the error of a row space: it may be larger there
-# The rank of a bond is expected to be at most twice that of the next one plus this
-_EXTRA_RANK = 16
+# Largest ratio of the rank of a bond to that of the next one that is expected: ranks grow ever less
+_MOST_GROWTH = 2.0
+_EXTRA_RANK = 16  # Added to the expected rank of a bond
+# Error of a row space at left points that it was not made for, over the tolerance, that shows that
+# the points it was made for suffice; tests/benchmarks/attempts.py shows what it costs
+_SPANNED = 3.0
 _MAX_EXCHANGES = 100  # Most exchanges of columns of a skeleton; Goreinov et al. need a few per rank
 _VOLUME_GAIN = 1.1  # Factor on the volume of a skeleton that is worth an exchange
 _EXCHANGE_COST = 3.0  # Operations of an exchange for each coefficient
-_SEED = 20140  # Seed of the random directions of a sweep
 _LOOKUP_COST = 250.0  # Operations of looking a node up
 _COPY_COST = 3.0  # Operations of copying a coefficient of a node
 _GRAM_RESOLUTION = 1e-6  # Singular values, over the largest, that a Gram matrix tells from rounding
@@ -55,24 +59,32 @@ class Nodes(Protocol):
 def left_points(sizes: Sequence[int], count: int, seed: int) -> list[Integers]:
     """For each bond the left points: node indices of the parameters before it, (m, b).
 
-    Random ones, ``count`` of them, and corners of their grid, or all where the whole grid is small.
+    Random ones, ``count`` of them, and among them corners of their grid, or all where the whole
+    grid is small.
     In the corners products of many parameters are largest, which random points hardly see.
     """
     generator = np.random.default_rng(seed)
     points = [np.zeros((1, 0), dtype=np.int64)]
-    full = math.prod(sizes) <= _FULL_GRID_NODES
+    full = math.prod(sizes) <= FULL_GRID_NODES
     for b in range(1, len(sizes)):
         total = math.prod(sizes[:b])
         if full or total <= count:
             columns = list(np.unravel_index(np.arange(total), tuple(sizes[:b])))
         else:
             corners = _corners(b, round(_CORNER_RATIO * count), generator)
+            shares = [np.arange(0.5, n) / n for n in (count, len(corners))]
+            order = np.argsort(np.concatenate(shares), kind="stable")
             columns = [
-                np.concatenate([generator.integers(0, size, count), (size - 1) * corner])
+                np.concatenate([generator.integers(0, size, count), (size - 1) * corner])[order]
                 for size, corner in zip(sizes[:b], corners.T, strict=True)
             ]
         points.append(np.stack(columns, axis=1).astype(np.int64))
     return points
+
+
+def batched(left: Sequence[Integers], first: int, further: int) -> list[list[Integers]]:
+    """Left points in batches: ``first`` of them, then ``further`` at a time."""
+    return [np.split(points, range(first, len(points), further)) for points in left]
 
 
 def with_points(left: Sequence[Integers], nodes: Sequence[Array], points: Array) -> list[Integers]:
@@ -105,42 +117,80 @@ def _weights(left: Integers, sizes: Sequence[int]) -> Array:
 def interpolate(
     samples: Callable[[Integers], Array],
     bases: Sequence[Nodes],
-    left: Sequence[Integers],
+    left: Sequence[Sequence[Integers]],
     tolerance: float,
     max_rank: int,
     begun: Callable[[int, int, int], None] | None = None,
 ) -> tuple[Train, bool]:
     """Cross interpolation in one sweep from the last parameter to the first.
 
-    ``samples``, such as :class:`Samples`, gives columns at node indices (m, d); ``left`` holds the
-    :func:`left_points` of each bond; the tolerance is the root mean square error of a row space
+    ``samples``, such as :class:`Samples`, gives columns at node indices (m, d); ``left`` holds
+    batches of the :func:`left_points` of each bond, of which the later ones are taken until one
+    adds nothing; the tolerance is the root mean square error of a row space
     over the columns of its bond. ``begun`` is called when a bond is begun: how many were done, of
     how many, and the rank. Core 0 of the train holds sampled columns (rows, r_1); cores j >= 1 are
     scaled by the roots of the weights. Also returns whether a rank was cut.
     """
-    generator = np.random.default_rng(_SEED)
     right = np.zeros((1, 0), dtype=np.int64)
     cores: list[Array] = []
-    limited = False
+    limited, growth = False, _MOST_GROWTH
     for b in range(len(bases) - 1, -1, -1):
         if begun is not None:
             begun(len(bases) - 1 - b, len(bases), len(right))
         size = bases[b].size
         columns = _product(np.arange(size)[:, None], right)
-        block = samples(_product(left[b], columns)).reshape(-1, len(left[b]), len(columns))
-        weights = _weights(left[b], [basis.size for basis in bases[:b]])
-        matrix = (block * weights[:, None]).reshape(-1, len(columns))
-        allowed = tolerance * math.sqrt(np.sum(weights**2) * len(columns))
-        guess = generator.standard_normal((2 * len(right) + _EXTRA_RANK, len(columns)))
-        charge(20.0 * guess.size + 4.0 * matrix.size)
-        _, weights, rows = truncated_svd(matrix, allowed, max_rank, guess)
-        limited |= weights.size == max_rank
+        expected = math.ceil(growth * len(right)) + _EXTRA_RANK
+        block = _Block(samples, left[b], [basis.size for basis in bases[:b]], columns)
+        rows = block.row_space(tolerance, max_rank, expected)
+        limited |= len(rows) == max_rank
+        growth = min(len(rows) / len(right), _MOST_GROWTH)
         skeleton, core = _skeleton(rows)
         cores.insert(0, core.reshape(len(rows), size, len(right)))
         right = columns[skeleton]
     roots = [np.sqrt(basis.weights)[:, None] for basis in bases]
     scaled = (core * root for core, root in zip(cores, roots, strict=True))
     return Train((samples(right), *scaled)), limited
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The columns of a bond at batches of left points: its rows are (left point, coefficient)."""
+
+    samples: Callable[[Integers], Array]
+    batches: Sequence[Integers]
+    sizes: Sequence[int]
+    columns: Integers
+
+    def row_space(self, tolerance: float, max_rank: int, expected: int) -> Array:
+        """Orthonormal rows (r, N) that span those of the matrix up to the tolerance.
+
+        Its first batch, and the further ones until one is in the span of those before it.
+        """
+        matrices, squares = list[Array](), 0.0
+        rows = np.zeros((0, len(self.columns)))
+        if len(self.batches) > 1:  # one call for the two that are needed in any case
+            self.samples(_product(np.concatenate(self.batches[:2]), self.columns))
+        for left in self.batches:
+            weights = _weights(left, self.sizes)
+            matrix = self._matrix(left, weights)
+            if matrices:
+                charge(2.0 * product(len(matrix), matrix.shape[1], len(rows)))
+                remainder = float(np.linalg.norm(matrix - (matrix @ rows.T) @ rows))
+                largest = _SPANNED * tolerance * math.sqrt(np.sum(weights**2) * len(self.columns))
+                if remainder <= largest:
+                    break
+            matrices.append(matrix)
+            squares += float(np.sum(weights**2))
+            allowed = tolerance * math.sqrt(squares * len(self.columns))
+            matrix = np.concatenate(matrices) if len(matrices) > 1 else matrix
+            _, rows = row_space(matrix, allowed, max_rank, expected)
+        return rows
+
+    def _matrix(self, left: Integers, weights: Array) -> Array:
+        block = self.samples(_product(left, self.columns))
+        block = block.reshape(-1, len(left), len(self.columns)) * weights[:, None]
+        charge(4.0 * block.size)
+        return np.asarray(block.reshape(-1, len(self.columns)))
 
 
 def _skeleton(rows: Array) -> tuple[Integers, Array]:

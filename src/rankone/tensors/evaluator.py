@@ -21,7 +21,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.discretization import Basis1D, LegendreBasis
+from rankone.discretization import IDENTITY, Basis1D, LegendreBasis
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain, sharing
 
@@ -60,7 +60,7 @@ def _to_chebyshev(basis: Basis1D) -> Array:
     """
     count = basis.degree
     angles = np.pi * (np.arange(count) + 0.5) / count
-    one = replace(basis, lower=-1.0, upper=1.0, elements=1, breaks=())
+    one = replace(basis, lower=-1.0, upper=1.0, elements=1, breaks=(), scale=IDENTITY)
     modes = one.modal_values(np.cos(angles))
     transform = np.cos(np.arange(count)[:, None] * angles) * (2.0 / count)
     transform[0] *= 0.5
@@ -68,14 +68,20 @@ def _to_chebyshev(basis: Basis1D) -> Array:
 
 
 class _Dimension:
-    """One core of one slab: for each element a matrix (left, degree * right)."""
+    """One core of one slab: for each element a matrix (left, degree * right).
+
+    Edges, lower end and elements per unit are those in the coordinate of the scale.
+    """
 
     def __init__(self, core: Array, basis: Basis1D) -> None:
         self.left, _, self.right = core.shape
         self.degree, self.elements = basis.degree, basis.elements
-        self.edges: tuple[float, ...] = (*basis.edges.tolist(),) if basis.breaks else ()
-        self.lower = basis.lower
-        self.scale = basis.elements / (basis.upper - basis.lower)
+        self.coordinate = basis.scale
+        self.scaled = not basis.scale.is_identity
+        edges = basis.scaled_edges.tolist()
+        self.edges: tuple[float, ...] = (*edges,) if basis.breaks else ()
+        self.lower: float = edges[0]
+        self.scale = basis.elements / (edges[-1] - edges[0])
         split = core.reshape(self.left, self.elements, self.degree, self.right)
         tensor = np.matmul(_to_chebyshev(basis), split).transpose(1, 0, 2, 3)
         self.tensor = np.ascontiguousarray(tensor)
@@ -83,6 +89,8 @@ class _Dimension:
 
     def locate(self, points: Array) -> tuple[Array, NDArray[np.intp] | None]:
         """Local coordinates in [-1, 1] of points (N,), and their elements if there are several."""
+        if self.scaled:
+            points = self.coordinate.to_scale(points)
         position = (points - self.lower) * self.scale
         if self.elements == 1:
             return 2.0 * position - 1.0, None
@@ -91,6 +99,8 @@ class _Dimension:
 
     def locate_one(self, point: float) -> tuple[float, int]:
         """Local coordinate and element of one point."""
+        if self.scaled:
+            point = float(self.coordinate.to_scale(np.array(point)))
         position = (point - self.lower) * self.scale
         element = max(0, min(int(position), self.elements - 1)) if self.elements > 1 else 0
         return 2.0 * (position - element) - 1.0, element
@@ -146,15 +156,20 @@ class _UnequalDimension(_Dimension):
 
     def __init__(self, core: Array, basis: Basis1D) -> None:
         super().__init__(core, basis)
-        self.breaks = basis.breaks
-        self.lowers, self.scales = basis.edges[:-1], 1.0 / np.diff(basis.edges)
+        edges = basis.scaled_edges
+        self.breaks = edges[1:-1].tolist()
+        self.lowers, self.scales = edges[:-1], 1.0 / np.diff(edges)
 
     def locate(self, points: Array) -> tuple[Array, NDArray[np.intp] | None]:
+        if self.scaled:
+            points = self.coordinate.to_scale(points)
         element = np.searchsorted(self.breaks, points, side="right")
         position = (points - self.lowers[element]) * self.scales[element]
         return 2.0 * position - 1.0, element
 
     def locate_one(self, point: float) -> tuple[float, int]:
+        if self.scaled:
+            point = float(self.coordinate.to_scale(np.array(point)))
         element = bisect_right(self.breaks, point)
         position = (point - self.lowers[element]) * self.scales[element]
         return 2.0 * position - 1.0, element

@@ -139,7 +139,12 @@ def at_one_time(slabs: Sequence[SlabTrain], time: float, horizon: tuple[float, f
 
 def differentiated(slabs: Sequence[SlabTrain], parameter: int) -> tuple[SlabTrain, ...]:
     """The derivatives of the states with respect to one parameter, by its position."""
-    return _changed(slabs, parameter, lambda core, basis: (basis.derivative @ core, basis))
+
+    def change(core: Array, basis: Basis1D) -> tuple[Array, Basis1D]:
+        derivative, finer = basis.derivative
+        return derivative @ core, finer
+
+    return _changed(slabs, parameter, change)
 
 
 def restricted(

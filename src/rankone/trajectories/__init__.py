@@ -4,8 +4,16 @@ Read in this order:
 
 =================  ================================================================================
 ``integrator``     what an integrator takes and gives: the protocol, tolerances, trajectories
-``stacks``         the choice of one: SciPy's, with all trajectories as one stacked system
-``steppers``       their steps, made again where they missed something: defect control
+``choice``         the choice of one, by counted work and again where a stack stalls
+``stacks``         SciPy's DOP853 and Radau, with all trajectories as one stacked system
+``steppers``       their steps, made again where they missed something
+``single``         SciPy's LSODA, one trajectory after the other
+``paths``          its trajectories, each with steps of its own
+``scalar``         generated functions rewritten for floats
+``compiled``       heyoka's, by Taylor series, a batch of trajectories with steps of their own
+``series``         the rates of a generated module as what heyoka compiles
+``defects``        defect control: whether a step missed something
+``events``         roots of functions along trajectories, which end them or reset their states
 ``diagnosis``      why trajectories end, and which states are numerically zero
 ``workers``        chunks of trajectories on several processes
 =================  ================================================================================

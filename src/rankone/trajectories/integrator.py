@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import scipy.integrate
 
 from rankone.ir.system import System
 from rankone.support.arrays import Array
@@ -16,6 +15,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 
 LAST_GAP = 100  # Distance from the end, in floating-point numbers, too short for a step of SciPy
+EARLY_STEPS = 4  # Steps after which states that start from zero show their size
 JACOBIAN_ENTRY = 10.0  # Operations for each entry of a stack of Jacobians that is made or read
 
 
@@ -32,57 +32,60 @@ class Tolerances:
         return replace(self, relative=factor * self.relative, absolute=factor * self.absolute)
 
 
-class DenseStep(Protocol):
-    """One step of all trajectories as a function of time."""
+class DenseTrajectories(Protocol):
+    """Trajectories at all times that an integration reached.
 
-    t: float  # its end
-
-    def __call__(self, t: float) -> Array:
-        """States at a time inside of the step, stacked (n m,)."""
-
-
-@dataclass(frozen=True)
-class DenseTrajectories:
-    """Trajectories at all times that an integration reached, from the start and step by step.
-
-    For n states at m points, (n, m): the last ``state``, and the ``largest`` absolute values after
-    any step and after the ``early`` ones. ``avoided`` counts the explicit steps that were left when
-    they were given up for implicit ones; it is 0 if none were.
+    For n states at m points, (n, m): the ``state`` that it ended with, the ``last`` one before the
+    jump there if there is one, and the ``largest`` absolute values after any step and after the
+    ``early`` ones. ``steps`` counts those of the trajectory with most; each
+    has made one if it ``has_begun``. ``avoided`` counts the explicit steps that were left when they
+    were given up for implicit ones; it is 0 if none were. ``integrator`` is "stack", "single" or
+    "compiled", and ``method`` the name of what made the last steps.
     """
 
-    times: tuple[float, ...]
-    steps: tuple[DenseStep, ...]
-    state: Array
-    largest: Array
-    early: Array
-    avoided: float
-
     @property
-    def end(self) -> float:
-        return self.times[-1]
+    def start(self) -> float: ...
+    @property
+    def end(self) -> float: ...
+    @property
+    def steps(self) -> int: ...
+    @property
+    def has_begun(self) -> bool: ...
+    @property
+    def state(self) -> Array: ...
+    @property
+    def last(self) -> Array: ...
+    @property
+    def largest(self) -> Array: ...
+    @property
+    def early(self) -> Array: ...
+    @property
+    def avoided(self) -> float: ...
+    @property
+    def integrator(self) -> str: ...
+    @property
+    def method(self) -> str: ...
 
     def __call__(self, times: Array) -> Array:
         """States at times (T,), after a jump at its time: shape (n, m, T)."""
-        dense = scipy.integrate.OdeSolution(self.times, self.steps, alt_segment=True)
-        return np.asarray(dense(times).reshape(*self.state.shape, -1))
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """At least ``count`` ends of steps, if there are as many, with the states (n, m) there."""
-        steps = self.steps[:: max(1, len(self.steps) // count)]
-        return [(step.t, step(step.t).reshape(self.state.shape)) for step in steps]
 
 
 @dataclass(frozen=True)
 class SampledTrajectories:
     """States (T, n, m) at given times; the integration ``reached`` this number of them.
 
-    It ended at the time ``end`` with the last ``state`` (n, m).
+    It ended at the time ``end`` with the last ``state`` (n, m). ``integrator`` is as in
+    :class:`DenseTrajectories`.
     """
 
     states: Array
     reached: int
     end: float
     state: Array
+    integrator: str
 
 
 class Integrator(Protocol):
@@ -109,8 +112,8 @@ class Integrator(Protocol):
         """Trajectories at ascending times (T,) alone."""
 
 
-def jacobians(system: System, points: Array, time: float, states: Array) -> Array:
-    """Jacobians of the rates at points (m, d) and states (n, m) or (n m,): shape (m, n, n)."""
+def jacobians(system: System, points: Array, time: float | Array, states: Array) -> Array:
+    """Jacobians of the rates at points (m, d), states (n, m) or (n m,), times: (m, n, n)."""
     n, m = system.n_differential, len(points)
     charge(function_cost(system.jacobian, system.user_functions)(m) + JACOBIAN_ENTRY * n * n * m)
     jacobian = system.jacobian(time, states.reshape(n, m), points.T)

@@ -18,18 +18,18 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost, eigenvalues, function_cost, in_pieces
+from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.diagnosis import switching_state
 from rankone.trajectories.integrator import (
+    EARLY_STEPS,
     JACOBIAN_ENTRY,
     LAST_GAP,
-    DenseStep,
     DenseTrajectories,
-    Integrator,
     SampledTrajectories,
     Tolerances,
     jacobians,
 )
-from rankone.trajectories.steppers import DefectControl, Rates, StackedDOP853, StackedRadau, Stepper
+from rankone.trajectories.steppers import Piece, Rates, StackedDOP853, StackedRadau, Stepper
 
 _FIRST_PROBES = (10, 15, 20, 30)  # Steps of DOP853 before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
@@ -39,7 +39,6 @@ _RADAU_TOLERANCE = 1.7  # Factor on tolerances of Radau, whose error estimate is
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
-_EARLY_STEPS = 4  # Steps after which states that start from zero show their size
 _STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
 _READ_COST = Cost(60e3, 12.0)  # Operations of reading states off a step: once, and for each number
@@ -57,12 +56,14 @@ class StackedIntegrator:
     many ``bearable_steps`` of DOP853 are cheaper than those of Radau although stability limits
     them, and less accurate in between. With ``looks_anywhere`` steps are checked at random places
     too, and not only at state surfaces. Systems that separate are never checked: polynomials in the
-    states are not narrow over them.
+    states are not narrow over them. ``watch`` is called with the time after each step, and may end
+    the integration by an exception.
     """
 
     stiff: bool = False
     bearable_steps: int = 0
     looks_anywhere: bool = False
+    watch: Callable[[float], None] | None = None
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
@@ -88,18 +89,7 @@ class StackedIntegrator:
         stack = _Stack(system, points, edges, tolerances, self)
         record = _SampleRecord(times, stack.shape)
         state, _ = stack.integrate(record)
-        return SampledTrajectories(record.states, record.reached, record.end, state)
-
-
-def integrator_for(
-    system: System, *, stiff: bool = False, bearable_steps: int = 0, looks_anywhere: bool = False
-) -> Integrator:
-    """The integrator for a system, the one place that chooses it.
-
-    The options are those of :class:`StackedIntegrator`; steps look anywhere only in systems that do
-    not separate.
-    """
-    return StackedIntegrator(stiff, bearable_steps, looks_anywhere and not system.separated)
+        return SampledTrajectories(record.states, record.reached, record.end, state, "stack")
 
 
 def has_smooth_rates(system: System, start: float) -> bool:
@@ -112,6 +102,65 @@ def has_smooth_rates(system: System, start: float) -> bool:
     return max((len(states) for *_, states in system.terms), default=0) <= _SMOOTH_DEGREE
 
 
+@dataclass(frozen=True)
+class StackedTrajectories:
+    """Dense trajectories of common ``pieces``: steps from one of the ``times`` to the next.
+
+    Fulfils :class:`DenseTrajectories`.
+    """
+
+    times: tuple[float, ...]
+    pieces: tuple[Piece, ...]
+    state: Array
+    largest: Array
+    early: Array
+    avoided: float
+    integrator: str = "stack"
+
+    @property
+    def start(self) -> float:
+        return self.times[0]
+
+    @property
+    def end(self) -> float:
+        return self.times[-1]
+
+    @property
+    def steps(self) -> int:
+        return len(self.pieces)
+
+    @property
+    def has_begun(self) -> bool:
+        return bool(self.pieces)
+
+    @property
+    def last(self) -> Array:
+        if not self.pieces:
+            return self.state
+        return np.asarray(self.pieces[-1](self.end).reshape(self.state.shape))
+
+    @property
+    def method(self) -> str:
+        return "Radau" if self.avoided else "DOP853"
+
+    def __call__(self, times: Array) -> Array:
+        """States at times (T,), after a jump at its time: shape (n, m, T)."""
+        order = np.argsort(times, kind="stable")
+        ascending = times[order]
+        indices = np.searchsorted(self.times, ascending, side="right") - 1
+        indices = np.clip(indices, 0, len(self.pieces) - 1)
+        stacked = np.empty((times.size, self.state.size))
+        first = np.flatnonzero(np.diff(indices, prepend=-1, append=-1))
+        for a, b in itertools.pairwise(first.tolist()):
+            stacked[order[a:b]] = self.pieces[indices[a]].at(ascending[a:b])
+        return stacked.T.reshape(*self.state.shape, -1)
+
+    def samples(self, count: int) -> list[tuple[float, Array]]:
+        """Ends of steps with the states there; see :meth:`DenseTrajectories.samples`."""
+        steps = self.pieces[:: max(1, len(self.pieces) // count)]
+        return [(step.t, step(step.t).reshape(self.state.shape)) for step in steps]
+
+
 class _DenseRecord:
     """Keeps all steps with their dense output."""
 
@@ -120,19 +169,19 @@ class _DenseRecord:
         self.begin(start)
 
     def begin(self, start: float) -> None:
-        self.times, self.steps = [start], list[DenseStep]()
+        self.times, self.steps = [start], list[Piece]()
         self.largest = self.early = np.zeros(self.shape)
 
     def add(self, solver: Stepper) -> None:
         self.times.append(solver.t)
         self.steps.append(solver.dense_output())
         self.largest = np.maximum(self.largest, np.abs(solver.y).reshape(self.shape))
-        if len(self.steps) <= _EARLY_STEPS:
+        if len(self.steps) <= EARLY_STEPS:
             self.early = self.largest
 
     def trajectories(self, state: Array, avoided: float) -> DenseTrajectories:
         steps = tuple(self.times), tuple(self.steps)
-        return DenseTrajectories(*steps, state, self.largest, self.early, avoided)
+        return StackedTrajectories(*steps, state, self.largest, self.early, avoided)
 
     def reached(self, system: System, points: Array, horizon: float) -> Reached:
         end, switch = self.times[-1], None
@@ -159,7 +208,7 @@ class _SampleRecord:
         if last > self.reached:
             charge(_READ_COST((last - self.reached) * self.states[0].size))
             times = self.times[self.reached : last]
-            states = solver.dense_output()(times).T
+            states = solver.dense_output().at(times)
             self.states[self.reached : last] = states.reshape(times.size, *self.states.shape[1:])
             self.reached = last
 
@@ -229,6 +278,8 @@ class _Stack:
                         break
                     return state, 0.0
                 record.add(solver)
+                if self.options.watch is not None:
+                    self.options.watch(solver.t)
                 state, count = solver.y.reshape(self.shape), count + 1
                 tiny = tiny + 1 if solver.step_size < tiny_step else 0
                 if tiny == _MOST_TINY_STEPS:

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rankone.discretization import ChebyshevBasis
+from rankone.discretization import IDENTITY, ChebyshevBasis, Scale
 from rankone.ir.request import Domain, KnownFactors
 from rankone.ir.system import System
 from rankone.support.arrays import Array
@@ -71,8 +71,9 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
     A factor that is not finite, has a pole, or switches too often is an OptionError.
     """
     features, all_cuts = system.features, list[Cuts]()
-    for factors, single, periodic in zip(
-        KnownFactors.of(system, domain), features.cuts, features.periodic_cuts, strict=True
+    scales = (IDENTITY, *domain.first_coordinates)
+    for factors, single, periodic, scale in zip(
+        KnownFactors.of(system, domain), features.cuts, features.periodic_cuts, scales, strict=True
     ):
         interval = factors.interval
         derived = [*single, *_repeated(factors, periodic)]
@@ -81,7 +82,7 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
             all_cuts.append(Cuts())
             continue
         try:
-            cuts = located_cuts(factors, *interval, derived)
+            cuts = _cuts_in_scale(factors, interval, derived, scale)
         except TooManyCuts:
             raise OptionError(
                 f"a coefficient varies too fast for {factors.coordinate} in "
@@ -94,6 +95,32 @@ def system_cuts(system: System, domain: Domain) -> tuple[Cuts, ...]:
             raise factors.not_finite()
         all_cuts.append(cuts)
     return tuple(all_cuts)
+
+
+def _cuts_in_scale(
+    function: Callable[[Array], Array],
+    interval: tuple[float, float],
+    derived: Sequence[float],
+    scale: Scale,
+) -> Cuts:
+    """Cuts of functions that are looked at in the coordinate of a scale."""
+    if scale.is_identity:
+        return located_cuts(function, *interval, derived)
+    inside = [x for x in derived if interval[0] < x < interval[1]]
+    places = scale.to_scale(np.array(inside)).tolist()
+    exact = dict(zip(places, inside, strict=True))
+    scaled, ends = in_scale(function, interval, scale)
+    cuts = located_cuts(scaled, *ends, places)
+    points = [exact.get(s, float(scale.from_scale(np.array(s)))) for s in cuts.points]
+    return Cuts(tuple(points), cuts.smooth)
+
+
+def in_scale(
+    function: Callable[[Array], Array], interval: tuple[float, float], scale: Scale
+) -> tuple[Callable[[Array], Array], tuple[float, float]]:
+    """A function of a parameter as one of its coordinate in a scale, and the interval of that."""
+    start, end = scale.to_scale(np.array(interval)).tolist()
+    return lambda s: function(np.clip(scale.from_scale(s), *interval)), (start, end)
 
 
 def _check_pulses(factors: KnownFactors, cuts: Sequence[float]) -> None:

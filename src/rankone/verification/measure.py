@@ -24,6 +24,8 @@ from rankone.support.budget import charge, unlimited
 from rankone.support.costs import function_cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
+from rankone.trajectories.choice import following
+from rankone.verification.coverage import Coverage
 from rankone.verification.cuts import Cuts, system_cuts
 from rankone.verification.points import (
     FEW_PARAMETERS,
@@ -84,7 +86,7 @@ class ReferenceSet:
 
     ``cuts`` are the times at which the time factors jump, kink or are narrow, and at which states
     are reset; ``parameter_cuts`` belong to the factors of each parameter. ``counted`` are the
-    states whose error counts, None for all.
+    states whose error counts, None for all. ``integrator`` is the option of the solve.
     """
 
     system: System
@@ -97,6 +99,7 @@ class ReferenceSet:
     cuts: tuple[float, ...] = ()
     parameter_cuts: tuple[Cuts, ...] = ()
     counted: tuple[int, ...] | None = None
+    integrator: str = "auto"
 
     @classmethod
     def of(cls, system: System, request: SolveRequest) -> ReferenceSet:
@@ -109,7 +112,13 @@ class ReferenceSet:
         all_cuts = [each.points for each in parameter_cuts] if check.points else ()
         beside = [each[:: max(1, -(-len(each) // _MOST_CHECKED_CUTS))] for each in all_cuts]
         every_corner = whole_box or few
-        points = check_points(domain.bounds, check.points, cuts=beside, every_corner=every_corner)
+        points = check_points(
+            domain.bounds,
+            check.points,
+            cuts=beside,
+            every_corner=every_corner,
+            scales=domain.coordinates,
+        )
         points = inside_jumps(points, system, domain)
         interior = 1 + check.points + 2 * sum(map(len, beside))
         corners = len(points) - interior if check.points and domain.box else 0
@@ -122,22 +131,30 @@ class ReferenceSet:
             system,
             domain,
             accuracy,
-            integrate_reference(system, points, *domain.horizon, accuracy, cuts),
+            integrate_reference(system, points, domain.horizon, accuracy, cuts, request.integrator),
             corners,
             whole_box,
             bool(check.points),
             cuts,
             tuple(parameter_cuts),
             check.states,
+            request.integrator,
         )
         reference_set._check_sizes()
         return reference_set
 
     def with_points(self, points: Array) -> ReferenceSet:
         """The same with more interior points (m, d); the earlier ones are not integrated again."""
-        horizon = self.domain.horizon
-        further = integrate_reference(self.system, points, *horizon, self.accuracy, self.cuts)
+        further = integrate_reference(
+            self.system, points, self.domain.horizon, self.accuracy, self.cuts, self.taken
+        )
         return replace(self, reference=self.reference.joined(further), checked=True)
+
+    @property
+    def taken(self) -> str:
+        """The option ``integrator`` for further trajectories, after those of the reference."""
+        reference = self.reference
+        return following(self.integrator, reference.integrator, len(reference.points))
 
     @property
     def end(self) -> float:
@@ -202,11 +219,12 @@ class ReferenceSet:
             interior=tuple(errors[:, counts].max(axis=1).tolist()),
             corners=tuple(corner_errors.tolist()) if self.corners else (),
             points=m,
-            method="Radau" if reference.stiff else "DOP853",
+            method=reference.method,
             cover="box" if self.whole_box else "interior",
             quantile=float(np.quantile(of_points, _SAFE_QUANTILE, method="higher")),
             worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
             counted=self.counted,
+            integrator=reference.integrator,
         )
 
     def amplification(self) -> Callable[[float], float]:
@@ -309,7 +327,7 @@ def drift(system: System, domain: Domain, slabs: Sequence[SlabTrain]) -> float:
     ``s`` for ``sin(x)`` and ``c`` for ``cos(x)`` are on the circle as long as both stay sine and
     cosine of the ``x`` that is solved for with them.
     """
-    points = check_points(domain.bounds, _DRIFT_POINTS)
+    points = check_points(domain.bounds, _DRIFT_POINTS, scales=domain.coordinates)
     count = system.n_lifted
     size, worst = np.zeros(count), np.zeros(count)
     for slab, contraction in _with_contractions(slabs, points):
@@ -347,11 +365,10 @@ class _WorstPoints:
 
     def by_residual(self, error: float) -> Array:
         """Points (m, d) where the residual, beside those of known trajectories, is large."""
-        lower, upper = self.reference_set.domain.bounds.T
-        unit, tolerated = self._candidates(lower.size)
+        unit, tolerated = self._candidates(len(self.reference_set.domain.box))
         if self.reference_set.whole_box:
             tolerated = np.ones(len(unit))
-        candidates = lower + (upper - lower) * unit
+        candidates = self._points(unit)
         compared = self.reference_set.interior_points[-_MOST_COMPARED:]
         indices = sorted({round(i) for i in np.linspace(0, len(self.slabs) - 1, _MOST_SLABS)})
         points, slabs = np.concatenate([compared, candidates]), [self.slabs[i] for i in indices]
@@ -365,6 +382,13 @@ class _WorstPoints:
         worst = np.argsort(-ratios, kind="stable")[:_CHOSEN]
         doubtful = ratios[worst] * max(error, _NEGLIGIBLE) > _DOUBTFUL_ERROR
         return np.asarray(candidates[worst[doubtful]])
+
+    def _points(self, shares: Array) -> Array:
+        """Points (m, d) at shares of the box: on the scales of the domain and of the solution."""
+        here, scales = Coverage.of_domain(self.reference_set.domain), self.slabs[-1].bases
+        points = here.points(shares)
+        points[::2] = Coverage.of_bases(scales).points(shares[::2])
+        return points
 
     def _candidates(self, d: int) -> tuple[Array, Array]:
         """Points (m, d) of the unit cube, and by how much errors there may be larger, (m,)."""
@@ -397,10 +421,9 @@ class _WorstPoints:
     def after_jumps(self) -> Array:
         """Points (m, d) where the states after a jump are not what it makes of those before it."""
         jumps, bounds = self.reference_set.system.jumps, self.reference_set.domain.bounds
-        lower, upper = bounds.T
         affordable = _affordable(self.slabs)
         count = min(_JUMP_CANDIDATES, max(_CANDIDATES, affordable))
-        anywhere = lower + (upper - lower) * self.generator.random((count, lower.size))
+        anywhere = self._points(self.generator.random((count, len(bounds))))
         climb = replace(_TO_KINKS, tries=min(max(affordable // _CLIMBERS, 1), _TO_KINKS.tries))
         doubtful, looks = [anywhere[:0]], Counter[int]()
         for before, after in itertools.pairwise(self.slabs):

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization import Basis1D
+from rankone.discretization.scales import Scale
 from rankone.ir.request import Domain
 from rankone.ir.system import System
 from rankone.support.arrays import Array, bisected, corners, spread
 from rankone.tensors.slab import SlabTrain
+from rankone.verification.coverage import Coverage
 from rankone.verification.search import Climb, climbed
 
 FEW_PARAMETERS = 3  # Parameters up to which corners are checked as strictly as the interior
@@ -46,24 +48,29 @@ _SHIFT = 2e-3  # Change of parameters, in widths of their intervals, that shows 
 
 
 def check_points(
-    box: Array, count: int, cuts: Sequence[Sequence[float]] = (), every_corner: bool = False
+    box: Array,
+    count: int,
+    cuts: Sequence[Sequence[float]] = (),
+    every_corner: bool = False,
+    scales: Sequence[Scale] = (),
 ) -> Array:
     """The centre of a box (d, 2), corners, and ``count`` evenly spread interior points: (m, d).
 
+    They are even on the scales, and over decades in the parameter as well as in its logarithm.
     Points on either side of the cuts of each parameter follow. Corners are all, at most 256, or
     eight of them; there are none without interior points.
     """
     rng = np.random.default_rng(20140)
     d = len(box)
-    lower, width = box[:, 0], box[:, 1] - box[:, 0]
+    coverage, width = Coverage.of_box(box, scales), box[:, 1] - box[:, 0]
     if d == 0 or count == 0:
-        return (lower + 0.5 * width)[None, :]
+        return coverage.points(np.full((1, d), 0.5))
     at_corners = corners(d, _MOST_CORNERS if every_corner else _FEW_CORNERS, rng)
     unit = np.concatenate([np.full((1, d), 0.5), at_corners, spread(count, d, rng)])
-    points = [lower + width * unit]
+    points = [coverage.points(unit)]
     for j, places in enumerate(cuts):
         for side in (-_BESIDE, _BESIDE):
-            beside = lower + width * rng.random((len(places), d))
+            beside = coverage.points(rng.random((len(places), d)))
             beside[:, j] = places + side * width[j]
             points.append(beside)
     return np.concatenate(points)
@@ -97,7 +104,8 @@ def active_points(system: System, domain: Domain) -> Array:
     d = len(domain.box)
     if not system.separated or d == 0:
         return np.zeros((0, d))
-    grids = [np.linspace(*interval, _FACTOR_SAMPLES) for interval in domain.box]
+    coverage = Coverage.of_domain(domain)
+    grids = [coverage.line(j, _FACTOR_SAMPLES) for j in range(d)]
     sizes = [np.abs(system.parameter_factors(j, grid)) for j, grid in enumerate(grids)]
     active = [np.mean(f, axis=1) ** 2 / np.maximum(np.mean(f**2, axis=1), 1e-300) for f in sizes]
     products = {rows[1:] for _, _, rows, _ in system.terms}
@@ -145,8 +153,7 @@ def surface_points(system: System, domain: Domain) -> Array:
             pairs = min(len(below), len(above))
             if pairs and functions(below[:1])[i, 0] < 0.0 < functions(above[:1])[i, 0]:
                 on_surfaces.append(_zeros(functions, i, below[:pairs], above[:pairs]))
-    lower, upper = domain.bounds.T
-    return np.asarray(lower + (upper - lower) * np.concatenate(on_surfaces))
+    return Coverage.of_domain(domain).points(np.concatenate(on_surfaces))
 
 
 def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] | None, int]:
@@ -158,10 +165,10 @@ def _surfaces(system: System, domain: Domain) -> tuple[Callable[[Array], Array] 
     several, over_states = features.n_parameter_surfaces, features.n_state_surfaces
     if not domain.box or not several + over_states:
         return None, 0
-    lower, upper = domain.bounds.T
+    coverage = Coverage.of_domain(domain)
 
     def evaluate(points: Array) -> Array:
-        p = np.ascontiguousarray((lower + (upper - lower) * points).T)
+        p = np.ascontiguousarray(coverage.points(points).T)
         rows = [features.parameter_surfaces(p)]
         if over_states:
             rows.append(features.state_surfaces(domain.horizon[0], system.initial(p), p))
@@ -239,8 +246,8 @@ def candidate_points(
     generator = np.random.default_rng((20140, number))
     points = [_inside_elements(looked_at[-1].bases, generator)]
     for i in {round(i) for i in np.linspace(0, len(looked_at) - 1, _MOST_SLABS)}:
-        lower, upper = _bounds(looked_at[i].bases)
-        candidates = lower + (upper - lower) * generator.random((_STEEP_CANDIDATES, lower.size))
+        coverage = Coverage.of_bases(looked_at[i].bases)
+        candidates = coverage.points(generator.random((_STEEP_CANDIDATES, len(coverage.box))))
         change = _steepness(looked_at[i], candidates, sizes) ** (2.0 if steep else 1.0)
         if np.count_nonzero(change) >= _STEEP_POINTS and np.isfinite(change).all():
             weights = change / change.sum()
@@ -264,12 +271,12 @@ def points_in_elements(
 
 def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -> Array:
     """A random point in each of the narrowest elements of each parameter, (m, d)."""
-    lower, upper = _bounds(bases)
-    points = np.zeros((0, lower.size))
+    coverage = Coverage.of_bases(bases)
+    points = np.zeros((0, len(bases)))
     for j, basis in enumerate(bases):
         if basis.elements > 1:
             narrow = np.argsort(np.diff(basis.edges), kind="stable")[:_MOST_ELEMENTS]
-            inside = lower + (upper - lower) * generator.random((narrow.size, lower.size))
+            inside = coverage.points(generator.random((narrow.size, len(bases))))
             share = generator.random(narrow.size)
             inside[:, j] = (1.0 - share) * basis.edges[narrow] + share * basis.edges[narrow + 1]
             points = np.concatenate([points, inside])
@@ -278,9 +285,8 @@ def _inside_elements(bases: Sequence[Basis1D], generator: np.random.Generator) -
 
 def steepest_point(slab: SlabTrain, sizes: Array) -> Array:
     """A point (d,) of the box at which the end of a slab depends steeply on some parameter."""
-    lower, upper = _bounds(slab.bases)
-    unit = np.random.default_rng(20140).random((_STEEP_CANDIDATES, lower.size))
-    points = lower + (upper - lower) * unit
+    unit = np.random.default_rng(20140).random((_STEEP_CANDIDATES, len(slab.bases)))
+    points = Coverage.of_bases(slab.bases).points(unit)
     return np.asarray(points[np.argmax(_steepness(slab, points, sizes))])
 
 
@@ -292,7 +298,9 @@ def _steepness(slab: SlabTrain, points: Array, sizes: Array) -> Array:
     """Largest change of a state at the end of a slab over a small step across the box, (m,)."""
     lower, upper = _bounds(slab.bases)
     generator = np.random.default_rng(20140)
-    step = _SHIFT * (upper - lower) * generator.choice([-1.0, 1.0], points.shape)
+    step = Coverage.of_bases(slab.bases).steps(points, _SHIFT) * generator.choice(
+        [-1.0, 1.0], points.shape
+    )
     times = np.full(len(points), slab.end)
     one, two = (slab(times, np.clip(points + s, lower, upper).T) for s in (step, -step))
     return np.asarray((np.abs(one - two) / sizes[:, None]).max(axis=0))

@@ -17,8 +17,9 @@ from rankone.ir.request import Domain
 from rankone.ir.system import System, refuse_gap
 from rankone.support.arrays import Array, bisected
 from rankone.support.budget import OutOfBudgetError, charge, limited, work_left
-from rankone.support.costs import Cost
+from rankone.support.costs import Cost, eigenvalues
 from rankone.support.errors import ConvergenceError
+from rankone.trajectories.choice import following, integrator_for
 from rankone.trajectories.diagnosis import (
     MOST_GROWTH,
     Rounding,
@@ -34,7 +35,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
     jacobians,
 )
-from rankone.trajectories.stacks import has_smooth_rates, integrator_for
+from rankone.trajectories.stacks import has_smooth_rates
 from rankone.verification.points import check_points
 
 _NEGLIGIBLE = 1e-7  # Part of a state's size at which its relative accuracy ends
@@ -44,6 +45,9 @@ _COINCIDENT = 1e-14  # Times that are closer, relative to the ends of the horizo
 _LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
 _SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
 _SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
+_DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
+_DIP_FLOOR = 1e-290  # Floor of a state that falls far and grows again: it is relative all the way
+_LEAST_SIZE = 1e-250  # Size below which such a state is lost: floating-point numbers end at 1e-308
 _DENSE_COST = Cost(50e3, 15.0)  # Operations of evaluating dense output: once, and for each state
 _MOST_INTEGRATIONS = 4  # Most integrations: a state that starts from zero shows its size only then
 
@@ -79,12 +83,23 @@ class Reference:
 
     @property
     def start(self) -> float:
-        return self.batches[0].times[0]
+        return self.batches[0].start
 
     @property
     def avoided(self) -> float:
         """Explicit steps that were left when they were given up for implicit ones, at most."""
         return max(batch.avoided for batch in self.batches)
+
+    @property
+    def integrator(self) -> str:
+        """What integrated the first trajectories: "stack", "single" or "compiled"."""
+        return self.batches[0].integrator
+
+    @property
+    def method(self) -> str:
+        """The method of the integration, of several the first one that is for stiff systems."""
+        stiff = (batch.method for batch in self.batches if batch.avoided)
+        return next(stiff, self.batches[0].method)
 
     @property
     def stiff(self) -> bool:
@@ -114,24 +129,30 @@ class Reference:
 
 
 def integrate_reference(
-    system: System, points: Array, start: float, end: float, rtol: float, cuts: Sequence[float] = ()
+    system: System,
+    points: Array,
+    horizon: tuple[float, float],
+    rtol: float,
+    cuts: Sequence[float] = (),
+    integrator: str = "auto",
 ) -> Reference:
-    """Integrate the system from ``start`` to ``end`` at all points (m, d).
+    """Integrate the system over a horizon at all points (m, d), by the option ``integrator``.
 
     The integration begins anew at the cuts: ascending times at which the time factors jump, kink or
     are narrow. It is a ConvergenceError if not a single step can be made; an OutOfBudgetError says
     how far the integration came.
     """
+    start, end = horizon
     edges = [start, *_with_moving_cuts(system, points, start, end, cuts), end]
     initial = system.initial(np.ascontiguousarray(points.T))
     _check_start(system, start, initial, points)
     longest = math.inf if has_smooth_rates(system, start) else _LONGEST_STEP * (end - start)
-    integrator = integrator_for(system, looks_anywhere=True)
+    chosen = integrator_for(system, integrator, accuracy=rtol, looks_anywhere=True)
     resolution = _Resolution(system, points, start, end, rtol, initial)
     for _ in range(_MOST_INTEGRATIONS):
         tolerances = Tolerances(rtol, resolution.absolute, longest)
-        dense = integrator.run(system, points, edges, tolerances)
-        if not dense.steps:
+        dense = chosen.run(system, points, edges, tolerances)
+        if not dense.has_begun:
             floor = rtol * _NEGLIGIBLE * resolution.size
             point = points[first_to_end(system, start, dense.state, points, floor)]
             raise ConvergenceError(
@@ -141,6 +162,8 @@ def integrate_reference(
             )
         if not resolution.refined(dense):
             break
+        integrator = following(integrator, dense.integrator, len(points))
+        chosen = integrator_for(system, integrator, accuracy=rtol, looks_anywhere=True)
     return resolution.reference(dense)
 
 
@@ -178,12 +201,46 @@ class _Resolution:
         lingers = ~zero & ~small & (early > 0.0) & (early < np.minimum(usual, self.floor))
         if lingers.any() and not self._amplifies(samples, dense.end):
             lingers[:] = False
+        dips = ~zero & self._grows_again(dense)
         self.size = np.where(small, largest, self.size)
         self.floor = np.where(lingers, _LINGERING * early, self.floor)
+        self.floor = np.where(dips, _DIP_FLOOR, self.floor)
         coarser = self.absolute
         finest = self.rtol * np.minimum(_NEGLIGIBLE * self.size, self.floor)
         self.absolute = np.maximum(finest, self.rounding.floor)
-        return bool(((small | lingers | coarse) & (self.absolute < coarser)).any())
+        return bool(((small | lingers | dips | coarse) & (self.absolute < coarser)).any())
+
+    def _grows_again(self, dense: DenseTrajectories) -> NDArray[np.bool_]:
+        """States (n, 1) that fall to a negligible part of what they were, and may grow again.
+
+        They grow by their own block of the Jacobian, whatever the others do. An integration that
+        does not resolve them makes noise of them, which grows as well.
+        """
+        times, states = zip(*dense.samples(_DIP_SAMPLES), strict=True)
+        sizes = np.abs(states)
+        below = sizes < _NEGLIGIBLE * np.maximum.accumulate(sizes, axis=0)
+        dips = np.asarray(below.any(axis=(0, 2)))
+        if not dips.any():
+            return dips[:, None]
+        first = times[int(np.argmax(below.any(axis=(1, 2))))]
+        later = np.linspace(first, dense.end, _SAMPLES)  # steps may pass over all of the growth
+        growth, small = 0.0, np.flatnonzero(dips)
+        for time, at in zip(later.tolist(), np.moveaxis(dense(later), 2, 0), strict=True):
+            blocks = jacobians(self.system, self.points, time, at)[:, small[:, None], small]
+            if np.isfinite(blocks).all():
+                charge(len(blocks) * eigenvalues(small.size))
+                growth = max(growth, float(np.linalg.eigvals(blocks).real.max()))
+        if growth * (dense.end - first) <= MOST_GROWTH:
+            return np.zeros_like(dips)[:, None]
+        lost = dips & (sizes.min(axis=(0, 2)) < _LEAST_SIZE)
+        if lost.any():
+            name = self.system.states[int(np.argmax(lost))]
+            raise ConvergenceError(
+                f"`{name}` falls below {_LEAST_SIZE:g} and may grow again from there, which is "
+                "beyond floating-point numbers",
+                remedy="take its logarithm as the unknown, or shorten the horizon",
+            )
+        return dips[:, None]
 
     def _amplifies(self, samples: Sequence[tuple[float, Array]], end: float) -> bool:
         """Whether small states may grow exponentially along the first trajectory, by much."""
@@ -204,8 +261,7 @@ class _Resolution:
         system, points, time, state = self.system, self.points, dense.end, dense.state
         size = np.maximum(self.size, rounding.floor)
         blown = first_to_end(system, time, state, points, self.rtol * _NEGLIGIBLE * size)
-        before = dense.steps[-1](time).reshape(state.shape)
-        refuse_gap(system, time, before[:, blown], points[blown])
+        refuse_gap(system, time, dense.last[:, blown], points[blown])
         large = bool((np.abs(state[:, blown]) > _BLOW_UP_GROWTH * size[:, 0]).any())
         large = large or runs_away(system, time, state[:, blown], points[blown], self.horizon)
         switch = None if large else switching_state(system, time, state, points, self.horizon)
@@ -286,7 +342,7 @@ def _intervals(
         def survives(place: Array, j: int = j, on_face: Array = on_face) -> NDArray[np.bool_]:
             face = np.insert(on_face, j, place.item(), axis=1)
             try:
-                ends = integrate_reference(system, face, *domain.horizon, _FACE_RTOL, cuts)
+                ends = integrate_reference(system, face, domain.horizon, _FACE_RTOL, cuts)
             except ConvergenceError:
                 return np.array([False])
             return np.array([ends.blown is None])

@@ -19,6 +19,7 @@ import fcntl, os, pathlib, signal, sys, time
 from rankone.trajectories.workers import open_workers
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a test run under nohup ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # one in the background ignores it
 folder = pathlib.Path(sys.argv[1])
 locks = []
 

@@ -51,7 +51,7 @@ def trajectories(problem: ro.Problem) -> tuple[np.ndarray, np.ndarray, np.ndarra
     box = np.array(system.box)
     points = box[:, 0] + (box[:, 1] - box[:, 0]) * np.random.default_rng(77).random((256, len(box)))
     times = np.linspace(*system.horizon, 21)
-    return integrate_reference(system, points, *system.horizon, 1e-11)(times), times, points
+    return integrate_reference(system, points, system.horizon, 1e-11)(times), times, points
 
 
 def relative(gap: np.ndarray, exact: np.ndarray) -> float:

@@ -13,8 +13,9 @@ import numpy as np
 
 from rankone.export.explorer.mathml import Notation
 from rankone.export.packing import PackedModel
+from rankone.ir.measures import LINEAR, with_measure
 from rankone.ir.metadata import Role
-from rankone.statistics.distributions import Measure, from_text
+from rankone.statistics.distributions import Measure, from_text, scale_of
 from rankone.support.arrays import Array
 from rankone.support.wording import listing
 
@@ -78,7 +79,8 @@ def content(
             {
                 **named(name),
                 "range": list(ends),
-                "distribution": distributions.get(name, ""),
+                "distribution": with_measure("", distributions.get(name)).strip(),
+                "scale": _scale(ends, distributions.get(name)),
                 "median": _median(name, ends, distributions.get(name)),
             }
             for name, ends in solution.parameters.items()
@@ -95,8 +97,14 @@ def _median(name: str, ends: tuple[float, float], distribution: str | None) -> f
     if distribution is None:
         return lower + 0.5 * (upper - lower)
     measure = Measure(name, lower, upper, from_text(distribution), from_problem=True)
-    digits = 3 - math.floor(math.log10(upper - lower))
-    return min(upper, max(lower, round(float(measure.sample(np.array(0.5))), digits)))
+    middle = float(measure.sample(np.array(0.5)))
+    length = upper - lower if _scale(ends, distribution) == LINEAR else middle
+    return min(upper, max(lower, round(middle, 3 - math.floor(math.log10(length)))))
+
+
+def _scale(ends: tuple[float, float], distribution: str | None) -> str:
+    """The scale in which the slider of a parameter is even."""
+    return LINEAR if distribution is None else scale_of(distribution, ends[0])
 
 
 def curve_times(solution: DistributionOverBox) -> Array:

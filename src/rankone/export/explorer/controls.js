@@ -10,12 +10,12 @@ const KEYS = { ArrowUp: 1, ArrowDown: -1, PageUp: 10, PageDown: -10 };
  * The controls of one parameter.
  *
  * @param {HTMLElement} place where they go
- * @param {object} parameter name, symbol, unit, range and distribution
+ * @param {object} parameter name, symbol, unit, range, distribution and scale
  * @param {number} number its position, for ids
  * @param {(value: number) => void} onValue called with every new value inside of the range
  */
 export function parameterControl(place, parameter, number, onValue) {
-  const { name, symbol, unit, range, distribution } = parameter;
+  const { name, symbol, unit, range, distribution, scale } = parameter;
   const [lower, upper] = range;
   const digits = 1 + digitsOf(range);
   const short = (value) => String(Number(value.toPrecision(digits)));
@@ -39,7 +39,7 @@ export function parameterControl(place, parameter, number, onValue) {
   field.setAttribute("aria-valuemin", String(lower));
   field.setAttribute("aria-valuemax", String(upper));
   left.textContent = short(lower).replaceAll("-", "−");
-  middle.textContent = distribution && `~ ${unbroken(distribution)}`;
+  middle.textContent = unbroken(distribution);
   right.textContent = short(upper).replaceAll("-", "−");
   let present;
   let settled; // the value to return to if what is typed ends as refused
@@ -61,7 +61,7 @@ export function parameterControl(place, parameter, number, onValue) {
       settled = value;
       field.value = short(value);
     }
-    if (except !== slider) slider.value = String(stepAt(range, value));
+    if (except !== slider) slider.value = String(stepAt(range, value, scale));
     slider.setAttribute("aria-valuetext", `${name} ${short(value)} ${unit}`.trim());
     field.setAttribute("aria-valuenow", String(value));
   }
@@ -71,7 +71,7 @@ export function parameterControl(place, parameter, number, onValue) {
     onValue(value);
   }
 
-  slider.addEventListener("input", () => take(valueAt(range, Number(slider.value)), slider));
+  slider.addEventListener("input", () => take(valueAt(range, Number(slider.value), scale), slider));
   field.addEventListener("input", () => {
     const value = numberFrom(field.value);
     if (value >= lower && value <= upper) take(value, field);
@@ -87,7 +87,7 @@ export function parameterControl(place, parameter, number, onValue) {
     if (event.key === "Escape") take(settled);
     if (!(event.key in KEYS)) return;
     event.preventDefault();
-    take(stepped(range, present, KEYS[event.key] * (event.shiftKey ? 10 : 1)));
+    take(stepped(range, present, KEYS[event.key] * (event.shiftKey ? 10 : 1), scale));
   });
   place.append(box);
   return { show };

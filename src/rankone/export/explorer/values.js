@@ -3,29 +3,43 @@
 /** Steps of a slider from one end to the other. */
 export const STEPS = 1000;
 
+/** Coordinates in which a slider is even, by the scale of a parameter, and the way back. */
+const SCALES = {
+  linear: [(x) => x, (s) => s],
+  log: [Math.log, Math.exp],
+  reciprocal: [(x) => -1 / x, (s) => -1 / s],
+};
+
 /** The value at a step of a slider: one with few digits, inside of the range. */
-export function valueAt(range, step) {
+export function valueAt(range, step, scale = "linear") {
   const [lower, upper] = range;
   if (step <= 0) return lower;
   if (step >= STEPS) return upper;
-  return rounded(range, lower + ((upper - lower) * step) / STEPS, 3);
+  const [to, from] = SCALES[scale];
+  return rounded(range, from(to(lower) + ((to(upper) - to(lower)) * step) / STEPS), 3, scale);
 }
 
 /** A value some steps further. */
-export function stepped(range, value, steps) {
-  return rounded(range, value + ((range[1] - range[0]) * steps) / STEPS, 4);
+export function stepped(range, value, steps, scale = "linear") {
+  const [to, from] = SCALES[scale];
+  const [first, end] = range.map(to);
+  const place = Math.min(end, Math.max(first, to(value) + ((end - first) * steps) / STEPS));
+  return rounded(range, from(place), 4, scale);
 }
 
-/** A value of a range with some digits beyond those of its length. */
-function rounded([lower, upper], value, digits) {
-  const decimals = digits - Math.floor(Math.log10(upper - lower));
+/** A value of a range with some digits beyond those of its length, or of its own on a scale. */
+function rounded([lower, upper], value, digits, scale) {
+  const length = scale === "linear" ? upper - lower : value;
+  const decimals = digits - Math.floor(Math.log10(length));
   const short = decimals > 20 ? value : Number(value.toFixed(Math.max(0, decimals)));
   return Math.min(upper, Math.max(lower, short));
 }
 
 /** The step of a slider that is closest to a value. */
-export function stepAt([lower, upper], value) {
-  return upper > lower ? Math.round(((value - lower) / (upper - lower)) * STEPS) : 0;
+export function stepAt([lower, upper], value, scale = "linear") {
+  if (!(upper > lower)) return 0;
+  const [first, end, place] = [lower, upper, value].map(SCALES[scale][0]);
+  return Math.round(((place - first) / (end - first)) * STEPS);
 }
 
 /** The number that a text is, with a decimal point or a comma; NaN for what is none. */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -9,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rankone.discretization import BASES
+from rankone.discretization import BASES, Basis1D
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.request import SolveRequest
 from rankone.ir.verdict import Cause, MovingFeatures, Status, TrajectoryStops
@@ -17,17 +18,28 @@ from rankone.solvers.attempts import Attempt, Progress
 from rankone.solvers.cross import constants
 from rankone.solvers.cross.options import CrossOptions, CrossRecord
 from rankone.solvers.cross.steep import steepest_front
-from rankone.solvers.cross.trajectories import TooManyTrajectories, Trajectories, TrajectoryEnds
+from rankone.solvers.cross.trajectories import (
+    TooManyTrajectories,
+    Trajectories,
+    TrajectoryEnds,
+    sampling_choice,
+)
 from rankone.solvers.engine import Engine
 from rankone.solvers.march import MarchResult
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, unlimited
 from rankone.support.progress import ProgressEvent, Report
-from rankone.tensors.adaptive import AdaptiveInterpolation, InterpolationLimits, KnownElements
+from rankone.tensors.adaptive import (
+    AdaptiveInterpolation,
+    InterpolationLimits,
+    KnownElements,
+    Lines,
+)
+from rankone.tensors.scale_choice import LineColumns
 from rankone.tensors.slab import slab_trains
 from rankone.tensors.train import Train
 from rankone.trajectories.workers import Workers
-from rankone.verification.cuts import Cuts, resolving_pieces
+from rankone.verification.cuts import Cuts, in_scale, resolving_pieces
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import candidate_points, steepest_point
 
@@ -87,11 +99,14 @@ class CrossMarcher:
         self.reference_set = reference_set
         options, box = self.options, reference_set.domain.box
         limits = InterpolationLimits(BASES[options.basis], options.max_nodes, options.max_rank)
-        self.adaptive = AdaptiveInterpolation(box, limits, self.rtol, constants.TIGHTENING)
+        self.adaptive = AdaptiveInterpolation(
+            box, limits, self.rtol, constants.TIGHTENING, reference_set.domain.first_coordinates
+        )
         self.breaks: set[float] = set()
         self.trajectories: Trajectories | None = None
         self.integrated, self.error, self.ends = 0, np.inf, reference_set.end
         self.tightness = constants.FIRST_TIGHTNESS
+        self.choice = sampling_choice(reference_set)
 
     def march(self, number: int, report: Report) -> MarchResult:
         """Interpolate over the whole horizon."""
@@ -108,6 +123,7 @@ class CrossMarcher:
             self.options.max_trajectories - self.integrated,
             self.workers,
             pace.batch,
+            self.choice,
         )
         try:
             march = self._marched(trajectories, level, number, pace)
@@ -142,6 +158,7 @@ class CrossMarcher:
         sizes = tuple(basis.size for basis in bases)
         counts = trajectories.count, grid.slabs
         record = CrossRecord(number, start, end, True, level, tails, train.ranks, sizes, *counts)
+        record = replace(record, integrator=self.choice.taken)
         march.records.append(record)
         pace.report(ProgressEvent(end, 1.0, number, grid.slabs, max(train.ranks, default=1)))
         return march
@@ -178,16 +195,22 @@ class CrossMarcher:
         """Elements of ``nodes`` nodes that resolve the known functions of each parameter."""
         reference_set, known_elements = self.reference_set, []
         tolerance = constants.KNOWN_FUNCTIONS_SHARE * self.adaptive.level
-        for j, interval in enumerate(reference_set.domain.box):
+        domain = reference_set.domain
+        for j, (interval, scale) in enumerate(
+            zip(domain.box, domain.first_coordinates, strict=True)
+        ):
             cuts = reference_set.parameter_cuts[j] if reference_set.parameter_cuts else Cuts()
             if cuts.smooth:
                 known_elements.append(KnownElements(cuts.points))
                 continue
             factors = partial(reference_set.system.parameter_factors, j)
+            scaled, ends = in_scale(factors, interval, scale)
+            places = scale.to_scale(np.array(cuts.points)).tolist()
             for count in (nodes, *(round(ratio * nodes) for ratio in constants.KNOWN_NODE_RATIOS)):
-                pieces = resolving_pieces(factors, *interval, cuts.points, count, tolerance)
+                pieces = resolving_pieces(scaled, *ends, places, count, tolerance)
                 if count == nodes:
-                    borders = [a for a, _ in pieces[1:]]
+                    begins = np.array([a for a, _ in pieces[1:]])
+                    borders = scale.from_scale(begins).tolist()
                 if len(pieces) == 1:
                     known_elements.append(KnownElements(least_nodes=count))
                     break
@@ -233,6 +256,26 @@ class CrossMarcher:
         tolerance = constants.HIGHEST_TIME_MODES_SHARE * self.adaptive.share * self.rtol
         rough = self.trajectories.highest_modes > tolerance
         self.breaks |= {*(0.5 * (breaks[:-1] + breaks[1:])[rough]).tolist()}
+
+    def modes_on_lines(self) -> list[tuple[Basis1D, Array]]:
+        """Bases, and the sizes of their modes on the lines that choose them."""
+        trajectories, domain = self.trajectories, self.reference_set.domain
+        if trajectories is None:
+            return []
+        count = round(constants.LINE_NODE_RATIO * (4.0 - 1.4 * math.log10(self.rtol)))
+        kind, modes = BASES[self.options.basis], list[tuple[Basis1D, Array]]()
+
+        def columns(points: Array) -> Array:
+            states = trajectories.uncounted(points)
+            return states.reshape(-1, len(points)) / math.sqrt(states.shape[1])
+
+        scales = domain.first_coordinates
+        lines = Lines(columns, domain.box, scales)
+        for j, ((lower, upper), scale) in enumerate(zip(domain.box, scales, strict=True)):
+            basis = kind(lower, upper, count, scale=scale)
+            (on_line,) = lines([(j, basis.nodes)])
+            modes.append((basis, LineColumns(basis, on_line).spectrum))
+        return modes
 
     def explained(self, status: Status, attempt: Attempt) -> tuple[Status, Cause | None]:
         """Whether a steep dependence on a parameter is the reason, and on which."""

@@ -30,7 +30,7 @@ def steepest_front(
     with suppress(OutOfBudgetError):  # the fronts so far say it as well
         for point in points:
             for j in range(len(domain.box)):
-                fronts.extend(_on_line(trajectories, system, domain.box[j], point, j))
+                fronts.extend(_on_line(trajectories, system, domain, point, j))
     narrowest = min(
         fronts, key=lambda pair: (pair[0], not pair[1].at_end, -pair[1].change), default=None
     )
@@ -40,15 +40,18 @@ def steepest_front(
 def _on_line(
     trajectories: Callable[[Array], Array],
     system: System,
-    interval: tuple[float, float],
+    domain: Domain,
     point: Array,
     j: int,
 ) -> Iterator[tuple[float, SteepParameter]]:
     """Relative widths and fronts on the line through a point along parameter j.
 
-    First fronts that differ at the end of the horizon, then those that differ at any time.
+    First fronts that differ at the end of the horizon, then those that differ at any time. Widths
+    are those in the coordinate in which the parameter is looked at first.
     """
-    width = interval[1] - interval[0]
+    scale, box = domain.first_coordinates[j], domain.box[j]
+    start, end = scale.to_scale(np.array(box)).tolist()
+    width = end - start
     pairs = list(zip(system.parameters, point.tolist(), strict=True))
     fixed = (*pairs[:j], *pairs[j + 1 :])
 
@@ -56,10 +59,10 @@ def _on_line(
         """Places, and changes (n, T, count - 1) between them."""
         places = np.linspace(a, b, count)
         line = np.tile(point, (count, 1))
-        line[:, j] = places
+        line[:, j] = np.clip(scale.from_scale(places), *box)
         return places, np.abs(np.diff(trajectories(line), axis=2))
 
-    places, coarse = changes(*interval, constants.LINE_PLACES)
+    places, coarse = changes(start, end, constants.LINE_PLACES)
     for times in (slice(-1, None), slice(None)):
         for i in np.argsort(-coarse[:, times].max(axis=(0, 1)))[: constants.MAX_ZOOMS]:
             a, b, change = places[i], places[i + 1], coarse[:, times, i]
@@ -72,13 +75,14 @@ def _on_line(
                     break
                 a, b, change = closer[k], closer[k + 1], fine[:, times, k]
             if b - a < constants.FRONT_WIDTH * width:
+                lower, upper = np.clip(scale.from_scale(np.array([a, b])), *box).tolist()
                 yield (
                     (b - a) / width,
                     SteepParameter(
                         parameter=system.parameters[j],
                         unknown=system.states[int(change.max(axis=1).argmax())],
-                        lower=float(a),
-                        upper=float(b),
+                        lower=lower,
+                        upper=upper,
                         change=float(change.max()),
                         jump=bool((b - a) / width <= constants.JUMP_WIDTH),
                         at_end=change.shape[1] == 1,

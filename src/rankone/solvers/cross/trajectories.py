@@ -13,9 +13,9 @@ from rankone.solvers.cross import constants
 from rankone.support.arrays import Array
 from rankone.support.budget import work_done
 from rankone.tensors.cross import GrowingBasis
+from rankone.trajectories.choice import SamplingChoice, explicit_steps, integrator_for
 from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.integrator import Integrator, Tolerances
-from rankone.trajectories.stacks import integrator_for
 from rankone.trajectories.workers import Workers
 from rankone.verification.measure import ReferenceSet
 
@@ -42,6 +42,7 @@ class Trajectories:
     first ones, and their error then sets it. ``report`` is called after each batch with the part
     of a call that is done. ``highest_modes`` (slabs,) are those in time, the largest of all
     trajectories, and ``work`` counts the operations.
+    ``choice`` is that of the integrator.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Trajectories:
         most: int,
         workers: Workers | None = None,
         report: Callable[[float], None] | None = None,
+        choice: SamplingChoice | None = None,
     ) -> None:
         self.workers, self.report = workers or Workers(reference_set.system), report
         self.reference_set, self.grid, self.most = reference_set, grid, most
@@ -61,6 +63,7 @@ class Trajectories:
         self.stiff = self.calibrated = avoided > constants.EXPLICIT_STEP_LIMIT
         self.tightness = constants.STIFF_TIGHTNESS if self.stiff else tightness
         self.count, self.work = 0, 0.0
+        self.choice = choice or sampling_choice(reference_set)
         self.units = reference_set.states * np.sqrt(grid.times.size)
         self.basis = GrowingBasis(self.units.size * grid.times.size)
         self.highest_modes = np.zeros(grid.slabs)
@@ -138,7 +141,11 @@ class Trajectories:
         floor = np.minimum(least_sizes, reference_set.reference.floor)
         absolute = np.maximum(tolerance * floor, reference_set.reference.rounded)
         integrator = integrator_for(
-            reference_set.system, stiff=self.stiff, bearable_steps=constants.EXPLICIT_STEP_LIMIT
+            reference_set.system,
+            self.choice.integrator if self.stiff else self.choice.at_times(self.grid.times.size),
+            accuracy=reference_set.accuracy,
+            stiff=self.stiff,
+            bearable_steps=constants.EXPLICIT_STEP_LIMIT,
         )
         tolerances = Tolerances(tolerance, absolute[:, None])
         common = integrator, edges, tolerances, self.grid.times, reference_set.states
@@ -146,8 +153,11 @@ class Trajectories:
         tasks = [(chunk, *common) for chunk in chunks]
         before = work_done()
         try:
-            columns = self.workers.map(_integrated, tasks, TrajectoryEnds, done=self.report)
-            return np.concatenate(columns, axis=1)
+            sampled = self.workers.map(_integrated, tasks, TrajectoryEnds, done=self.report)
+            work = (work_done() - before) / len(points)
+            for (_, taken), chunk in zip(sampled, chunks, strict=True):
+                self.choice.record(taken, len(chunk), work * len(chunk))
+            return np.concatenate([columns for columns, _ in sampled], axis=1)
         finally:
             self.work += work_done() - before
 
@@ -159,6 +169,19 @@ class Trajectories:
         return min(max(constants.STACK_STATES // int(self.units.size), constants.MIN_STACK), most)
 
 
+def sampling_choice(reference_set: ReferenceSet) -> SamplingChoice:
+    """The choice of the integrator, after that of the reference."""
+    reference = reference_set.reference
+    return SamplingChoice(
+        reference_set.system,
+        reference_set.integrator,
+        reference_set.taken,
+        reference.integrator,
+        reference_set.accuracy,
+        explicit_steps(reference.batches[0]),
+    )
+
+
 def _integrated(
     system: System,
     points: Array,
@@ -167,8 +190,8 @@ def _integrated(
     tolerances: Tolerances,
     times: Array,
     sizes: Array,
-) -> Array:
-    """Trajectories at points (m, d) in units of the states' sizes, (n T, m)."""
+) -> tuple[Array, str]:
+    """Trajectories at points (m, d) in units of the sizes of states, (n T, m); the integrator."""
     sampled = integrator.sample(system, points, edges, tolerances, times)
     if sampled.reached < times.size or not np.isfinite(sampled.states).all():
         floor = tolerances.absolute
@@ -176,4 +199,4 @@ def _integrated(
         raise TrajectoryEnds(sampled.end, points[ends])
     units = sizes * np.sqrt(times.size)
     scaled = sampled.states.transpose(1, 0, 2) / units[:, None, None]
-    return np.asarray(scaled.reshape(-1, len(points)))
+    return np.asarray(scaled.reshape(-1, len(points))), sampled.integrator

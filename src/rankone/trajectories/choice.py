@@ -1,0 +1,220 @@
+"""The choice of an integrator: by counted work, and again in mid-solve where a stack stalls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfWorkError, limited, work_done
+from rankone.support.errors import warn
+from rankone.trajectories.compiled import CompiledIntegrator, sampling_cost
+from rankone.trajectories.integrator import (
+    DenseTrajectories,
+    Integrator,
+    SampledTrajectories,
+    Tolerances,
+)
+from rankone.trajectories.paths import Path
+from rankone.trajectories.series import charge_compilation, has_series, is_installed, order_of
+from rankone.trajectories.single import SingleIntegrator
+from rankone.trajectories.stacks import StackedIntegrator
+
+_UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
+_PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
+_TELLING = 32  # Fewest trajectories whose stall tells that larger stacks stall too
+_PATIENCE = 0.5  # Work of a stack, over that of single trajectories, before it is given up
+_LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of DOP853
+_NEXT_LOOK = 1.25  # Factor on the work of a stack from one look at it to the next
+
+
+def integrator_for(
+    system: System,
+    integrator: str = "auto",
+    *,
+    accuracy: float,
+    stiff: bool = False,
+    bearable_steps: int = 0,
+    looks_anywhere: bool = False,
+) -> Integrator:
+    """The integrator for a system, the one place that chooses it.
+
+    ``integrator`` is the option of a solve, and ``accuracy`` the relative tolerance of its
+    reference. The others are those of :class:`StackedIntegrator`; stacks look anywhere only in
+    systems that do not separate.
+    """
+    single = SingleIntegrator(looks_anywhere)
+    if integrator == "single":
+        return single
+    stack = StackedIntegrator(stiff, bearable_steps, looks_anywhere and not system.separated)
+    if integrator == "stack":
+        return stack
+    watched = WatchedStack(stack, single)
+    if integrator == "compiled" and not stiff and has_series(system):
+        charge_compilation(system, order_of(accuracy))
+        return CompiledIntegrator(watched, accuracy)
+    return watched
+
+
+def tell_fallback(system: System, integrator: str) -> None:
+    """Warn where the option ``integrator`` asks for what the system does not have."""
+    if integrator == "compiled" and not has_series(system):
+        warn(
+            "integrator='compiled' does not serve this system: heyoka has no counterpart of some "
+            "function in it, or it switches or peaks over the unknowns",
+            remedy="leave integrator= out; `solution.history` says which integrator was used",
+        )
+
+
+def following(integrator: str, taken: str, trajectories: int) -> str:
+    """The option for what follows an integration of some trajectories by the one ``taken``.
+
+    So a stall is met once. A few trajectories tell nothing of large stacks.
+    """
+    stalled = integrator == "auto" and taken == "single" and trajectories >= _TELLING
+    return taken if stalled else integrator
+
+
+def explicit_steps(dense: DenseTrajectories) -> float:
+    """Steps of DOP853 that trajectories take, by those that were made."""
+    if dense.method == "Radau":
+        return dense.avoided
+    return dense.steps / _LSODA_STEPS if dense.method == "LSODA" else dense.steps
+
+
+@dataclass
+class SamplingChoice:
+    """The integrator of trajectories that are sampled for a solve, as counted work moves it.
+
+    ``option`` is that of the solve, and ``integrator`` the one that is in force; ``taken`` made the
+    last trajectories. The reference, of the relative tolerance ``accuracy``, takes DOP853 so many
+    ``steps``. Compiled trajectories are taken as soon as they would have cost less, with their
+    compilation, than the ``work`` for the ``trajectories`` so far; where they fail, they are not
+    tried again.
+    """
+
+    system: System
+    option: str
+    integrator: str
+    taken: str
+    accuracy: float
+    steps: float
+    trajectories: int = 0
+    work: float = 0.0
+    may_compile: bool = True
+
+    def at_times(self, times: int) -> str:
+        """The option for further trajectories at so many times, whose stacks are not stiff."""
+        if self.may_compile and self.option == "auto" and self.integrator != "compiled":
+            cost = sampling_cost(self.system, self.accuracy, self.steps, times)
+            pays = cost(self.trajectories) < self.work
+            if pays and is_installed() and has_series(self.system):  # imports heyoka: last
+                self.integrator = "compiled"
+        return self.integrator
+
+    def record(self, taken: str, trajectories: int, work: float) -> None:
+        """Count trajectories that were sampled."""
+        self.taken = taken
+        self.trajectories, self.work = self.trajectories + trajectories, self.work + work
+        self.integrator = following(self.integrator, taken, trajectories)
+        if self.option == "auto" and self.integrator == "compiled" != taken:
+            self.integrator, self.may_compile = taken, False
+
+
+@dataclass(frozen=True)
+class WatchedStack:
+    """An :class:`Integrator` that begins with a stack and goes on with single trajectories.
+
+    They take over where the stack has had half as much work as all of them would take, and has more
+    than that before it. That is expected from its work so far, and from the steps that pilots,
+    integrated alone, make before and after the time that it has reached.
+    """
+
+    stack: StackedIntegrator
+    single: SingleIntegrator
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> DenseTrajectories:
+        """Trajectories at all times; see :meth:`Integrator.run`."""
+        work = edges, tolerances
+        with limited():
+            try:
+                return self._watched(system, points, *work).run(system, points, *work)
+            except _StallError:
+                return self.single.run(system, points, *work)
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        work = edges, tolerances
+        with limited():
+            try:
+                return self._watched(system, points, *work).sample(system, points, *work, times)
+            except _StallError:
+                return self.single.sample(system, points, *work, times)
+
+    def _watched(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> StackedIntegrator:
+        """The stack, watched unless pilots would be all of it."""
+        if len(points) <= _PILOTS:
+            return self.stack
+
+        def pilots(some: Array) -> tuple[Path, ...]:
+            return self.single.run(system, some, edges, tolerances).paths
+
+        return replace(self.stack, watch=_Watch(points, pilots))
+
+
+class _StallError(Exception):
+    """Single trajectories cost less than what is left to a stack."""
+
+
+class _Watch:
+    """Compares the work of a stack, after each step, with that of single trajectories."""
+
+    def __init__(self, points: Array, pilots: Callable[[Array], tuple[Path, ...]]) -> None:
+        self.points, self.pilots = points, pilots
+        self.began, self.pilot_work = work_done(), 0.0
+        self.next_look = _UNWATCHED_WORK * len(points)
+        self.paths: tuple[Path, ...] = ()
+        self.alone = math.inf
+
+    def __call__(self, time: float) -> None:
+        spent = work_done() - self.began - self.pilot_work
+        if spent < self.next_look:
+            return
+        self.next_look = _NEXT_LOOK * spent
+        if not self.paths:
+            self._integrate_pilots(spent)
+        if spent > _PATIENCE * self.alone and self._left(time) * spent > self.alone:
+            raise _StallError
+
+    def _integrate_pilots(self, most: float) -> None:
+        """Integrate some trajectories alone, with at most as much work as the stack has had."""
+        before = work_done()
+        some = self.points[np.linspace(0, len(self.points) - 1, _PILOTS).astype(int)]
+        try:
+            with limited(most):
+                self.paths = self.pilots(some)
+                self.alone = (work_done() - before) * len(self.points) / len(some)
+        except OutOfWorkError:
+            pass  # at the next look they may take more
+        self.pilot_work += work_done() - before
+
+    def _left(self, time: float) -> float:
+        """The part of the pilots' steps that is left after a time, over the part before it."""
+        steps = sum(path.steps for path in self.paths)
+        before = sum(int(np.searchsorted(path.breaks, time)) for path in self.paths)
+        return (steps - before) / before if before else 0.0

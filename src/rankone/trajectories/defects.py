@@ -1,0 +1,178 @@
+"""Defects of steps: what is narrow, and lies between the stages of a step.
+
+Where an interpolant runs through something narrow its slope differs from the rates there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import Cost, function_cost
+
+SHORTENING = 0.2  # Part of a step tried next after a large defect: stops before what was missed
+_MOST_CROSSING_DEFECT = 100.0  # At crossings, times the step, in tolerances; smooth: to 40
+_MOST_RANDOM_DEFECT = 300.0  # The same at random places: the largest of many is larger
+_DIFFERENT_RATES = 0.5  # Defect over the rates from which a step missed something
+_MOST_ROOT_ITERATIONS = 30  # Most iterations for the time of a crossing; about ten suffice
+_ROOT_ACCURACY = 1e-14  # Accuracy of that time, in steps: a few roundings
+_LEAST_PLACES = 2  # Fewest random places on each trajectory in every step
+_PLACES = 512  # Random places on all trajectories: one evaluation of the rates takes them well
+_LOOK_COST = Cost(50e3, 15.0)  # Operations of evaluating an interpolant: once, and for each state
+
+# Maps shares (c,) of a step, and whether slopes are needed, to the states (n, c) of c trajectories
+# and their slopes over the share
+Interpolant: TypeAlias = "Callable[[Array, bool], tuple[Array, Array]]"
+
+
+class Steps(Protocol):
+    """Steps in m columns: the same one of m trajectories, or m steps of one trajectory.
+
+    From ``t_old`` to ``t``, of all or of each, with the stacked states ``y`` (n m,) at their ends;
+    the segment ends at ``t_bound``. The tolerances are ``rtol`` and ``atol`` (n m,).
+    """
+
+    @property
+    def t_old(self) -> float | Array: ...
+    @property
+    def t(self) -> float | Array: ...
+
+    t_bound: float
+    y: Array
+    rtol: float
+    atol: Array
+
+    def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:
+        """What is within the steps of some columns."""
+
+    def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
+        """The error that a defect (n, c), times the step, of some columns amounts to."""
+
+
+class DefectControl:
+    """Looks for peaks and pulses of the rates over the states between the stages of a step.
+
+    It looks where trajectories cross state surfaces and, with ``anywhere``, at random places too.
+    """
+
+    def __init__(self, system: System, points: Array, anywhere: bool) -> None:
+        self.rates, self.features = system.rhs, system.features
+        self.parameters = np.ascontiguousarray(points.T)
+        self.places = max(_LEAST_PLACES, _PLACES // len(points)) if anywhere else 0
+        self.generator = np.random.default_rng(20142)
+        users = system.user_functions
+        self.rates_cost = function_cost(system.rhs, users)
+        self.surfaces_cost = function_cost(system.features.state_surfaces, users)
+
+    def missed(self, solver: Steps, y_before: Array) -> NDArray[np.bool_]:
+        """In which columns a step missed something, (m,); they start at ``y_before`` (n m,)."""
+        missed = np.zeros(self.parameters.shape[1], dtype=bool)
+        if self.features.n_state_surfaces:
+            missed |= self._at_crossings(solver, y_before) > _MOST_CROSSING_DEFECT
+        if self.places > 0 and not missed.any():
+            missed |= self._at_random(solver) > _MOST_RANDOM_DEFECT
+        return missed
+
+    def _at_random(self, solver: Steps) -> Array:
+        """Largest errors that defects at random places amount to, in tolerances."""
+        m = self.parameters.shape[1]
+        columns = np.tile(np.arange(m), self.places)
+        charge(self.rates_cost(columns.size) + _LOOK_COST(solver.y.size // m * columns.size))
+        shares = self.generator.random(columns.size)
+        start, h = self._spans(solver, columns)
+        states, slopes = solver.interpolant(columns)(shares, True)
+        rates = self.rates(start + h * shares, states, self.parameters[:, columns])
+        error = np.abs(solver.error_of(slopes - h * rates, columns))
+        return self._largest(error / _tolerated(solver, states), columns)
+
+    def _spans(self, solver: Steps, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """The start and the length of the steps of some columns."""
+        m = self.parameters.shape[1]
+        start = np.broadcast_to(solver.t_old, m)
+        return start[columns], (np.broadcast_to(solver.t, m) - start)[columns]
+
+    def _largest(self, errors: Array, columns: NDArray[np.intp]) -> Array:
+        """The largest of errors (n, c) in each of the columns, (m,)."""
+        largest = np.zeros(self.parameters.shape[1])
+        np.maximum.at(largest, columns, np.nan_to_num(errors, nan=np.inf).max(axis=0))
+        return largest
+
+    def _at_crossings(self, solver: Steps, y_before: Array) -> Array:
+        """Largest defects at the crossings of state surfaces, times the step, in tolerances.
+
+        The defect midway between two crossings counts too. Trajectories may stay in a peak or pulse
+        longer than the step says: there a defect as large as the rates counts times all the time
+        that is left. The error estimate sees a kink, unless it belongs to a peak: there a smaller
+        defect does not count.
+        """
+        m = self.parameters.shape[1]
+        surfaces, n_peaks = self.features.state_surfaces, self.features.n_peaks
+        charge(2.0 * self.surfaces_cost(m))
+        start = surfaces(solver.t_old, y_before.reshape(-1, m), self.parameters)
+        end = surfaces(solver.t, solver.y.reshape(-1, m), self.parameters)
+        columns, which = np.nonzero((start * end < 0.0).T)
+        if not columns.size:
+            return np.zeros(m)
+        before, h = self._spans(solver, columns)
+        interpolant, p = solver.interpolant(columns), self.parameters[:, columns]
+        tolerated = _tolerated(solver, solver.y.reshape(-1, m))
+        look = _LOOK_COST(len(tolerated) * columns.size)
+
+        def distance(shares: Array) -> Array:
+            charge(self.surfaces_cost(columns.size) + look)
+            heights = surfaces(before + h * shares, interpolant(shares, False)[0], p)
+            return np.asarray(heights[which, np.arange(columns.size)])
+
+        def largest(shares: Array, narrow: NDArray[np.bool_], kink: NDArray[np.bool_]) -> Array:
+            charge(self.rates_cost(columns.size) + 2.0 * look)
+            states, slopes = interpolant(shares, True)
+            rates = h * self.rates(before + h * shares, states, p)
+            defect = np.abs(rates - slopes)
+            unknown = defect > _DIFFERENT_RATES * np.maximum(np.abs(rates), np.abs(slopes))
+            defect[kink & ~unknown] = 0.0
+            defect = np.where(narrow & unknown, (solver.t_bound - before) / h * defect, defect)
+            return self._largest(defect / tolerated, columns)
+
+        shares = roots(distance, start[which, columns], end[which, columns])
+        narrow = which < n_peaks + self.features.n_kinks
+        worst = largest(shares, narrow, narrow & (which >= n_peaks))
+        again = np.diff(columns, prepend=-1) == 0
+        if again.any():
+            shares = shares[np.lexsort((shares, columns))]
+            between = np.where(again, 0.5 * (shares + np.roll(shares, 1)), shares)
+            worst = np.maximum(worst, largest(between, again, np.zeros_like(again)))
+        return worst
+
+
+def _tolerated(solver: Steps, states: Array) -> Array:
+    """The tolerance for the largest of the absolute values (n, c) of each state, (n, 1)."""
+    absolute = solver.atol.reshape(len(states), -1).max(axis=1)
+    return np.asarray(absolute + solver.rtol * np.abs(states).max(axis=1))[:, None]
+
+
+def roots(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
+    """Roots in [0, 1] of functions that change sign from ``start`` to ``end`` (Illinois method)."""
+    a, b, x = np.zeros_like(start), np.ones_like(end), np.full_like(start, np.nan)
+    side: NDArray[np.bool_] | None = None
+    for _ in range(_MOST_ROOT_ITERATIONS):
+        before, x = x, np.clip((a * end - b * start) / (end - start), a, b)
+        if np.all(np.abs(x - before) <= _ROOT_ACCURACY):
+            break
+        height = function(x)
+        left = height * start > 0.0
+        weight = 1.0 if side is None else np.where(left == side, 0.5, 1.0)
+        side = left
+        a, b, old_start, old_end = np.where(left, x, a), np.where(left, b, x), start, end
+        start = np.where(left, height, weight * old_start)
+        end = np.where(left, weight * old_end, height)
+        exact = height == 0.0
+        if exact.any():
+            a, b = np.where(exact, x, a), np.where(exact, x, b)
+            start, end = np.where(exact, -1.0, start), np.where(exact, 1.0, end)
+    return np.asarray(np.clip((a * end - b * start) / (end - start), a, b))

@@ -1,0 +1,167 @@
+"""Generated functions at one point, for Python's floats.
+
+A generated function is arithmetic on arrays, which takes a microsecond for each operation however
+small the arrays. Its text is rewritten here for floats and the functions of ``math``, when a
+trajectory is first integrated alone: 20 to 50 times faster at one point. Branches of a piecewise
+function that are not selected are not evaluated.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from types import FunctionType
+from typing import TypeAlias
+
+import numpy as np
+
+from rankone.ir.system import System
+
+# Numbers, row by row, at a time, states (n,) and parameters (d,) as floats
+ScalarFunction: TypeAlias = Callable[[float, Sequence[float], Sequence[float]], list[float]]
+
+_PREFIX = "_of_floats_"  # Begins names that no state or parameter has
+# Functions of ``math`` that are called as those of NumPy are
+_SAME_IN_MATH = (
+    *("sqrt", "exp", "expm1", "log", "log1p"),
+    *("sin", "cos", "tan", "sinh", "cosh", "tanh"),
+)
+_INVERSE = ("sin", "cos", "tan", "tan2", "sinh", "cosh", "tanh")  # Those with an inverse there
+_FUNCTIONS: dict[str, object] = {
+    **{name: vars(math)[name] for name in _SAME_IN_MATH},
+    **{f"arc{name}": vars(math)[f"a{name}"] for name in _INVERSE},
+    "abs": abs,
+    "ceil": lambda x: float(math.ceil(x)),
+    "floor": lambda x: float(math.floor(x)),
+    "heaviside": lambda x, middle: middle if x == 0.0 else float(x > 0.0),
+    "logaddexp": lambda x, y: float(np.logaddexp(x, y)),
+    "maximum": lambda x, y: x if x >= y or x != x else y,
+    "minimum": lambda x, y: x if x <= y or x != x else y,
+    "mod": lambda x, y: x % y,
+    "power": math.pow,
+    "sign": lambda x: math.copysign(1.0, x) if x else x,
+    "sinc": lambda x: math.sin(math.pi * x) / (math.pi * x) if x else 1.0,
+}
+_CONSTANTS: dict[str, object] = {"pi": math.pi, "e": math.e, "nan": math.nan, "inf": math.inf}
+
+
+class _Untranslatable(Exception):
+    """The text of a function has something that is not rewritten."""
+
+
+def scalar_rates(system: System) -> ScalarFunction | None:
+    """The right-hand side for floats; None where its text is not at hand or cannot be rewritten.
+
+    It raises an ArithmeticError or a ValueError where NumPy gives infinities or no number, also in
+    between. Functions of the user are never called with floats.
+    """
+    return None if system.user_functions else _rewritten(system.rhs)
+
+
+@lru_cache(32)
+def _rewritten(function: Callable[..., object]) -> ScalarFunction | None:
+    """A generated function of t, u and p, rewritten."""
+    if not isinstance(function, FunctionType):
+        return None
+    try:
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+        if not isinstance(definition, ast.FunctionDef):
+            return None
+        module = ast.Module([_for_floats(definition)], type_ignores=[])
+        own = {_PREFIX + name: meaning for name, meaning in (_FUNCTIONS | _CONSTANTS).items()}
+        names = {**function.__globals__, **own}
+        text = f"<{function.__name__} for floats>"
+        exec(compile(ast.fix_missing_locations(module), text, "exec"), names)
+    except (OSError, SyntaxError, ValueError, RecursionError, _Untranslatable):
+        return None
+    rewritten: ScalarFunction = names[function.__name__]
+    return rewritten
+
+
+def _for_floats(definition: ast.FunctionDef) -> ast.FunctionDef:
+    """The definition without arrays: what it computes for each row becomes a name."""
+    body: list[ast.stmt] = []
+    rows: list[ast.expr] = []
+    expressions = _Expressions()
+    for statement in definition.body:
+        if isinstance(statement, ast.Return):
+            break
+        if isinstance(statement, ast.Expr):  # the docstring
+            continue
+        if not isinstance(statement, ast.Assign):
+            raise _Untranslatable
+        (target,) = statement.targets
+        if isinstance(target, ast.Name) and target.id in ("shape", "out", "t"):
+            continue  # the shape of all points, an array for the rows, and the time as an array
+        if isinstance(target, ast.Subscript):
+            if ast.unparse(target) != f"out[{len(rows)}]":
+                raise _Untranslatable
+            name = f"{_PREFIX}row_{len(rows)}"
+            target = ast.Name(name, ast.Store())
+            rows.append(ast.Name(name, ast.Load()))
+        body.append(ast.Assign([target], expressions.visit(statement.value)))
+    if not rows:
+        raise _Untranslatable
+    body.append(ast.Return(ast.List(rows, ast.Load())))
+    definition.body = body
+    return definition
+
+
+class _Expressions(ast.NodeTransformer):
+    """Rewrites expressions of NumPy's functions."""
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        arguments = [self.visit(argument) for argument in node.args]
+        module, _, name = ast.unparse(node.func).rpartition(".")
+        if module != "np":
+            return _float(ast.Call(node.func, arguments, []))
+        if name == "where":
+            condition, chosen, otherwise = arguments
+            return ast.IfExp(condition, chosen, otherwise)
+        if name in ("logical_and", "logical_or"):
+            operator = ast.And() if name == "logical_and" else ast.Or()
+            return ast.BoolOp(operator, arguments)
+        if name == "logical_not":
+            return ast.UnaryOp(ast.Not(), *arguments)
+        return _call(name, arguments)
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
+        return self._part(node)
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        if ast.unparse(node.value) == "np":
+            if node.attr not in _CONSTANTS:
+                raise _Untranslatable
+            return ast.Name(_PREFIX + node.attr, ast.Load())
+        return self._part(node)
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        left, right = self.visit(node.left), self.visit(node.right)
+        if isinstance(node.op, ast.Pow) and not _is_integer(right):
+            return _call("power", [left, right])
+        return ast.BinOp(left, node.op, right)
+
+    def _part(self, node: ast.Subscript | ast.Attribute) -> ast.expr:
+        """A part of what a function of SciPy returns."""
+        if not isinstance(node.value, ast.Call):
+            raise _Untranslatable
+        node.value.args = [self.visit(argument) for argument in node.value.args]
+        return _float(node)
+
+
+def _float(node: ast.expr) -> ast.expr:
+    return ast.Call(ast.Name("float", ast.Load()), [node], [])
+
+
+def _call(name: str, arguments: list[ast.expr]) -> ast.expr:
+    if name not in _FUNCTIONS:
+        raise _Untranslatable
+    return ast.Call(ast.Name(_PREFIX + name, ast.Load()), arguments, [])
+
+
+def _is_integer(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int)

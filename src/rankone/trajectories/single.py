@@ -1,0 +1,400 @@
+"""Trajectories integrated one by one with SciPy's LSODA, each with steps of its own.
+
+For systems whose trajectories do not share steps: where each jumps at its own time, the common
+steps of a stack are short all the time.
+
+LSODA is called by ``odeint``, which stays in compiled code between two calls of the rates. Steps as
+functions of time take two passes: the times at which the first one calls the rates tell its steps,
+and the second one reads the states at nodes within them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import scipy.integrate
+
+from rankone.discretization.radau import inset
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, Reached, charge
+from rankone.support.costs import Cost, function_cost, scalar_cost
+from rankone.trajectories.defects import SHORTENING, DefectControl
+from rankone.trajectories.diagnosis import switching_state
+from rankone.trajectories.integrator import SampledTrajectories, Tolerances
+from rankone.trajectories.paths import NODES, Path, SingleTrajectories, StepsOfOne, joined
+from rankone.trajectories.scalar import scalar_rates
+from rankone.trajectories.stacks import has_smooth_rates
+
+_TOLERANCE = 0.01  # Factor on tolerances: errors of LSODA are larger than theirs
+_LEAST_RELATIVE = 3e-14  # Tightest relative tolerance that LSODA takes
+_COUNTED_CALLS = 100  # Calls of the rates that are charged at once
+_LOOKED_CALLS = 3000  # Calls after which progress is looked at
+_TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
+_CHECKED_STEPS = 256  # Steps whose defects are looked at together
+_SHORTEST = 1e-12  # Step, in horizons, that is not made shorter any more
+_SHORT_STEPS = 10  # Short steps at least after one that had to be made again
+_NEARER = 0.25  # Length of a step that missed something, over the distance of a border
+_LONGER = 8.0  # Factor from a stretch that missed nothing to the next one
+_COINCIDENT = 1e-13  # Times that are closer, relative to their size, belong to the same step
+_NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
+_CALL_COST = 600.0  # Operations of a call of the rates by LSODA
+_NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
+_LINEAR_ALGEBRA = 0.02  # Operations of LSODA for each cube of the states in a call of the rates
+_FAILURES = (ArithmeticError, ValueError)  # What functions of floats raise instead of infinities
+
+Span: TypeAlias = "tuple[float, float]"  # From a time to another
+# Rates (n,) at a time and a state (n,)
+SingleRates: TypeAlias = Callable[[float, Array], "Sequence[float] | Array"]
+
+
+class _Border(Exception):
+    """An integration gets no further: the rates are not finite at a time, or it creeps there.
+
+    It is known to reach the time ``safe``.
+    """
+
+    def __init__(self, time: float, safe: float | None = None) -> None:
+        super().__init__(time, safe)
+        self.time, self.safe = time, safe
+
+
+@dataclass(frozen=True)
+class _Lengths:
+    """The longest step of LSODA, and the first one that it tries; with zero it takes its own.
+
+    Its own one depends on the times that are asked for: two passes need the same to step alike.
+    """
+
+    longest: float = math.inf
+    first: float = 0.0
+
+
+@dataclass(frozen=True)
+class SingleIntegrator:
+    """An :class:`Integrator` of one trajectory after the other.
+
+    With ``looks_anywhere`` steps are checked at random places too, and not only at state surfaces.
+    Systems whose rates are smooth are never checked.
+    """
+
+    looks_anywhere: bool = False
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> SingleTrajectories:
+        """Trajectories at all times; see :meth:`Integrator.run`."""
+        initial = system.initial(np.ascontiguousarray(points.T))
+        paths: list[Path] = []
+        end = edges[-1]
+        for point, start in zip(points, initial.T, strict=True):
+            single = _Single(system, point, edges, tolerances, self.looks_anywhere)
+            paths.append(single.path(start, end))
+            end = min(end, paths[-1].end)
+        times = np.array([end])
+        states = [p.state if p.end == end or not p.steps else p(times)[:, 0] for p in paths]
+        return SingleTrajectories(tuple(paths), end, np.stack(states, axis=1))
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending times; see :meth:`Integrator.sample`."""
+        initial = system.initial(np.ascontiguousarray(points.T))
+        states = np.empty((times.size, *initial.shape))
+        final, end, reached = initial.copy(), edges[-1], times.size
+        for j, (point, start) in enumerate(zip(points, initial.T, strict=True)):
+            single = _Single(system, point, edges, tolerances, self.looks_anywhere)
+            path: Path | None = None
+            sampled = single.sampled(start, times[:reached])
+            if sampled is None:
+                path = single.path(start, end)
+                end = min(end, path.end)
+                reached = int(np.searchsorted(times, end, side="right"))
+                sampled = path(times[:reached]).T if path.steps else start[None]
+            states[:reached, :, j] = sampled[:reached]
+            final[:, j] = sampled[-1] if path is None else path.state
+        return SampledTrajectories(states, reached, end, final, "single")
+
+
+@dataclass(frozen=True)
+class _Single:
+    """The integration at one point (d,)."""
+
+    system: System
+    point: Array
+    edges: Sequence[float]
+    tolerances: Tolerances
+    looks_anywhere: bool
+
+    @property
+    def horizon(self) -> float:
+        return self.edges[-1] - self.edges[0]
+
+    @cached_property
+    def tighter(self) -> Tolerances:
+        """The tolerances that LSODA gets."""
+        tolerances = self.tolerances.times(_TOLERANCE)
+        absolute = np.broadcast_to(tolerances.absolute, (self.system.n_differential, 1))
+        relative = max(tolerances.relative, _LEAST_RELATIVE)
+        return Tolerances(relative, absolute, tolerances.longest_step)
+
+    @cached_property
+    def checked(self) -> bool:
+        """Whether something narrow may hide within a step."""
+        return not has_smooth_rates(self.system, self.edges[0]) and (
+            self.looks_anywhere or self.system.features.n_state_surfaces > 0
+        )
+
+    def path(self, start: Array, end: float) -> Path:
+        """The trajectory at all times up to an end, or as far as it goes."""
+        nothing = np.zeros((0, NODES.size, start.size))
+        paths = [Path(np.array([self.edges[0]]), nothing, start)]
+        try:
+            for a, b in self._segments(end):
+                begun = self._begun(a, paths[-1].state)
+                if begun is None:
+                    break
+                for stretch in self._stretches(a, b, begun):
+                    paths.append(stretch)
+                if paths[-1].end < b:
+                    break
+        except OutOfBudgetError as out:
+            raise type(out)(self._reached(paths[-1])) from out
+        return joined(paths)
+
+    def sampled(self, start: Array, times: Array) -> Array | None:
+        """States (T, n) at times; None where steps have to be looked at, or do not reach them."""
+        if self.checked:
+            return None
+        states = np.empty((times.size, start.size))
+        state, first = start, 0
+        for a, b in self._segments(self.edges[-1]):
+            begun = self._begun(a, state)
+            if begun is None:
+                return None
+            last = int(np.searchsorted(times, b, side="right"))
+            passed = np.concatenate([[a], times[first:last], [b]])
+            try:
+                path = self._integrated((a, b), begun, passed, _Lengths())
+            except _Border:
+                return None
+            states[first:last] = path[1:-1]
+            state, first = path[-1], last
+        return states
+
+    def _segments(self, end: float) -> Iterator[tuple[float, float]]:
+        """The segments that begin before an end."""
+        for a, b in itertools.pairwise(self.edges):
+            if a < end:
+                yield a, min(b, end)
+
+    def _begun(self, a: float, state: Array) -> Array | None:
+        """The state after the jump where a segment begins; None if it is not finite."""
+        kind = self.system.jumps.kind_at(a)
+        if kind is None:
+            return state
+        column = self.point[:, None]
+        with np.errstate(all="ignore"):
+            after = self.system.jumps.jumped(kind, state[:, None], column)
+            rates = self.system.rhs(a, after, column)
+        if a == self.edges[0] or (np.isfinite(after).all() and np.isfinite(rates).all()):
+            return np.asarray(after[:, 0])
+        return None
+
+    def _reached(self, path: Path) -> Reached:
+        """How far it came."""
+        state = path.state[:, None]
+        switch = switching_state(self.system, path.end, state, self.point[None], self.horizon)
+        return Reached(path.end, path.steps, None if switch is None else switch[0])
+
+    def _stretches(self, a: float, b: float, state: Array) -> Iterator[Path]:
+        """Paths from a to b, or as far as they go.
+
+        Where steps missed something, or met rates that are not finite, they are made again and
+        shorter; then stretches become longer again.
+        """
+        time, length, longest = a, b - a, math.inf
+        while time < b:
+            end = b if b - time <= length * (1.0 + _COINCIDENT) else time + length
+            good, again = self._stretch((a, b), (time, end), state, longest)
+            if good.steps:
+                yield good
+                time, state = good.end, good.state
+            if again is None:
+                length, longest = _LONGER * length, math.inf
+                continue
+            longest = SHORTENING * again
+            if longest < _SHORTEST * self.horizon:
+                return
+            length = _SHORT_STEPS * longest
+
+    def _stretch(
+        self, segment: Span, span: Span, state: Array, longest: float
+    ) -> tuple[Path, float | None]:
+        """A path over a span, as far as it missed nothing, and the length of the step that did.
+
+        The length is zero where an integration creeps.
+        """
+        (start, end), again = span, None
+        called: list[float] = []
+        try:
+            self._integrated(segment, state, np.array([start, end]), _Lengths(longest), called)
+        except _Border as border:
+            safe = max((t for t in called if t < border.time), default=start)
+            end = safe if border.safe is None else max(border.safe, start)
+            again = _NEARER * (border.time - end) if border.safe is None else 0.0
+        try:
+            first = next((t - start for t in called if t > start), 0.0)
+            breaks = _steps_of(called, start, end)
+            path = self._read(segment, state, breaks, _Lengths(longest, first))
+        except _Border as border:
+            return self._nothing(start, state), _NEARER * (border.time - start)
+        missed = self._missed(path, end)
+        if missed is None:
+            return path, again
+        breaks = path.breaks[: missed + 1]
+        good = Path(breaks, path.nodal[:missed], path.nodal[missed, 0])
+        return good, float(path.breaks[missed + 1] - path.breaks[missed])
+
+    def _nothing(self, start: float, state: Array) -> Path:
+        return Path(np.array([start]), np.zeros((0, NODES.size, state.size)), state)
+
+    def _read(self, segment: Span, state: Array, breaks: Array, lengths: _Lengths) -> Path:
+        """The path whose steps are between these times."""
+        if breaks.size < 2:
+            return self._nothing(float(breaks[0]), state)
+        within = breaks[:-1, None] + np.diff(breaks)[:, None] * NODES[1:-1]
+        times = np.append(breaks[:1], np.concatenate([within, breaks[1:, None]], axis=1).ravel())
+        charge(_NODE_COST(state.size) * times.size)
+        states = self._integrated(segment, state, times, lengths)
+        later = states[1:].reshape(len(within), -1, state.size)
+        first = np.concatenate([states[:1], later[:-1, -1]])[:, None]
+        return Path(breaks, np.concatenate([first, later], axis=1), states[-1])
+
+    def _missed(self, path: Path, end: float) -> int | None:
+        """The first of the steps that missed something; shorter ones than rounding are good."""
+        if not self.checked:
+            return None
+        shortest = 1e3 * np.spacing(max(abs(path.breaks[0]), abs(end)))
+        for first in range(0, path.steps, _CHECKED_STEPS):
+            last = min(first + _CHECKED_STEPS, path.steps)
+            some = Path(path.breaks[first : last + 1], path.nodal[first:last], path.state)
+            points = np.tile(self.point, (some.steps, 1))
+            control = DefectControl(self.system, points, self.looks_anywhere)
+            steps = StepsOfOne(self.system, self.point, some, self.tighter, end)
+            with np.errstate(all="ignore"):
+                missed = control.missed(steps, steps.before) & (np.diff(some.breaks) > shortest)
+            if missed.any():
+                return first + int(np.argmax(missed))
+        return None
+
+    def _integrated(
+        self,
+        segment: Span,
+        state: Array,
+        times: Array,
+        lengths: _Lengths,
+        called: list[float] | None = None,
+    ) -> Array:
+        """States (T, n) at times, the first of which is the start; a _Border where it ends.
+
+        The times at which rates are ``called`` are appended.
+        """
+        rates = self._rates(*segment)
+        if called is not None:
+            rates = _recording(rates, called)
+        longest = min(lengths.longest, self.tighter.longest_step)
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("error", scipy.integrate.ODEintWarning)
+            try:
+                states = scipy.integrate.odeint(
+                    rates,
+                    state,
+                    times,
+                    tfirst=True,
+                    tcrit=times[-1:],
+                    rtol=self.tighter.relative,
+                    atol=self.tighter.absolute[:, 0],
+                    h0=lengths.first,
+                    hmax=0.0 if longest == math.inf else longest,  # zero: no limit
+                    mxstep=_NO_LIMIT,
+                )
+            except scipy.integrate.ODEintWarning:
+                raise _Border(times[-1], times[0]) from None
+        if not np.isfinite(states).all():
+            raise _Border(times[-1], times[0])
+        return np.asarray(states)
+
+    def _rates(self, a: float, b: float) -> SingleRates:
+        """The right-hand side on a segment; factors are never taken at its very ends.
+
+        It raises a _Border where the rates are not finite, and after thousands of calls at almost
+        the same time.
+        """
+        system, point, column = self.system, self.point.tolist(), self.point[:, None]
+        function = scalar_rates(system)
+        near = inset(a, b) if len(self.edges) > 2 else 0.0
+        first, last = a + near, b - near
+        stacked_cost = function_cost(system.rhs, system.user_functions)(1)
+        each = stacked_cost if function is None else scalar_cost(function)
+        each += _CALL_COST + _LINEAR_ALGEBRA * system.n_differential**3
+        tiny, calls, looked_at = _TINY_PROGRESS * self.horizon, 0, -math.inf
+
+        def stacked(t: float, u: Array) -> Array:
+            charge(stacked_cost)
+            rates = system.rhs(t, u[:, None], column)[:, 0]
+            if not np.isfinite(rates).all():
+                raise _Border(t)
+            return np.asarray(rates)
+
+        def rates(t: float, u: Array) -> Sequence[float] | Array:
+            nonlocal calls, looked_at
+            if not calls % _COUNTED_CALLS:
+                charge(_COUNTED_CALLS * each)
+                if not calls % _LOOKED_CALLS:
+                    if abs(t - looked_at) < tiny:
+                        raise _Border(t, looked_at)
+                    looked_at = t
+            calls += 1
+            time = min(max(t, first), last) if near else t
+            if function is None:
+                return stacked(time, u)
+            try:
+                slopes = function(time, u.tolist(), point)
+            except _FAILURES:
+                return stacked(time, u)
+            return slopes if math.isfinite(sum(slopes)) else stacked(time, u)
+
+        return rates
+
+
+def _recording(rates: SingleRates, called: list[float]) -> SingleRates:
+    """Rates that append the times at which they are called."""
+
+    def recorded(t: float, u: Array) -> Sequence[float] | Array:
+        called.append(t)
+        return rates(t, u)
+
+    return recorded
+
+
+def _steps_of(called: Sequence[float], start: float, end: float) -> Array:
+    """The times at which steps begin and end, by those at which rates were called."""
+    times = np.minimum.accumulate(np.array([*called, end])[::-1])[::-1]  # no refused attempts
+    times = np.unique(times)
+    least = _COINCIDENT * max(abs(start), abs(end))
+    times = times[(times > start + least) & (times < end - least)]
+    times = times[np.diff(times, prepend=start) > least]
+    return np.concatenate([[start], times, [end]]) if end > start else np.array([start])

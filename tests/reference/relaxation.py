@@ -1,0 +1,139 @@
+"""Stiff relaxation oscillators over one to five jumps, parameters ±20 %.
+
+Every trajectory jumps at a time of its own, in a sliver of the horizon.
+"""
+
+from __future__ import annotations
+
+from tests.reference.stated import Stated
+
+__all__ = ["RELAXATION"]
+
+_VAN_DER_POL = "B. van der Pol, On relaxation-oscillations, Phil. Mag. 2 (1926) 978-992"
+_PULSES = "J. Chem. Phys. 60 (1974) 1877-1884 (values; start and horizon of the IVP test set)"
+
+
+def _around(**centres: float) -> dict[str, tuple[float, float]]:
+    return {name: (0.8 * x, 1.2 * x) for name, x in centres.items()}
+
+
+def _van_der_pol(mu: float) -> Stated:
+    return Stated(
+        f"van_der_pol_{mu:g}",
+        _VAN_DER_POL,
+        rates={"x": "v", "v": "mu*(1 - x**2)*v - w*x"},
+        initial={"x": 2.0},
+        parameters=_around(mu=mu, w=1.0),
+        end=2.0 * mu,
+    )
+
+
+_SYSTEMS = (
+    _van_der_pol(50.0),
+    _van_der_pol(100.0),
+    _van_der_pol(1000.0),
+    Stated(
+        "oregonator",
+        f"R. J. Field and R. M. Noyes, Oscillations in chemical systems IV, {_PULSES}",
+        rates={
+            "x": "s*(y - x*y + x - q*x**2)",
+            "y": "(z - y - x*y)/s",
+            "z": "w*(x - z)",
+        },
+        initial={"x": 1.0, "y": 2.0, "z": 3.0},
+        parameters=_around(s=77.27, w=0.161, q=8.375e-6),
+        end=360.0,
+    ),
+    Stated(
+        "morris_lecar",
+        "C. Morris and H. Lecar, Voltage oscillations in the barnacle giant muscle fiber, Biophys. "
+        "J. 35 (1981) 193-213; constants of J. Rinzel and G. B. Ermentrout 1989, potassium slower",
+        rates={
+            "v": "(I - 2*(v + 60) - g*m*(v - 120) - 8*w*(v + 84))/20",
+            "w": "phi*(wi - w)*rate",
+        },
+        constants={
+            "m": "0.5*(1 + tanh((v + 1.2)/18))",
+            "wi": "0.5*(1 + tanh((v - 2)/30))",
+            "rate": "0.5*(exp((v - 2)/60) + exp(-(v - 2)/60))",
+        },
+        initial={"v": -20.0, "w": 0.1},
+        parameters={"phi": (0.0016, 0.0024), "g": (4.4, 5.0), "I": (95.0, 120.0)},
+        end=1500.0,
+    ),
+    Stated(
+        "hodgkin_huxley",
+        "A. L. Hodgkin and A. F. Huxley, A quantitative description of membrane current, J. "
+        "Physiol. 117 (1952) 500-544 (values; depolarisation positive)",
+        rates={
+            "v": "I - gna*m**3*h*(v - 115) - gk*n**4*(v + 12) - 0.3*(v - 10.613)",
+            "m": "0.1*(25 - v)/(exp((25 - v)/10) - 1)*(1 - m) - 4*exp(-v/18)*m",
+            "h": "0.07*exp(-v/20)*(1 - h) - h/(exp((30 - v)/10) + 1)",
+            "n": "0.01*(10 - v)/(exp((10 - v)/10) - 1)*(1 - n) - 0.125*exp(-v/80)*n",
+        },
+        initial={"m": 0.0529, "h": 0.5961, "n": 0.3177},
+        parameters=_around(I=12.0, gna=120.0, gk=36.0),
+        end=40.0,
+    ),
+    Stated(
+        "fitzhugh_nagumo",
+        "J. Nagumo, S. Arimoto and S. Yoshizawa, An active pulse transmission line simulating "
+        "nerve axon, Proc. IRE 50 (1962) 2061-2070 (fast by a factor of 1,000)",
+        rates={"v": "(v - v**3/3 - w + I)/eps", "w": "v + a - 0.8*w"},
+        initial={"v": -1.0, "w": 1.0},
+        parameters=_around(eps=1e-3, a=0.5, I=0.6),
+        end=6.0,
+    ),
+    Stated(
+        "bonhoeffer",
+        "R. FitzHugh, Impulses and physiological states in theoretical models of nerve membrane, "
+        "Biophys. J. 1 (1961) 445-466 (Bonhoeffer-van der Pol; c = 60 instead of 3)",
+        rates={"x": "c*(x + y - x**3/3 - z)", "y": "-(x - a + 0.8*y)/c"},
+        initial={"x": 2.0},
+        parameters=_around(c=60.0, a=0.4, z=0.35),
+        end=250.0,
+    ),
+    Stated(
+        "hindmarsh_rose",
+        "J. L. Hindmarsh and R. M. Rose, A model of neuronal bursting using three coupled first "
+        "order differential equations, Proc. R. Soc. Lond. B 221 (1984) 87-102 (values; one burst)",
+        rates={
+            "x": "y - x**3 + 3*x**2 - z + I",
+            "y": "1 - 5*x**2 - y",
+            "z": "r*(s*(x + 1.6) - z)",
+        },
+        initial={"x": -1.6, "y": -11.8, "z": 1.8},
+        parameters=_around(I=3.2, r=0.006, s=4.0),
+        end=25.0,
+    ),
+    Stated(
+        "calcium",
+        "A. Goldbeter, G. Dupont and M. J. Berridge, Minimal model for signal-induced Ca2+ "
+        "oscillations, Proc. Natl. Acad. Sci. USA 87 (1990) 1461-1465 (values)",
+        rates={
+            "z": "1 + 7.3*beta - pump + release + y - 10*z",
+            "y": "pump - release - y",
+        },
+        constants={
+            "pump": "65*z**2/(1 + z**2)",
+            "release": "vm*y**2/(4 + y**2)*z**4/(0.9**4 + z**4)",
+        },
+        initial={"z": 0.1, "y": 1.5},
+        parameters={"beta": (0.35, 0.5), "vm": (400.0, 600.0)},
+        end=2.0,
+    ),
+    Stated(
+        "autocatalator",
+        "B. Peng, S. K. Scott and K. Showalter, Period doubling and chaos in a three-variable "
+        "autocatalator, J. Phys. Chem. 94 (1990) 5243-5246 (kappa = 65; faster by 10 to 100)",
+        rates={
+            "a": "mu*(65 + c) - a*b**2 - a",
+            "b": "(a*b**2 + a - b)/sigma",
+            "c": "(b - c)/delta",
+        },
+        initial={"a": 1.0, "b": 1.0, "c": 1.0},
+        parameters=_around(mu=0.05, sigma=5e-5, delta=2e-2),
+        end=0.4,
+    ),
+)
+RELAXATION = {system.name: system for system in _SYSTEMS}

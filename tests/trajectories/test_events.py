@@ -1,0 +1,180 @@
+"""Events against exact solutions, for stacks and for single trajectories."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.support.budget import OutOfWorkError, limited
+from rankone.trajectories.choice import integrator_for
+from rankone.trajectories.events import MOST_ROUNDS, Event, integrate_to_events
+from rankone.trajectories.integrator import Tolerances
+
+INTEGRATORS = ["stack", "single", "auto"]
+
+
+def system_of(rates, initial, box, end, **further):
+    return ro.compile(ro.Problem.from_strings(rates, initial, box, (0, end), **further)).system
+
+
+def trajectories(system, points, events, integrator, edges=None, rtol=1e-10):
+    n = system.n_differential
+    tolerances = Tolerances(rtol, np.full((n, 1), 1e-2 * rtol))
+    chosen = integrator_for(system, integrator, accuracy=rtol)
+    edges = edges or list(system.horizon)
+    return integrate_to_events(chosen, system, np.array(points), edges, tolerances, events)
+
+
+def ball(end):
+    """A ball that falls from the height h with g = 2."""
+    return system_of({"y": "v", "v": "-2 + 0*y"}, {"y": "h", "v": "0"}, {"h": (0.5, 2.0)}, end)
+
+
+def bounce(e):
+    return Event(lambda t, u, p: u[0], -1, lambda t, u, p: np.stack([0.0 * u[0], -e * u[1]]))
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_bouncing_ball(integrator):
+    heights, e = [1.0, 0.64, 1.44], 0.8
+    results = trajectories(ball(4.0), [[h] for h in heights], [bounce(e)], integrator)
+    for h, each in zip(heights, results, strict=True):
+        first = np.sqrt(h)  # h = g t**2 / 2
+        gaps = first * np.array([1.0, *(2 * e**k for k in range(1, 12))])
+        exact = np.cumsum(gaps)
+        exact = exact[exact < 4.0]
+        np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-9)
+        after = each.occurrences[0].after
+        np.testing.assert_allclose(after, [0.0, e * 2 * first], atol=1e-9)
+        assert each.end == 4.0
+        top = exact[0] + first * e  # the highest place after the first bounce
+        np.testing.assert_allclose(each(np.array([top]))[0], h * e**2, rtol=1e-8)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_marker_is_passed_in_its_direction_alone(integrator):
+    system = system_of({"x": "w*y", "y": "-w*x"}, {"x": "0", "y": "1"}, {"w": (1, 3)}, 10)
+    markers = [Event(lambda t, u, p: u[0] - 0.5, d) for d in (1, -1, 0)]
+    for w, each in zip(
+        (1.0, 2.5), trajectories(system, [[1.0], [2.5]], markers, integrator), strict=True
+    ):
+        turns = 2 * np.pi * np.arange(10)
+        rising, falling = (np.pi / 6 + turns) / w, (5 * np.pi / 6 + turns) / w
+        both = np.sort(np.concatenate([rising, falling]))
+        for event, exact in enumerate((rising, falling, both)):
+            np.testing.assert_allclose(each.times_of(event), exact[exact < 10], rtol=1e-8)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_terminal_event_ends_each_trajectory_at_its_time(integrator):
+    system = system_of({"x": "-k*x"}, {"x": "1"}, {"k": (0.5, 2)}, 2)
+    half = Event(lambda t, u, p: u[0] - 0.5, terminal=True)
+    rates = np.array([[0.2], [0.5], [2.0]])
+    slow, middle, fast = trajectories(system, rates, [half], integrator)
+    assert (slow.end, slow.ends) == (2.0, False)
+    for k, each in ((0.5, middle), (2.0, fast)):
+        assert each.ends
+        assert each.end == pytest.approx(np.log(2) / k, rel=1e-9)
+        np.testing.assert_allclose(each(np.array([0.9 * each.end, 1.9]))[0, 1], np.nan)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_resets_depend_on_time_and_parameters(integrator):
+    """A dose of the size k*t whenever x falls to 1/2."""
+    system = system_of({"x": "-x"}, {"x": "k"}, {"k": (1, 2)}, 3)
+    dose = Event(lambda t, u, p: u[0] - 0.5, -1, lambda t, u, p: u + p * t)
+    (each,) = trajectories(system, [[1.0]], [dose], integrator)
+    times, x = [np.log(2.0)], 0.5 + np.log(2.0)
+    while (later := times[-1] + np.log(2 * x)) < 3:
+        times.append(later)
+        x = 0.5 + later
+    np.testing.assert_allclose(each.times_of(0), times, rtol=1e-9)
+    np.testing.assert_allclose(each.state, x * np.exp(times[-1] - 3), rtol=1e-8)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_events_and_jumps_at_known_times(integrator):
+    system = system_of({"x": "-k"}, {"x": "1"}, {"k": (1, 2)}, 3, jumps={1: {"x": "x + 1"}})
+    zero = Event(lambda t, u, p: u[0], -1, lambda t, u, p: u + 0.75)
+    (each,) = trajectories(system, [[2.0]], [zero], integrator, [0.0, 1.0, 3.0])
+    # 1 to 0 at 0.5, 0.75 to 0 at 0.875, 0.5 at 1, 1.5 to 0 at 1.75, then every 0.375
+    exact = [0.5, 0.875, 1.75, 2.125, 2.5, 2.875]
+    np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-9)
+    np.testing.assert_allclose(each.state, 0.5, rtol=1e-8)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_events_that_accumulate_end_a_trajectory(integrator):
+    """Bounces shrink to nothing at sqrt(h) (1 + e)/(1 - e)."""
+    (each,) = trajectories(ball(4.0), [[1.0]], [bounce(0.3)], integrator)
+    assert each.stuck
+    assert each.ends
+    assert each.end == pytest.approx(1.3 / 0.7, rel=1e-6)
+    assert each.rounds == MOST_ROUNDS
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_two_events_at_one_instant_read_the_same_states(integrator):
+    system = system_of({"x": "k", "y": "k"}, {"x": "0", "y": "0"}, {"k": (1, 2)}, 1)
+    swaps = [
+        Event(lambda t, u, p: u[0] - 0.5, 1, lambda t, u, p: np.stack([u[1] - 1, u[1]])),
+        Event(lambda t, u, p: u[1] - 0.5, 1, lambda t, u, p: np.stack([u[0], u[0] - 2])),
+    ]
+    (each,) = trajectories(system, [[1.0]], swaps, integrator)
+    assert [o.event for o in each.occurrences] == [0, 1]
+    np.testing.assert_allclose(each.occurrences[0].after, [-0.5, -1.5], atol=1e-9)
+
+
+@pytest.mark.parametrize("direction", [0, 1, -1])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_function_that_is_not_a_number_is_no_event(integrator, direction):
+    """x falls from 1 to -1; log(x + 0.5) is zero at 1/2 and not a number below -1/2."""
+    system = system_of({"x": "-k"}, {"x": "1"}, {"k": (0.5, 2)}, 2)
+    event = Event(lambda t, u, p: np.log(u[0] + 0.5), direction, terminal=True)
+    (each,) = trajectories(system, [[1.0]], [event], integrator)
+    exact = [0.5] if direction != 1 else []
+    np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-9)
+    assert each.end == pytest.approx(0.5 if exact else 2.0)
+
+
+def work_of(*arguments):
+    with limited() as account:
+        outcome = trajectories(*arguments)
+        return account.done, outcome
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_markers_are_recorded_along_one_integration(integrator):
+    system = system_of({"x": "w*y", "y": "-w*x"}, {"x": "0", "y": "1"}, {"w": (1, 3)}, 20)
+    points = [[1.0 + 0.2 * k] for k in range(8)]
+    plain, _ = work_of(system, points, [], integrator)
+    marker = Event(lambda t, u, p: u[0] - 0.5)
+    marked, outcome = work_of(system, points, [marker], integrator)
+    assert sum(each.times_of(0).size for each in outcome) > 60
+    assert marked < 1.5 * plain
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_a_reset_costs_about_as_much_as_the_time_since_the_last(integrator):
+    """x is set back from 1 to 0 every 1/k: ten events of what is integrated once without."""
+    system = system_of(
+        {"x": "k", "y": "8*pi*z", "z": "-8*pi*y"},
+        {"x": "0", "y": "1", "z": "0"},
+        {"k": (1, 3)},
+        5,
+    )
+    plain, _ = work_of(system, [[2.0]], [], integrator)
+    back = Event(lambda t, u, p: u[0] - 1.0, 1, lambda t, u, p: np.stack([0.0 * u[0], *u[1:]]))
+    reset, (each,) = work_of(system, [[2.0]], [back], integrator)
+    np.testing.assert_allclose(each.times_of(0)[:9], np.arange(1, 10) / 2, rtol=1e-8)
+    assert reset < 8.0 * plain
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_a_budget_that_ends_tells_a_time(integrator):
+    heights = [[0.5 + 0.2 * k] for k in range(3)]
+    events = [bounce(1.0)]
+    all_work, _ = work_of(ball(6.0), heights, events, integrator)
+    with pytest.raises(OutOfWorkError) as out, limited(0.7 * all_work):
+        trajectories(ball(6.0), heights, events, integrator)
+    assert 1.0 < out.value.reached.time < 6.0
+    assert out.value.reached.steps > 0
