@@ -15,8 +15,8 @@ import pytest
 import rankone as ro
 from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import limited
+from rankone.trajectories.implicit import StackedRadau
 from rankone.trajectories.integrator import Tolerances, jacobians
-from rankone.trajectories.steppers import StackedRadau
 from rankone.trajectories.workers import Workers
 from tests.problems import EXAMPLES
 

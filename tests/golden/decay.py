@@ -71,8 +71,8 @@ def rhs(t, u, p):
 
 def jacobian(t, u, p):
     """Jacobian df/du at u (1, ...): shape (1, 1, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     (k,) = p
+    shape = np.broadcast(t, *u, k).shape
     # Output
     out = np.zeros((1, 1, *shape))
     out[0, 0] = -k  # d(u')/du

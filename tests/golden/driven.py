@@ -84,9 +84,9 @@ def parameter_factors(dimension, p):
 # --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     lambda_, _ = p
     x, y = u
+    shape = np.broadcast(t, x, y, *p).shape
     # Intermediate terms (4)
     t_1 = np.sin(t)
     t_2 = np.cos(t) ** 2
@@ -101,9 +101,9 @@ def rhs(t, u, p):
 
 def jacobian(t, u, p):
     """Jacobian df/du at u (2, ...): shape (2, 2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     lambda_, _ = p
     x, y = u
+    shape = np.broadcast(t, x, y, *p).shape
     # Intermediate terms (5)
     t_1 = np.sin(t)
     t_2 = np.cos(t) ** 2

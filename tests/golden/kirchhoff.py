@@ -92,8 +92,8 @@ def parameter_factors(dimension, p):
 # --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (6, ...): shape (6, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     v0, v1, v2, o0, o1, o2 = u
+    shape = np.broadcast(t, v0, v1, v2, o0, o1, o2, *p).shape
     # Output
     out = np.empty((6, *shape))
     out[0] = 1.25 * v1 * o2 - 1.5 * v2 * o1  # v0'
@@ -107,8 +107,8 @@ def rhs(t, u, p):
 
 def jacobian(t, u, p):
     """Jacobian df/du at u (6, ...): shape (6, 6, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     v0, v1, v2, o0, o1, o2 = u
+    shape = np.broadcast(t, v0, v1, v2, o0, o1, o2, *p).shape
     # Output
     out = np.zeros((6, 6, *shape))
     out[0, 1] = 1.25 * o2  # d(v0')/dv1

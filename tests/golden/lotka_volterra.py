@@ -67,8 +67,8 @@ def parameter_factors(dimension, p):
 # --- Right-hand side ------------------------------------------------------------------------------
 def rhs(t, u, p):
     """Right-hand side f(t, u, p) at u (2, ...): shape (2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     x, y = u
+    shape = np.broadcast(t, x, y, *p).shape
     # Intermediate terms (1)
     c0 = x * y
     # Output
@@ -80,8 +80,8 @@ def rhs(t, u, p):
 
 def jacobian(t, u, p):
     """Jacobian df/du at u (2, ...): shape (2, 2, ...)."""
-    shape = np.broadcast(t, *u, *p).shape
     x, y = u
+    shape = np.broadcast(t, x, y, *p).shape
     # Output
     out = np.zeros((2, 2, *shape))
     out[0, 0] = 1.5 - y  # d(x')/dx

@@ -16,7 +16,7 @@ from typing import Literal, Protocol, TypeAlias
 import sympy as sp
 
 from rankone.codegen.printer import common_subexpressions
-from rankone.codegen.text import INDENT, Names, assignment, docstring, unpacking
+from rankone.codegen.text import INDENT, WIDTH, Names, assignment, docstring, unpacking
 from rankone.ir.forms import Coordinate, Jump, State
 
 Index: TypeAlias = "tuple[int, ...]"
@@ -95,9 +95,11 @@ class NumPyPrinter:
         lines = [
             f"def {function.name}({', '.join(function.arguments)}):",
             *docstring([function.summary]),
-            f"    shape = {self._shape(function, states)}",
         ]
-        before = function.start == "states"  # unpacking may replace the argument
+        before = function.start == "states"
+        of_rows = None if before else self._shape_of_rows(function, states)
+        if of_rows is None:  # unpacking may replace the argument
+            lines.append(f"    shape = {self._shape(function, states)}")
         if before:
             whole = f"({function.shape[0]}, *shape)"
             lines.append(f"    out = np.array(np.broadcast_to({states}, {whole}))")
@@ -105,6 +107,8 @@ class NumPyPrinter:
             lines.append("    t = np.asarray(t, dtype=float)")
         lines += unpacking(function.parameters, "p")
         lines += unpacking(function.states, states)
+        if of_rows is not None:
+            lines.append(f"    shape = {of_rows}")
         allocation = f"np.{function.start}(({', '.join(map(str, function.shape))}, *shape))"
         for block in function.statements:
             written = self._intermediate(block)
@@ -130,6 +134,17 @@ class NumPyPrinter:
         if states in function.arguments:
             return f"np.broadcast_shapes(np.shape({states})[1:], np.shape(p)[1:])"
         return "np.broadcast_shapes(*map(np.shape, p)) or np.shape(p)[1:]"
+
+    def _shape_of_rows(self, function: PointwiseFunction, states: str) -> str | None:
+        """The same from the rows that were unpacked, which is faster, where it fits on a line."""
+        unpacked = {states: function.states, "p": function.parameters}
+        names = [name for rows in unpacked.values() for name in rows]
+        many = len(names) >= self._MAX_BROADCAST_ARGUMENTS
+        if many or "t" not in function.arguments or {*unpacked} & {*names}:
+            return None
+        rows = [f"*{whole}" if "_" in some else ", ".join(some) for whole, some in unpacked.items()]
+        shape = f"np.broadcast({', '.join(['t', *filter(None, rows)])}).shape"
+        return shape if len(f"    shape = {shape}") <= WIDTH else None
 
     def _intermediate(self, block: Statements) -> list[str]:
         """The lines that compute the intermediate terms."""

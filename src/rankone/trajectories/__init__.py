@@ -5,8 +5,10 @@ Read in this order:
 =================  ================================================================================
 ``integrator``     what an integrator takes and gives: the protocol, tolerances, trajectories
 ``choice``         the choice of one, by counted work and again where a stack stalls
-``stacks``         SciPy's DOP853 and Radau, with all trajectories as one stacked system
-``steppers``       their steps, made again where they missed something
+``stacks``         DOP853 and Radau, with all trajectories as one stacked system
+``steppers``       its steps, made again where they missed something
+``explicit``       those of DOP853
+``implicit``       those of Radau, after SciPy's
 ``single``         SciPy's LSODA, one trajectory after the other
 ``paths``          its trajectories, each with steps of its own
 ``scalar``         generated functions rewritten for floats

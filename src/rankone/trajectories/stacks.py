@@ -20,6 +20,8 @@ from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost, eigenvalues, function_cost, in_pieces
 from rankone.trajectories.defects import DefectControl
 from rankone.trajectories.diagnosis import switching_state
+from rankone.trajectories.explicit import StackedDOP853
+from rankone.trajectories.implicit import StackedRadau
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     JACOBIAN_ENTRY,
@@ -29,7 +31,7 @@ from rankone.trajectories.integrator import (
     Tolerances,
     jacobians,
 )
-from rankone.trajectories.steppers import Piece, Rates, StackedDOP853, StackedRadau, Stepper
+from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _FIRST_PROBES = (10, 15, 20, 30)  # Steps of DOP853 before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
