@@ -99,6 +99,6 @@ def test_where_no_attempt_ended_lines_tell(compiled):
 
 
 def test_limits_of_the_user_are_no_reason(compiled):
-    limited = compiled.solve(1e-4, method="cross", max_rank=3)
+    limited = compiled.solve(1e-4, method="cross", max_rank=3, max_attempts=1)
     assert limited.status is Status.RANK_LIMIT
     assert not told(limited)

@@ -123,7 +123,7 @@ def test_switches_that_move_with_a_parameter_are_not_stepped_over(rate):
     problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))
     compiled = ro.compile(problem)
     assert len(compiled.system.features.moving_cuts([0.7])) == (1 if "exp" in rate else 2)
-    solution = compiled.solve(1e-3, effort=0.05)
+    solution = compiled.solve(1e-3, effort=0.01)
     assert not solution.success
     assert solution.error > 0.1 or not solution.outcome.slabs
     reference = "by the reference trajectories" in solution.message

@@ -114,7 +114,7 @@ def test_an_island_in_the_box_is_seen(d, shape):
     ],
 )
 def test_pulses_that_move_are_seen_at_any_time(rate):
-    solution = compiled(rate, {"k": (2, 6)}, start="1", end=10).solve(1e-3, effort=0.05)
+    solution = compiled(rate, {"k": (2, 6)}, start="1", end=10).solve(1e-3, effort=0.01)
     assert not solution.success
     assert not solution.outcome.slabs or solution.error > 0.1
 
