@@ -10,7 +10,9 @@ Read in this order:
 ``explicit``       those of DOP853
 ``implicit``       those of Radau, after SciPy's
 ``single``         SciPy's LSODA, one trajectory after the other
-``paths``          its trajectories, each with steps of its own
+``paths``          trajectories that each have steps of their own, as piecewise polynomials
+``dense_paths``    dense trajectories made of them, and the control of their steps
+``shares``         a stack whose trajectories each begin and end at a time of their own
 ``scalar``         generated functions rewritten for floats
 ``compiled``       heyoka's, by Taylor series, a batch of trajectories with steps of their own
 ``series``         the rates of a generated module as what heyoka compiles

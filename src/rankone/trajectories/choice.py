@@ -17,10 +17,13 @@ from rankone.trajectories.integrator import (
     DenseTrajectories,
     Integrator,
     SampledTrajectories,
+    SeparateTrajectories,
+    Spans,
     Tolerances,
 )
 from rankone.trajectories.paths import Path
 from rankone.trajectories.series import charge_compilation, has_series, is_installed, order_of
+from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks import StackedIntegrator
 
@@ -139,7 +142,7 @@ class WatchedStack:
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
-    ) -> DenseTrajectories:
+    ) -> SeparateTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
         work = edges, tolerances
         with limited():
@@ -163,6 +166,12 @@ class WatchedStack:
                 return self._watched(system, points, *work).sample(system, points, *work, times)
             except _StallError:
                 return self.single.sample(system, points, *work, times)
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """Trajectories of spans of their own; see :meth:`Integrator.paths`."""
+        return paths_over_shares(self.run, system, points, spans, tolerances)
 
     def _watched(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances

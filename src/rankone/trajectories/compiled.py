@@ -27,8 +27,10 @@ from rankone.trajectories.integrator import (
     DenseTrajectories,
     Integrator,
     SampledTrajectories,
+    Spans,
     Tolerances,
 )
+from rankone.trajectories.paths import Path
 from rankone.trajectories.series import (
     Taylor,
     compilation_cost,
@@ -133,6 +135,12 @@ class CompiledIntegrator:
                 return batches.sampled(times)
         except _Fails:
             return self.otherwise.sample(system, points, edges, tolerances, times)
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """Paths, which are not compiled; see :meth:`Integrator.paths`."""
+        return self.otherwise.paths(system, points, spans, tolerances)
 
 
 @dataclass(frozen=True)

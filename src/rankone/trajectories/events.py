@@ -12,21 +12,16 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
-from rankone.ir.features import Jumps, OfParameters, VectorLike
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
-from rankone.support.costs import CALL, function_cost
-from rankone.trajectories.choice import WatchedStack
+from rankone.support.costs import CALL
 from rankone.trajectories.defects import roots
-from rankone.trajectories.integrator import DenseTrajectories, Tolerances
-from rankone.trajectories.paths import NODES, Path, SingleTrajectories, joined
-from rankone.trajectories.single import SingleIntegrator
-from rankone.trajectories.stacks import StackedIntegrator, StackedTrajectories
+from rankone.trajectories.integrator import Integrator, Spans, Tolerances
+from rankone.trajectories.paths import NODES, Path, joined
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
@@ -117,7 +112,7 @@ class EventTrajectory:
 
 
 def integrate_to_events(
-    integrator: SingleIntegrator | StackedIntegrator | WatchedStack,
+    integrator: Integrator,
     system: System,
     points: Array,
     edges: Sequence[float],
@@ -186,35 +181,16 @@ class _Search:
 
     def paths(
         self,
-        integrator: SingleIntegrator | StackedIntegrator | WatchedStack,
+        integrator: Integrator,
         trajectories: Sequence[EventTrajectory],
         points: Array,
         ends: Array,
-    ) -> list[Path]:
+    ) -> Sequence[Path]:
         """The trajectories from where they are to their ends, or as far as they go."""
         starts = np.array([each.end for each in trajectories])
         states = np.stack([each.state for each in trajectories], axis=1)
-        if isinstance(integrator, SingleIntegrator):
-            paths: list[Path] = []
-            for k, span in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-                begun = _begun(self.system, partial(_same, states[:, [k]]))
-                try:
-                    dense = integrator.run(begun, points[[k]], span, self.tolerances)
-                except OutOfBudgetError as out:
-                    raise type(out)(_told(out.reached, starts[k:], None)) from out
-                paths.append(dense.paths[0])
-            return paths
-        lengths = ends - starts
-        moved = np.column_stack([points, states.T, starts, lengths])
-        longest = self.tolerances.longest_step / float(np.max(lengths))
-        tolerances = replace(self.tolerances, longest_step=longest)
-        system = _over_shares(_begun(self.system, lambda p: np.asarray(p)[-2 - len(states) : -2]))
-        try:
-            stacked = integrator.run(system, moved, (0.0, 1.0), tolerances)
-        except OutOfBudgetError as out:
-            raise type(out)(_told(out.reached, starts, lengths)) from out
-        spans = zip(starts, ends, strict=True)
-        return [_moved(path, *span) for path, span in zip(_columns(stacked), spans, strict=True)]
+        spans = Spans(starts, states, ends)
+        return integrator.paths(self.system, points, spans, self.tolerances)
 
     def advance(self, trajectory: EventTrajectory, path: Path, point: Array, end: float) -> None:
         """Follow a path to the first event that interrupts it, or to its end."""
@@ -233,7 +209,7 @@ class _Search:
             return
         fired = [k for k, xs in enumerate(crossings) if any(first <= x <= last for x in xs)]
         before = path(np.array([time]))[:, 0]
-        cut = _cut(path, time, before)
+        cut = path.until(time, before)
         if cut.steps:
             trajectory.paths.append(cut)
         after, column = before.copy(), point[:, None]
@@ -317,87 +293,3 @@ class _Search:
         with np.errstate(all="ignore"):
             heights = np.asarray(event.when(times, states, parameters), dtype=float)
         return np.broadcast_to(heights, times.shape).copy()
-
-
-def _same(states: Array, p: VectorLike) -> Array:
-    """States whatever the parameters are."""
-    return states
-
-
-def _begun(system: System, states: OfParameters) -> System:
-    """The system with states (n, m) of its parameters at the start, and without its jumps."""
-    return replace(
-        system,
-        parameter_factors=lambda j, p: np.ones((1, p.size)),
-        initial_terms=(),
-        initial_separates=False,
-        unseparated_initial=states,
-        jumps=Jumps(),
-    )
-
-
-def _over_shares(system: System) -> System:
-    """The system over the share of the way; where each begins is told by further parameters.
-
-    They are its state, its time, and the length of the way.
-    """
-    cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
-
-    def split(p: VectorLike) -> tuple[Array, Array, Array]:
-        rows = np.asarray(p)
-        return rows[: len(rows) - n - 2], rows[-2], rows[-1]
-
-    def rhs(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        parameters, start, length = split(p)
-        charge(cost(length.size))
-        return np.asarray(length * system.rhs(start + share * length, u, parameters))
-
-    def jacobian(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        parameters, start, length = split(p)
-        return np.asarray(length * system.jacobian(start + share * length, u, parameters))
-
-    def surfaces(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        parameters, start, length = split(p)
-        return system.features.state_surfaces(start + share * length, u, parameters)
-
-    features = replace(system.features, state_surfaces=surfaces)
-    return replace(system, rhs=rhs, jacobian=jacobian, features=features)
-
-
-def _columns(dense: DenseTrajectories) -> Sequence[Path]:
-    """The trajectories one by one, as paths."""
-    if isinstance(dense, SingleTrajectories):
-        return dense.paths
-    assert isinstance(dense, StackedTrajectories)  # the only other one of what takes events
-    breaks = np.array(dense.times)
-    within = breaks[:-1, None] + np.diff(breaks)[:, None] * NODES
-    states = dense(within.ravel()) if within.size else np.zeros((*dense.state.shape, 0))
-    nodal = states.reshape(*dense.state.shape, *within.shape).transpose(1, 2, 3, 0)
-    return [Path(breaks, each, state) for each, state in zip(nodal, dense.state.T, strict=True)]
-
-
-def _moved(path: Path, start: float, end: float) -> Path:
-    """A path over shares as one over times; one that went all the way ends at the very end."""
-    breaks = start + (end - start) * path.breaks
-    return replace(path, breaks=np.where(path.breaks == 1.0, end, breaks))
-
-
-def _told(reached: Reached | None, starts: Array, lengths: Array | None) -> Reached | None:
-    """How far trajectories came by the share of their lengths, or by the time of the first."""
-    if reached is None or reached.time is None:
-        return None
-    if lengths is None:
-        return reached._replace(time=float(min([reached.time, *starts[1:]])))
-    return reached._replace(time=float((starts + reached.time * lengths).min()))
-
-
-def _cut(path: Path, time: float, state: Array) -> Path:
-    """The path up to a time."""
-    steps = int(np.searchsorted(path.breaks, time, side="left"))
-    breaks = np.append(path.breaks[:steps], time)
-    if steps == 0:
-        return Path(breaks[-1:], path.nodal[:0], state)
-    nodal = path.nodal[:steps].copy()
-    times = breaks[-2] + (time - breaks[-2]) * NODES
-    nodal[-1] = path(times).T
-    return Path(breaks, nodal, state)

@@ -13,6 +13,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost
+from rankone.trajectories.paths import Path
 
 LAST_GAP = 100  # Distance from the end, in floating-point numbers, too short for a step of SciPy
 EARLY_STEPS = 4  # Steps after which states that start from zero show their size
@@ -30,6 +31,18 @@ class Tolerances:
     def times(self, factor: float) -> Tolerances:
         """Looser tolerances, for steps of the same length."""
         return replace(self, relative=factor * self.relative, absolute=factor * self.absolute)
+
+
+@dataclass(frozen=True)
+class Spans:
+    """Where and how each of m trajectories begins, and when it ends.
+
+    ``starts`` and ``ends`` are times (m,), and ``states`` (n, m) those at the starts.
+    """
+
+    starts: Array
+    states: Array
+    ends: Array
 
 
 class DenseTrajectories(Protocol):
@@ -73,6 +86,14 @@ class DenseTrajectories(Protocol):
         """At least ``count`` ends of steps, if there are as many, with the states (n, m) there."""
 
 
+class SeparateTrajectories(DenseTrajectories, Protocol):
+    """Dense trajectories that can be taken apart."""
+
+    @property
+    def paths(self) -> Sequence[Path]:
+        """The trajectories one by one."""
+
+
 @dataclass(frozen=True)
 class SampledTrajectories:
     """States (T, n, m) at given times; the integration ``reached`` this number of them.
@@ -110,6 +131,14 @@ class Integrator(Protocol):
         times: Array,
     ) -> SampledTrajectories:
         """Trajectories at ascending times (T,) alone."""
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """Trajectories that each have a span of their own, or as far as they go.
+
+        The system does not jump. An OutOfBudgetError says which time all would have reached.
+        """
 
 
 def jacobians(system: System, points: Array, time: float | Array, states: Array) -> Array:

@@ -14,7 +14,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -22,14 +22,16 @@ import numpy as np
 import scipy.integrate
 
 from rankone.discretization.radau import inset
+from rankone.ir.features import Jumps
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.support.costs import Cost, function_cost, scalar_cost
 from rankone.trajectories.defects import SHORTENING, DefectControl
+from rankone.trajectories.dense_paths import SingleTrajectories, StepsOfOne
 from rankone.trajectories.diagnosis import switching_state
-from rankone.trajectories.integrator import SampledTrajectories, Tolerances
-from rankone.trajectories.paths import NODES, Path, SingleTrajectories, StepsOfOne, joined
+from rankone.trajectories.integrator import SampledTrajectories, Spans, Tolerances
+from rankone.trajectories.paths import NODES, Path, joined
 from rankone.trajectories.scalar import scalar_rates
 from rankone.trajectories.stacks import has_smooth_rates
 
@@ -126,6 +128,24 @@ class SingleIntegrator:
             states[:reached, :, j] = sampled[:reached]
             final[:, j] = sampled[-1] if path is None else path.state
         return SampledTrajectories(states, reached, end, final, "single")
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> list[Path]:
+        """Trajectories of spans of their own; see :meth:`Integrator.paths`."""
+        system, paths = replace(system, jumps=Jumps()), list[Path]()
+        each = zip(points, spans.starts.tolist(), spans.states.T, spans.ends.tolist(), strict=True)
+        for point, a, state, b in each:
+            single = _Single(system, point, (a, b), tolerances, self.looks_anywhere)
+            try:
+                paths.append(single.path(state, b))
+            except OutOfBudgetError as out:
+                reached = out.reached
+                if reached is not None and reached.time is not None:
+                    waiting = spans.starts[len(paths) + 1 :]
+                    reached = reached._replace(time=float(min([reached.time, *waiting])))
+                raise type(out)(reached) from out
+        return paths
 
 
 @dataclass(frozen=True)

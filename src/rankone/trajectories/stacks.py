@@ -26,11 +26,13 @@ from rankone.trajectories.integrator import (
     EARLY_STEPS,
     JACOBIAN_ENTRY,
     LAST_GAP,
-    DenseTrajectories,
     SampledTrajectories,
+    Spans,
     Tolerances,
     jacobians,
 )
+from rankone.trajectories.paths import NODES, Path
+from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _FIRST_PROBES = (10, 15, 20, 30)  # Steps of DOP853 before stability is probed
@@ -69,7 +71,7 @@ class StackedIntegrator:
 
     def run(
         self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
-    ) -> DenseTrajectories:
+    ) -> StackedTrajectories:
         """Trajectories at all times; see :meth:`Integrator.run`."""
         stack = _Stack(system, points, edges, tolerances, self)
         record = _DenseRecord(edges[0], stack.shape)
@@ -92,6 +94,12 @@ class StackedIntegrator:
         record = _SampleRecord(times, stack.shape)
         state, _ = stack.integrate(record)
         return SampledTrajectories(record.states, record.reached, record.end, state, "stack")
+
+    def paths(
+        self, system: System, points: Array, spans: Spans, tolerances: Tolerances
+    ) -> Sequence[Path]:
+        """Trajectories of spans of their own; see :meth:`Integrator.paths`."""
+        return paths_over_shares(self.run, system, points, spans, tolerances)
 
 
 def has_smooth_rates(system: System, start: float) -> bool:
@@ -157,6 +165,14 @@ class StackedTrajectories:
             stacked[order[a:b]] = self.pieces[indices[a]].at(ascending[a:b])
         return stacked.T.reshape(*self.state.shape, -1)
 
+    @cached_property
+    def paths(self) -> tuple[Path, ...]:
+        breaks = np.array(self.times)
+        within = breaks[:-1, None] + np.diff(breaks)[:, None] * NODES
+        states = self(within.ravel()) if within.size else np.zeros((*self.state.shape, 0))
+        nodal = states.reshape(*self.state.shape, *within.shape).transpose(1, 2, 3, 0)
+        return tuple(Path(breaks, *each) for each in zip(nodal, self.state.T, strict=True))
+
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """Ends of steps with the states there; see :meth:`DenseTrajectories.samples`."""
         steps = self.pieces[:: max(1, len(self.pieces) // count)]
@@ -181,7 +197,7 @@ class _DenseRecord:
         if len(self.steps) <= EARLY_STEPS:
             self.early = self.largest
 
-    def trajectories(self, state: Array, avoided: float) -> DenseTrajectories:
+    def trajectories(self, state: Array, avoided: float) -> StackedTrajectories:
         steps = tuple(self.times), tuple(self.steps)
         return StackedTrajectories(*steps, state, self.largest, self.early, avoided)
 

@@ -1,0 +1,85 @@
+"""Trajectories with spans of their own, as a stack over the share of the way.
+
+Over it all of them begin and end together, so that any integrator of stacks serves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from rankone.ir.features import Jumps, OfParameters, VectorLike
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import OutOfBudgetError, charge
+from rankone.support.costs import function_cost
+from rankone.trajectories.integrator import SeparateTrajectories, Spans, Tolerances
+from rankone.trajectories.paths import Path
+
+# Integrates a system at points over edges, such as :meth:`Integrator.run`
+_Run: TypeAlias = Callable[[System, Array, Sequence[float], Tolerances], SeparateTrajectories]
+
+
+def paths_over_shares(
+    run: _Run, system: System, points: Array, spans: Spans, tolerances: Tolerances
+) -> list[Path]:
+    """The paths of spans; see :meth:`Integrator.paths`."""
+    lengths = spans.ends - spans.starts
+    n = len(spans.states)
+    moved = np.column_stack([points, spans.states.T, spans.starts, lengths])
+    longest = tolerances.longest_step / float(np.max(lengths))
+    begun = _begun_with(system, lambda p: np.asarray(p)[-2 - n : -2])
+    try:
+        over = replace(tolerances, longest_step=longest)
+        dense = run(_over_shares(begun), moved, (0.0, 1.0), over)
+    except OutOfBudgetError as out:
+        reached = out.reached
+        if reached is not None and reached.time is not None:
+            time = float((spans.starts + reached.time * lengths).min())
+            reached = reached._replace(time=time)
+        raise type(out)(reached) from out
+    times = zip(spans.starts, spans.ends, strict=True)
+    return [path.over_times(*span) for path, span in zip(dense.paths, times, strict=True)]
+
+
+def _begun_with(system: System, states: OfParameters) -> System:
+    """The system with states (n, m) of its parameters at the start, and without its jumps."""
+    return replace(
+        system,
+        parameter_factors=lambda j, p: np.ones((1, p.size)),
+        initial_terms=(),
+        initial_separates=False,
+        unseparated_initial=states,
+        jumps=Jumps(),
+    )
+
+
+def _over_shares(system: System) -> System:
+    """The system over the share of the way; where each begins is told by further parameters.
+
+    They are its state, its time, and the length of the way.
+    """
+    cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
+
+    def split(p: VectorLike) -> tuple[Array, Array, Array]:
+        rows = np.asarray(p)
+        return rows[: len(rows) - n - 2], rows[-2], rows[-1]
+
+    def rhs(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        parameters, start, length = split(p)
+        charge(cost(length.size))
+        return np.asarray(length * system.rhs(start + share * length, u, parameters))
+
+    def jacobian(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        parameters, start, length = split(p)
+        return np.asarray(length * system.jacobian(start + share * length, u, parameters))
+
+    def surfaces(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
+        parameters, start, length = split(p)
+        return system.features.state_surfaces(start + share * length, u, parameters)
+
+    features = replace(system.features, state_surfaces=surfaces)
+    return replace(system, rhs=rhs, jacobian=jacobian, features=features)
