@@ -9,6 +9,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 import rankone
 from tests.problems import REFERENCE
 
@@ -128,6 +130,12 @@ def test_few_files_beside_the_rooms():
 def test_only_the_printers_use_sympy_printing():
     users = {n for n in PATHS if any(m.startswith("sympy.printing") for m in imported(n))}
     assert users == {"rankone.codegen.printer", "rankone.expressions.notation"}
+
+
+@pytest.mark.parametrize("slow", ["scipy.stats", "scipy.signal"])
+def test_scipy_imports_what_is_slow_where_it_is_first_used(slow):
+    """``import scipy`` is enough for that; half of the time of ``import rankone`` otherwise."""
+    assert not [name for name in PATHS if slow in imported(name)]
 
 
 def test_a_saved_solution_is_evaluated_without_sympy(tmp_path):

@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.polynomial.legendre import leggauss, legint, legval, legvander
 
 from rankone.support.arrays import Array, bisected

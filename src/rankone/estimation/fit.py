@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from rankone.estimation.expressions import gradient, quantity
 from rankone.estimation.identification import Best, Identification, Profile, Stop, profiles

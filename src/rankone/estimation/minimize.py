@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize as scipy_minimize
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from rankone.estimation.free_parameters import Bounds, ParameterValues, free_parameters
 from rankone.estimation.objective import (
@@ -290,7 +290,7 @@ def _optimum(merit: _Merit, minima: Sequence[_Minimum], every_basin: bool) -> Op
 def _screened(count: int, d: int) -> Array:
     """Points (N, d) of the unit cube: centre, corners, and ``count`` of a shifted Sobol points."""
     corners = itertools.islice(itertools.product((0.0, 1.0), repeat=d), _MOST_CORNERS)
-    sequence = qmc.Sobol(d, scramble=False).random_base2(max(count - 1, 1).bit_length())
+    sequence = scipy.stats.qmc.Sobol(d, scramble=False).random_base2(max(count - 1, 1).bit_length())
     shifted = (sequence[:count] + np.random.default_rng(_SEED).random(d)) % 1.0
     return np.concatenate([np.full((1, d), 0.5), np.array(list(corners)), shifted])
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from scipy.fft import dct
 from scipy.optimize import brentq
-from scipy.signal import fftconvolve
 
 from rankone.solution.core import UnknownView
 from rankone.statistics.joint_distribution import Correlations, Distributions
@@ -230,7 +230,8 @@ def _fitted(shares: Array, bandwidth: float) -> Array:
 
     def around(of: Array, power: int) -> Array:
         """Sums of what is around each bin, with powers of the distance."""
-        return np.asarray(fftconvolve(of, kernel * (-u) ** power)[reach : reach + _BINS])
+        sums = scipy.signal.fftconvolve(of, kernel * (-u) ** power)
+        return np.asarray(sums[reach : reach + _BINS])
 
     ones = np.ones(_BINS)
     zeroth, first, second = (around(ones, power) for power in range(3))

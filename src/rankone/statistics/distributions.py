@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any, Protocol, TypeGuard
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
@@ -62,9 +62,10 @@ class Distribution(Protocol):
 
 def is_frozen(distribution: object) -> TypeGuard[Distribution]:
     """Whether this is one continuous distribution with all its parameters."""
-    methods = all(hasattr(distribution, name) for name in ("pdf", "cdf", "sf", "ppf", "isf"))
+    if not all(hasattr(distribution, name) for name in ("pdf", "cdf", "sf", "ppf", "isf")):
+        return False
     generic = isinstance(distribution, scipy.stats.rv_continuous)
-    if not methods or (generic and not isinstance(distribution, scipy.stats.rv_histogram)):
+    if generic and not isinstance(distribution, scipy.stats.rv_histogram):
         return False
     return np.ndim(distribution.ppf(0.5)) == 0  # type: ignore[attr-defined]
 
