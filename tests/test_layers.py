@@ -106,6 +106,12 @@ def test_only_the_front_end_reaches_sympy():
     assert not chains, "\n".join(chains)
 
 
+@pytest.mark.parametrize("name", ["rankone.codegen", "rankone.codegen.loading"])
+def test_workers_load_a_system_without_sympy(name):
+    """Importing SymPy would take each of them most of its start."""
+    assert not SYMPY.intersection({name, *reached(GRAPH, name)})
+
+
 def room(name):
     """The folder of a module; a file beside the folders stands for itself."""
     return name.split(".")[1] if "." in name else name

@@ -20,7 +20,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rankone.codegen import generate_source, load_module, quadratic_system
+    from rankone.codegen.loading import load_module
+    from rankone.codegen.lowering import quadratic_system
+    from rankone.codegen.module import generate_source
     from rankone.estimation.fit import Fit
     from rankone.estimation.minimize import Optimum
     from rankone.estimation.posterior import Posterior
@@ -97,8 +99,9 @@ __all__ = [
 ]
 
 _MODULES = {
-    "codegen": ("generate_source", "load_module"),
+    "codegen.loading": ("load_module",),
     "codegen.lowering": ("quadratic_system",),
+    "codegen.module": ("generate_source",),
     "estimation.fit": ("Fit",),
     "estimation.minimize": ("Optimum",),
     "estimation.posterior": ("Posterior",),

@@ -8,7 +8,7 @@ import sympy as sp
 
 import rankone as ro
 from rankone.agreement.problems import check_problem
-from rankone.codegen import load_module
+from rankone.codegen.loading import load_module
 from tests.problems import MEASURED
 
 t, a = sp.symbols("t a")

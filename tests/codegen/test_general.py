@@ -9,7 +9,8 @@ from scipy import special
 from scipy.interpolate import CubicSpline
 
 import rankone as ro
-from rankone.codegen import general_source, load_module
+from rankone.codegen.loading import load_module
+from rankone.codegen.module import general_source
 from rankone.symbolic import first_order
 
 t, k, m, p = sp.symbols("t k m p")

@@ -6,7 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.codegen import generate_source, load_module, quadratic_system
+from rankone.codegen.loading import load_module
+from rankone.codegen.lowering import quadratic_system
+from rankone.codegen.module import generate_source
 from rankone.ir.forms import SeparatedForm, Term
 from rankone.ir.system import System
 from rankone.support.arrays import Array

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rankone as ro
-from rankone.codegen import quadratic_system
-from rankone.codegen.lowering import right_hand_side, vertex_cover
+from rankone.codegen.lowering import quadratic_system, right_hand_side, vertex_cover
 from rankone.codegen.sums import extract_pairs
 from rankone.ir.forms import SeparatedForm, Term
 from rankone.ir.metadata import Role

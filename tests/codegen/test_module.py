@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from rankone.codegen import generate_source, load_module
 from rankone.codegen.header import plain_product
+from rankone.codegen.loading import load_module
+from rankone.codegen.module import generate_source
 from rankone.codegen.printer import factor_text
 from rankone.support.errors import OptionError
 from tests.codegen.interpreter import Interpreter

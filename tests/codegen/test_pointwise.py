@@ -11,7 +11,9 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rankone.codegen import generate_source, load_module, quadratic_system
+from rankone.codegen.loading import load_module
+from rankone.codegen.lowering import quadratic_system
+from rankone.codegen.module import generate_source
 from rankone.codegen.pointwise import PointwiseFunction
 from rankone.codegen.rates import SeparatedWriter
 from rankone.ir.forms import SeparatedForm

@@ -12,7 +12,8 @@ import pytest
 import sympy as sp
 
 import rankone as ro
-from rankone.codegen import generate_source, quadratic_system
+from rankone.codegen.lowering import quadratic_system
+from rankone.codegen.module import generate_source
 from rankone.expressions.notation import exact
 from rankone.symbolic import first_order, separate, weak_form
 from tests.problems import REFERENCE

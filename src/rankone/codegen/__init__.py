@@ -15,19 +15,3 @@
 ``output_expressions``  outputs given as SymPy expressions, as functions of arrays
 ======================  ============================================================================
 """
-
-from rankone.codegen.header import equation_texts, general_equation_texts
-from rankone.codegen.loading import ModuleSpecification, load_module
-from rankone.codegen.lowering import quadratic_system
-from rankone.codegen.module import general_source, generate_source, generated_module
-
-__all__ = [
-    "ModuleSpecification",
-    "equation_texts",
-    "general_equation_texts",
-    "general_source",
-    "generate_source",
-    "generated_module",
-    "load_module",
-    "quadratic_system",
-]

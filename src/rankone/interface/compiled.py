@@ -33,13 +33,9 @@ import sympy as sp
 from threadpoolctl import ThreadpoolController
 
 from rankone.agreement.problems import DisagreementError, check_problem
-from rankone.codegen import (
-    ModuleSpecification,
-    equation_texts,
-    general_equation_texts,
-    general_source,
-    generated_module,
-)
+from rankone.codegen.header import equation_texts, general_equation_texts
+from rankone.codegen.loading import ModuleSpecification
+from rankone.codegen.module import general_source, generated_module
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution

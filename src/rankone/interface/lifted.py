@@ -8,7 +8,9 @@ from functools import cached_property
 import sympy as sp
 
 from rankone.agreement.problems import disagreeing_rate
-from rankone.codegen import ModuleSpecification, generate_source, quadratic_system
+from rankone.codegen.loading import ModuleSpecification
+from rankone.codegen.lowering import quadratic_system
+from rankone.codegen.module import generate_source
 from rankone.ir.forms import QuadraticSystem, SeparatedForm
 from rankone.ir.functions import namespace_of
 from rankone.ir.system import System

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import concurrent.futures
 import multiprocessing
-import os
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,54 +13,16 @@ import sympy as sp
 
 import rankone as ro
 from tests.problems import EXAMPLES
-
-FLAG = "RANKONE_TEST_FLAG"
-"""Environment variable that names a file; processes that are spawned inherit it."""
-
-
-def sine(x):
-    return np.sin(x)
-
-
-def cosine(x):
-    return np.cos(x)
-
-
-def in_a_worker():
-    return multiprocessing.parent_process() is not None
-
-
-def raising(x):
-    if in_a_worker():
-        raise ValueError("not today")
-    return np.sin(x)
-
-
-def shapeless(x):
-    return np.zeros(3) if in_a_worker() else np.sin(x)
-
-
-def dying_once(x):
-    """The first worker that takes the flag away dies."""
-    if in_a_worker():
-        try:
-            Path(os.environ[FLAG]).unlink()
-        except FileNotFoundError:
-            return np.sin(x)
-        os._exit(1)
-    return np.sin(x)
-
-
-def dying(x):
-    if in_a_worker():
-        os._exit(1)
-    return np.sin(x)
-
-
-def slow(x):
-    if in_a_worker():
-        time.sleep(0.2)
-    return np.sin(x)
+from tests.solvers.cross.functions import (
+    FLAG,
+    cosine,
+    dying,
+    dying_once,
+    raising,
+    shapeless,
+    sine,
+    slow,
+)
 
 
 def problem(value=sine, slope=cosine):
@@ -121,7 +81,7 @@ def test_threads_give_the_same_bits_and_are_left_running(compiled, alone):
 
 def test_functions_of_the_user_give_the_same_bits():
     compiled = ro.compile(problem())
-    assert bits(compiled.solve(1e-6, executor=2)) == bits(compiled.solve(1e-6, method="cross"))
+    assert bits(compiled.solve(1e-6, executor=1)) == bits(compiled.solve(1e-6, method="cross"))
 
 
 def test_dask_gives_the_same_bits(compiled, alone):
@@ -202,7 +162,7 @@ def test_a_function_that_cannot_be_pickled():
 )
 def test_a_function_that_fails_in_a_worker(value, message):
     with pytest.raises(ro.RankoneError, match=message):
-        ro.solve(problem(value), rtol=1e-6, executor=2)
+        ro.solve(problem(value), rtol=1e-6, executor=1)
 
 
 def test_a_worker_that_dies_once(tmp_path, monkeypatch):
@@ -235,7 +195,7 @@ def test_the_time_limit_holds_for_workers():
 
 
 def test_an_exported_solver_refuses_it(tmp_path):
-    from rankone.codegen import load_module
+    from rankone.codegen.loading import load_module
     from rankone.solvers.cross import ENGINE
 
     compiled = ro.compile(EXAMPLES["coupled"].problem)
