@@ -6,10 +6,10 @@ import ast
 import inspect
 import itertools
 import json
-import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,42 +26,11 @@ from rankone.ir import metadata as ir_metadata
 from rankone.solvers.greedy import ENGINE
 from rankone.support.errors import ExportError, OptionError
 from rankone.tensors.train import Train
+from tests.export.alone import PythonAlone, clean_environment
 from tests.export.solutions import compiled, points, solved
 from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
-
-ALONE = """
-import sys
-
-class Blocked:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("rankone", "sympy", "threadpoolctl", "tqdm"):
-            raise ModuleNotFoundError(f"{name} is blocked", name=name)
-
-sys.meta_path.insert(0, Blocked())
-import numpy as np
-import solver
-"""
-
-MANY = """
-import contextlib
-import io
-import json
-
-runs = []
-for arguments in json.loads(sys.argv.pop()):
-    sys.argv[1:] = arguments
-    streams = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
-        try:
-            status = solver.main()
-        except SystemExit as end:
-            status = end.code
-    runs.append([status, *(stream.getvalue() for stream in streams)])
-print(json.dumps(runs))
-"""
-"""Runs the program once for each list of arguments, in one process."""
 
 _ALL = ("--states", "all")
 
@@ -71,27 +40,23 @@ def source_of(problem: ro.CompiledProblem, method: str = "train") -> str:
     return standalone_source(problem.problem.name, problem.source, problem.metadata(method=method))
 
 
-def alone(folder: Path, *arguments: str, script: str | None = None) -> subprocess.CompletedProcess:
-    """Run the solver in the folder, or a script that imports it, without the library."""
-    clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    command = [sys.executable, "solver.py"] if script is None else [sys.executable, "-c", script]
+def started(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Start Python in the folder, without the library on its path."""
     return subprocess.run(
-        [*command, *arguments],
+        [sys.executable, *arguments],
         cwd=folder,
-        env={**clean, "OMP_NUM_THREADS": "1"},
+        env=clean_environment(),
         capture_output=True,
         text=True,
     )
 
 
-def program(folder: Path, *lines: list[str]) -> list[subprocess.CompletedProcess]:
-    """Run the program of the solver in the folder for each list of arguments."""
-    run = alone(folder, json.dumps(lines), script=ALONE + MANY)
-    assert run.returncode == 0, run.stderr
-    return [
-        subprocess.CompletedProcess(line, *outcome)
-        for line, outcome in zip(lines, json.loads(run.stdout), strict=True)
-    ]
+@pytest.fixture(scope="module")
+def alone():
+    """Runs scripts and programs of the solver in a folder, without the library."""
+    python = PythonAlone()
+    yield python.runs
+    python.close()
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +67,12 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["decay", "lotka_volterra", "kirchhoff", "robertson"])
-def test_the_library_and_the_solver_agree(name, tmp_path):
+def test_the_library_and_the_solver_agree(alone, name, tmp_path):
     compiled(name).export(tmp_path / "solver.py")
     wanted = solved(name)
     where = points(wanted, 200)
     np.savez(tmp_path / "points.npz", **where)
-    script = ALONE + (
+    script = (
         f"s = solver.solve(rtol={wanted.rtol!r})\n"
         "where = dict(np.load('points.npz'))\n"
         "np.save('values.npy', s(where))\n"
@@ -122,7 +87,7 @@ def test_the_library_and_the_solver_agree(name, tmp_path):
         "assert np.array_equal(solver.load('solution.npz')(where), s(where))\n"
         "assert s.success and s.error <= s.metadata.rtol, s.message\n"
     )
-    run = alone(tmp_path, script=script)
+    (run,) = alone(tmp_path, script)
     assert run.returncode == 0, run.stderr
     values = wanted(where)
     size = np.abs(values).max(axis=1, keepdims=True)
@@ -133,12 +98,12 @@ def test_the_library_and_the_solver_agree(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["decay", "coupled"])
-def test_the_classic_method_is_exported_as_well(name, tmp_path):
+def test_the_classic_method_is_exported_as_well(alone, name, tmp_path):
     problem = compiled(name)
     problem.export(tmp_path / "solver.py", method="greedy")
     with threadpool_limits(1, "blas"):
         wanted = ENGINE.run(problem.system, 1e-3)
-    script = ALONE + (
+    script = (
         "s = solver.solve(rtol=1e-3)\n"
         "points = np.load('points.npy')\n"
         "np.save('values.npy', s(dict(zip(('t', *s.parameters), points))))\n"
@@ -147,7 +112,7 @@ def test_the_classic_method_is_exported_as_well(name, tmp_path):
     box = np.array([problem.system.horizon, *problem.system.box])
     points = box[:, :1] + np.diff(box) * np.random.default_rng(0).random((len(box), 50))
     np.save(tmp_path / "points.npy", points)
-    run = alone(tmp_path, script=script)
+    (run,) = alone(tmp_path, script)
     assert run.returncode == 0, run.stderr
     values = np.load(tmp_path / "values.npy")
     for k, point in enumerate(points.T):
@@ -168,13 +133,13 @@ def _general() -> ro.CompiledProblem:
 
 
 @pytest.mark.parametrize("build", [lambda: compiled("decay"), _general], ids=["decay", "general"])
-def test_the_cross_method_is_exported_as_well(build, tmp_path):
+def test_the_cross_method_is_exported_as_well(alone, build, tmp_path):
     problem = build()
     problem.export(tmp_path / "solver.py", method="cross")
     wanted = problem.solve(1e-4, method="cross")
     where = points(wanted, 50)
     np.savez(tmp_path / "points.npz", **where)
-    script = ALONE + (
+    script = (
         "s = solver.solve(rtol=1e-4)\n"
         "np.save('values.npy', s(dict(np.load('points.npz'))))\n"
         "assert s.success and s.metadata.method == 'cross'\n"
@@ -182,18 +147,18 @@ def test_the_cross_method_is_exported_as_well(build, tmp_path):
         "{n: b[0] for n, b in s.parameters.items()}), s(s.time[1], "
         "{n: b[0] for n, b in s.parameters.items()}))\n"
     )
-    run = alone(tmp_path, script=script)
+    (run,) = alone(tmp_path, script)
     assert run.returncode == 0, run.stderr
     np.testing.assert_allclose(np.load(tmp_path / "values.npy"), wanted(where), 1e-9, 1e-9)
 
 
-def test_other_box_and_horizon(folder):
-    script = ALONE + (
+def test_other_box_and_horizon(alone, folder):
+    script = (
         "s = solver.solve(rtol=1e-5, parameters={'x0': (7, 13)}, t_final=4.0)\n"
         "print(s(t=4.0, x0=[7.0, 12.5], y0=5.5).tolist())\n"
         "assert s.parameters == {'x0': (7.0, 13.0), 'y0': (4.0, 6.0)} and s.time == (0.0, 4.0)\n"
     )
-    run = alone(folder, script=script)
+    (run,) = alone(folder, script)
     assert run.returncode == 0, run.stderr
     example = EXAMPLES["lotka_volterra"]
     problem = ro.Problem(
@@ -233,26 +198,26 @@ BAD_CALLS = [
 ]
 
 
-def test_bad_input(folder):
-    script = ALONE + (
+def test_bad_input(alone, folder):
+    script = (
         "import json\n"
         "solution, said = solver.solve(rtol=1e-3), []\n"
-        "for call in json.loads(sys.argv[1]):\n"
+        f"for call in {[call for call, _, _ in BAD_CALLS]!r}:\n"
         "    try:\n"
         "        said.append(['nothing', repr(eval(call))])\n"
         "    except Exception as error:\n"
         "        said.append([type(error).__name__, str(error)])\n"
         "print(json.dumps(said))"
     )
-    run = alone(folder, json.dumps([call for call, _, _ in BAD_CALLS]), script=script)
+    (run,) = alone(folder, script)
     assert run.returncode == 0, run.stderr
     for (call, error, message), (raised, said) in zip(BAD_CALLS, json.loads(run.stdout)):
         assert raised == error, call
         assert message in said, call
 
 
-def test_program(folder):
-    run = alone(folder, "--rtol", "1e-6", "--at", "t=1", "x0=9", "y0=5", "--json")
+def test_program(alone, folder):
+    run = started(folder, "solver.py", "--rtol", "1e-6", "--at", "t=1", "x0=9", "y0=5", "--json")
     assert run.returncode == 0, run.stderr
     values = json.loads(run.stdout)["values"]
     wanted = solved("lotka_volterra")(t=1, x0=9, y0=5)
@@ -262,7 +227,7 @@ def test_program(folder):
     limited = ["--options", "max_slabs=3", "--rtol", "1e-8"]
     large = ["--rtol", "1e-3", "--grid", "100000", "--save", "large.npz"]
     lines = save, save, [*save, "--overwrite"], limited, large, ["--help"]
-    runs = program(folder, *lines)
+    runs = alone(folder, *lines)
     assert [run.returncode for run in runs] == [0, 2, 0, 1, 2, 0], runs
     with np.load(folder / "values.npz") as file:
         assert set(file) == {"t", "x0", "y0", "x", "y"}
@@ -271,7 +236,7 @@ def test_program(folder):
     assert "x' = 1.5*x - x*y" in runs[-1].stdout
 
 
-def test_wrong_arguments_of_the_program(folder):
+def test_wrong_arguments_of_the_program(alone, folder):
     (folder / "folder.npz").mkdir()
     (folder / "there.npz").touch()
     wrong = [
@@ -294,22 +259,23 @@ def test_wrong_arguments_of_the_program(folder):
         (["--load", "there.npz", "--rtol", "1e-3"], "no --rtol"),
         (["--options", "max_rank=0"], "max_rank=0"),
     ]
-    runs = program(folder, *(arguments for arguments, _ in wrong))
+    runs = alone(folder, *(arguments for arguments, _ in wrong))
     for run, (arguments, message) in zip(runs, wrong):
         assert run.returncode == 2, arguments
         assert message in run.stderr, arguments
 
 
-def test_saved_by_the_program(folder):
+def test_saved_by_the_program(alone, folder):
     file = folder / "saved.npz"
-    assert alone(folder, "--rtol", "1e-3", "--save", str(file)).returncode == 0
-    again = alone(folder, "--load", str(file), "--at", "t=1", "x0=9", "y0=5", "--json")
+    assert started(folder, "solver.py", "--rtol", "1e-3", "--save", str(file)).returncode == 0
+    again, run = alone(
+        folder,
+        ["--load", str(file), "--at", "t=1", "x0=9", "y0=5", "--json"],
+        f"s = solver.load({str(file)!r}); s.save('b.npz'); print(s.error)",
+    )
     values = json.loads(again.stdout)["values"]
     wanted = ro.load(file)
     np.testing.assert_allclose(list(values.values()), wanted(t=1, x0=9, y0=5), rtol=1e-12)
-    run = alone(
-        folder, script=f"{ALONE}s = solver.load({str(file)!r}); s.save('b.npz'); print(s.error)"
-    )
     assert float(run.stdout) == wanted.error
     assert ro.load(folder / "b.npz").error == wanted.error
     whole = file.read_bytes()
@@ -318,7 +284,7 @@ def test_saved_by_the_program(folder):
     for number, content in enumerate(damaged):
         (folder / f"{number}damaged.npz").write_bytes(content)
     compiled("decay").solve(1e-3, method="cross").save(folder / "decay.npz")
-    *broken, other = program(
+    *broken, other = alone(
         folder,
         *(["--load", f"{number}damaged.npz"] for number in range(len(damaged))),
         ["--load", "decay.npz"],
@@ -330,7 +296,7 @@ def test_saved_by_the_program(folder):
     assert "other equations" in other.stderr
 
 
-def test_derivatives_and_corners_by_the_program(tmp_path):
+def test_derivatives_and_corners_by_the_program(alone, tmp_path):
     t, k = sp.symbols("t k")
     x = sp.Function("x")(t)
     problem = ro.Problem(
@@ -338,13 +304,14 @@ def test_derivatives_and_corners_by_the_program(tmp_path):
     )
     ro.compile(problem).export(tmp_path / "solver.py")
     saved = str(tmp_path / "saved.npz")
-    assert alone(tmp_path, "--rtol", "1e-4", "--save", saved).returncode == 0
-    solution = ro.load(saved)
     at = ["--load", saved, "--at", "t=0.5", "k=1.5", "--json"]
     grid = ["--load", saved, "--grid", "4", "--save", "grid.npz"]
-    runs = program(tmp_path, at, [*at, *_ALL], [*grid, *_ALL])
-    assert not any(run.returncode for run in runs)
-    plain, full = (json.loads(run.stdout) for run in runs[:2])
+    script = "s = solver.solve(1e-4, check=False); print(s['x_t'](t=0, k=1) + 1, s.corner_error)"
+    save = ["--rtol", "1e-4", "--save", saved]
+    runs = alone(tmp_path, save, at, [*at, *_ALL], [*grid, *_ALL], script)
+    assert not any(run.returncode for run in runs), runs
+    solution = ro.load(saved)
+    plain, full = (json.loads(run.stdout) for run in runs[1:3])
     assert set(plain["values"]) == {"x"}
     wanted = {name: float(solution[name](t=0.5, k=1.5)) for name in ("x", "x_t")}
     assert full["values"] == pytest.approx(wanted, rel=1e-12)
@@ -355,15 +322,14 @@ def test_derivatives_and_corners_by_the_program(tmp_path):
         assert set(arrays) == {"t", "k", "x", "x_t"}
         wanted = solution["x_t"].grid(t=arrays["t"], k=arrays["k"])
         np.testing.assert_allclose(arrays["x_t"], wanted, rtol=1e-12, atol=1e-15)
-    script = "s = solver.solve(1e-4, check=False); print(s['x_t'](t=0, k=1) + 1, s.corner_error)"
-    value, corners = alone(tmp_path, script=ALONE + script).stdout.split()
+    value, corners = runs[-1].stdout.split()
     assert float(value) == pytest.approx(1.0, abs=1e-3)
     assert corners == "nan"
 
 
-def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
+def test_elements_of_unequal_size_are_read_and_written(alone, folder, tmp_path):
     before = str(tmp_path / "before.npz")
-    run = alone(folder, script=f"{ALONE}solver.solve(rtol=1e-3).save({before!r})")
+    (run,) = alone(folder, f"solver.solve(rtol=1e-3).save({before!r})")
     assert run.returncode == 0, run.stderr
     solved_before = ro.load(before)
     slabs = []
@@ -384,10 +350,10 @@ def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
     at, a, b, values = (str(tmp_path / f"{name}.npz") for name in ("at", "a", "b", "values"))
     solution.save(a)
     np.savez(at, **where)
-    script = ALONE + (
+    script = (
         f"s = solver.load({a!r})\ns.save({b!r})\nnp.savez({values!r}, s({{**np.load({at!r})}}))"
     )
-    run = alone(folder, script=script)
+    (run,) = alone(folder, script)
     assert run.returncode == 0, run.stderr
     with np.load(values) as file:
         np.testing.assert_array_equal(file["arr_0"], solution(where))
@@ -395,22 +361,23 @@ def test_elements_of_unequal_size_are_read_and_written(folder, tmp_path):
     assert [s.bases for s in again.outcome.slabs] == [s.bases for s in solution.outcome.slabs]
 
 
-def test_a_blow_up_leaves_what_comes_before_it(tmp_path):
+def test_a_blow_up_leaves_what_comes_before_it(alone, tmp_path):
     problem = ro.Problem.from_strings(
         rhs={"x": "x**2"}, initial={"x": "a"}, parameters={"a": (1, 2)}, time=(0, 0.8)
     )
     ro.compile(problem).export(tmp_path / "solver.py")
-    run = alone(tmp_path, "--rtol", "1e-3", "--at", "t=0.25", "a=2", "--json")
+    run = started(tmp_path, "solver.py", "--rtol", "1e-3", "--at", "t=0.25", "a=2", "--json")
     assert run.returncode == 1
     assert "blows up" in run.stderr
     script = (
-        ALONE + "import pickle\ntry:\n    solver.solve(1e-3)\nexcept solver.BlowUpError as error:\n"
+        "import pickle\ntry:\n    solver.solve(1e-3)\nexcept solver.BlowUpError as error:\n"
         "    again = pickle.loads(pickle.dumps(error))\n"
         "    print(str(again) == str(error), again.parameters == error.parameters)\n"
         "    print(error.part.success, error.part.time)"
     )
-    assert alone(tmp_path, script=script).stdout == "True True\nTrue (0.0, 0.8)\n"
-    late = alone(tmp_path, "--rtol", "1e-3", "--at", "t=0.7", "a=2", "--save", "b.npz")
+    late_arguments = ["--rtol", "1e-3", "--at", "t=0.7", "a=2", "--save", "b.npz"]
+    error, late = alone(tmp_path, script, late_arguments)
+    assert error.stdout == "True True\nTrue (0.0, 0.8)\n"
     assert late.returncode == 1
     assert ro.load(tmp_path / "b.npz").time[1] < 0.7
     answer = json.loads(run.stdout)
@@ -460,7 +427,7 @@ def test_the_runtime_is_whole_modules_of_the_library(method):
         declared = [s for s in node.body if isinstance(s, ast.Global)]
         documented = ast.get_docstring(node) is not None
         body = node.body[: 1 if documented else 0] + node.body[documented + len(declared) :]
-        assert statements(body) == statements(ast.parse(source_text(name)).body), name
+        assert statements(body) == statements_of_library(name), name
         for inner in (n for n in body if isinstance(n, ast.ImportFrom) and n.level):
             imported = {inner.module, *(f"{inner.module}.{alias.name}" for alias in inner.names)}
             assert imported & {*done}, name
@@ -471,6 +438,11 @@ def test_the_runtime_is_whole_modules_of_the_library(method):
     imports = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.level]
     assert {n.module for n in imports if id(n) not in ignored} <= {*done}
     assert not [name for name in done if name.startswith(("symbolic", "codegen", "frontend"))]
+
+
+@cache
+def statements_of_library(name: str) -> list[str]:
+    return statements(ast.parse(source_text(name)).body)
 
 
 def statements(body: list[ast.stmt]) -> list[str]:
@@ -491,9 +463,9 @@ def statements(body: list[ast.stmt]) -> list[str]:
     return [text for text in texts if text != future]
 
 
-def test_tracebacks_and_pickles_name_the_modules_of_the_file(folder):
+def test_tracebacks_and_pickles_name_the_modules_of_the_file(alone, folder):
     """A traceback shows lines of the file, a pickle of a solution is read in another process."""
-    script = ALONE + (
+    script = (
         "import inspect, pickle, traceback\n"
         "s = solver.solve(rtol=1e-3)\n"
         "open('s.pickle', 'wb').write(pickle.dumps(s))\n"
@@ -507,7 +479,7 @@ def test_tracebacks_and_pickles_name_the_modules_of_the_file(folder):
         "    lines = open(solver.__file__).read().splitlines()\n"
         "    assert frame.line == lines[frame.lineno - 1].strip() and 'raise' in frame.line"
     )
-    run = alone(folder, script=script)
+    (run,) = alone(folder, script)
     assert run.returncode == 0, run.stderr
     again = (
         "import pickle, sys\nsys.path.insert(0, '')\n"
@@ -516,15 +488,15 @@ def test_tracebacks_and_pickles_name_the_modules_of_the_file(folder):
         "assert np.array_equal(s(t=1.0, x0=9.0, y0=5.0), np.load('pickled.npy'))\n"
         "assert 'rankone' not in sys.modules and 'sympy' not in sys.modules"
     )
-    run = alone(folder, script=again)
+    run = started(folder, "-c", again)
     assert run.returncode == 0, run.stderr
 
 
-def test_two_solvers_in_one_process_keep_apart(folder):
+def test_two_solvers_in_one_process_keep_apart(alone, folder):
     """Also one in a package, and one that is not registered as a module."""
     (folder / "package").mkdir()
     (folder / "package" / "second.py").write_bytes((folder / "solver.py").read_bytes())
-    script = ALONE + (
+    script = (
         "import importlib.util\n"
         "import package.second as second\n"
         "spec = importlib.util.spec_from_file_location('third', 'solver.py')\n"
@@ -536,25 +508,24 @@ def test_two_solvers_in_one_process_keep_apart(folder):
         "a, b, c = (each.solve(rtol=1e-3)(t=1, x0=9, y0=5) for each in solvers)\n"
         "assert np.array_equal(a, b) and np.array_equal(a, c)"
     )
-    run = alone(folder, script=script)
+    (run,) = alone(folder, script)
     assert run.returncode == 0, run.stderr
 
 
-def test_a_solution_by_another_method_is_refused(tmp_path):
+def test_a_solution_by_another_method_is_refused(alone, tmp_path):
     problem = compiled("decay")
     problem.export(tmp_path / "solver.py")
     problem.solve(1e-3, method="greedy").save(tmp_path / "greedy.npz")
-    run = alone(tmp_path, "--load", "greedy.npz")
+    run, shown = alone(tmp_path, ["--load", "greedy.npz"], "print(repr(solver.solve(1e-3)))")
     assert run.returncode == 2
     assert "a solution by method='greedy', which is not known here" in run.stderr
-    script = "s = solver.solve(1e-3); print(repr(s))"
-    assert alone(tmp_path, script=ALONE + script).stdout.startswith("Solution of u: success, the")
+    assert shown.stdout.startswith("Solution of u: success, the")
 
 
-def test_a_pole_is_refused(tmp_path):
+def test_a_pole_is_refused(alone, tmp_path):
     problem = ro.Problem.from_strings({"x": "-x/k"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
     ro.compile(problem).export(tmp_path / "solver.py")
-    run = alone(tmp_path, "--rtol", "1e-3", "--box", "k=-1:2")
+    (run,) = alone(tmp_path, ["--rtol", "1e-3", "--box", "k=-1:2"])
     assert run.returncode == 2
     assert "not finite for `k` in [-1, 2]" in run.stderr
 
@@ -571,22 +542,21 @@ def test_long_texts_are_wrapped():
     assert names["METADATA"] == replace(ro.compile(problem).metadata(), source=None)
 
 
-def test_awkward_names(tmp_path):
+def test_awkward_names(alone, tmp_path):
     problem = ro.Problem.from_strings(
         rhs={"x": "-lambda_*x"}, initial={"x": "1"}, parameters={"lambda_": (1, 2)}, time=(0, 1)
     )
     ro.compile(problem).export(tmp_path / "solver.py")
-    script = ALONE + "print(solver.solve()({'t': 1, 'lambda_': 1.5})[0])"
-    run = alone(tmp_path, script=script)
+    (run,) = alone(tmp_path, "print(solver.solve()({'t': 1, 'lambda_': 1.5})[0])")
     assert float(run.stdout) == pytest.approx(np.exp(-1.5), rel=1e-6)
 
 
-def test_no_parameters(tmp_path):
+def test_no_parameters(alone, tmp_path):
     problem = ro.Problem.from_strings(
         rhs={"x": "-x"}, initial={"x": "1"}, parameters={}, time=(0, 1)
     )
     ro.compile(problem).export(tmp_path / "solver.py")
-    run = alone(tmp_path, script=ALONE + "print(solver.solve()(t=1)[0])")
+    (run,) = alone(tmp_path, "print(solver.solve()(t=1)[0])")
     assert float(run.stdout) == pytest.approx(np.exp(-1), rel=1e-6)
 
 
@@ -621,10 +591,10 @@ def test_command_line(tmp_path, capsys):
     assert main(["export", str(source), "-o", str(target), "--overwrite"]) == 0
 
 
-def test_grids_of_any_names(tmp_path):
+def test_grids_of_any_names(alone, tmp_path):
     problem = ro.Problem.from_strings({"x": "-file*x"}, {"x": "1"}, {"file": (1, 2)}, (0, 1))
     ro.compile(problem).export(tmp_path / "solver.py")
-    run = alone(tmp_path, "--rtol", "1e-3", "--grid", "3", "--save", "grid.npz")
+    (run,) = alone(tmp_path, ["--rtol", "1e-3", "--grid", "3", "--save", "grid.npz"])
     assert run.returncode == 0, run.stderr
     with np.load(tmp_path / "grid.npz") as arrays:
         assert set(arrays) == {"t", "file", "x"}
