@@ -13,6 +13,7 @@ import inspect
 import math
 import textwrap
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from types import FunctionType
 from typing import TypeAlias
@@ -53,17 +54,32 @@ class _Untranslatable(Exception):
     """The text of a function has something that is not rewritten."""
 
 
+@dataclass(frozen=True)
+class Entries:
+    """A function for floats, and the places in the array of the generated one that it fills."""
+
+    function: ScalarFunction
+    places: tuple[tuple[int, ...], ...]
+
+
 def scalar_rates(system: System) -> ScalarFunction | None:
     """The right-hand side for floats; None where its text is not at hand or cannot be rewritten.
 
     It raises an ArithmeticError or a ValueError where NumPy gives infinities or no number, also in
     between. Functions of the user are never called with floats.
     """
-    return None if system.user_functions else _rewritten(system.rhs)
+    rewritten = None if system.user_functions else _rewritten(system.rhs)
+    rows = tuple((row,) for row in range(system.n_differential))
+    return None if rewritten is None or rewritten.places != rows else rewritten.function
 
 
-@lru_cache(32)
-def _rewritten(function: Callable[..., object]) -> ScalarFunction | None:
+def scalar_jacobian(system: System) -> Entries | None:
+    """The Jacobian for floats, as :func:`scalar_rates`: its entries that are not zero."""
+    return None if system.user_functions else _rewritten(system.jacobian)
+
+
+@lru_cache(64)
+def _rewritten(function: Callable[..., object]) -> Entries | None:
     """A generated function of t, u and p, rewritten."""
     if not isinstance(function, FunctionType):
         return None
@@ -71,21 +87,22 @@ def _rewritten(function: Callable[..., object]) -> ScalarFunction | None:
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
         if not isinstance(definition, ast.FunctionDef):
             return None
-        module = ast.Module([_for_floats(definition)], type_ignores=[])
+        places = _for_floats(definition)
+        module = ast.Module([definition], type_ignores=[])
         own = {_PREFIX + name: meaning for name, meaning in (_FUNCTIONS | _CONSTANTS).items()}
         names = {**function.__globals__, **own}
         text = f"<{function.__name__} for floats>"
         exec(compile(ast.fix_missing_locations(module), text, "exec"), names)
     except (OSError, SyntaxError, ValueError, RecursionError, _Untranslatable):
         return None
-    rewritten: ScalarFunction = names[function.__name__]
-    return rewritten
+    return Entries(names[function.__name__], tuple(places))
 
 
-def _for_floats(definition: ast.FunctionDef) -> ast.FunctionDef:
-    """The definition without arrays: what it computes for each row becomes a name."""
+def _for_floats(definition: ast.FunctionDef) -> list[tuple[int, ...]]:
+    """Take the arrays out of a definition: what it computes for each place becomes a name."""
     body: list[ast.stmt] = []
-    rows: list[ast.expr] = []
+    entries: list[ast.expr] = []
+    places: list[tuple[int, ...]] = []
     expressions = _Expressions()
     for statement in definition.body:
         if isinstance(statement, ast.Return):
@@ -98,17 +115,19 @@ def _for_floats(definition: ast.FunctionDef) -> ast.FunctionDef:
         if isinstance(target, ast.Name) and target.id in ("shape", "out", "t"):
             continue  # the shape of all points, an array for the rows, and the time as an array
         if isinstance(target, ast.Subscript):
-            if ast.unparse(target) != f"out[{len(rows)}]":
+            if ast.unparse(target.value) != "out":
                 raise _Untranslatable
-            name = f"{_PREFIX}row_{len(rows)}"
+            place = ast.literal_eval(target.slice)
+            name = f"{_PREFIX}entry_{len(entries)}"
             target = ast.Name(name, ast.Store())
-            rows.append(ast.Name(name, ast.Load()))
+            entries.append(ast.Name(name, ast.Load()))
+            places.append(place if isinstance(place, tuple) else (place,))
         body.append(ast.Assign([target], expressions.visit(statement.value)))
-    if not rows:
+    if not entries or len({*places}) < len(places):
         raise _Untranslatable
-    body.append(ast.Return(ast.List(rows, ast.Load())))
+    body.append(ast.Return(ast.List(entries, ast.Load())))
     definition.body = body
-    return definition
+    return places
 
 
 class _Expressions(ast.NodeTransformer):

@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -26,20 +26,17 @@ from rankone.ir.features import Jumps
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
-from rankone.support.costs import Cost, function_cost, scalar_cost
+from rankone.support.costs import Cost
 from rankone.trajectories.defects import SHORTENING, DefectControl
 from rankone.trajectories.dense_paths import SingleTrajectories, StepsOfOne
 from rankone.trajectories.diagnosis import switching_state
 from rankone.trajectories.integrator import SampledTrajectories, Spans, Tolerances
+from rankone.trajectories.lsoda import Border, Jacobian, Rates, called_by_lsoda, recording
 from rankone.trajectories.paths import NODES, Path, joined
-from rankone.trajectories.scalar import scalar_rates
 from rankone.trajectories.stacks import has_smooth_rates
 
 _TOLERANCE = 0.01  # Factor on tolerances: errors of LSODA are larger than theirs
 _LEAST_RELATIVE = 3e-14  # Tightest relative tolerance that LSODA takes
-_COUNTED_CALLS = 100  # Calls of the rates that are charged at once
-_LOOKED_CALLS = 3000  # Calls after which progress is looked at
-_TINY_PROGRESS = 1e-6  # Way in that many calls, in horizons, that is no progress
 _CHECKED_STEPS = 256  # Steps whose defects are looked at together
 _SHORTEST = 1e-12  # Step, in horizons, that is not made shorter any more
 _SHORT_STEPS = 10  # Short steps at least after one that had to be made again
@@ -47,25 +44,9 @@ _NEARER = 0.25  # Length of a step that missed something, over the distance of a
 _LONGER = 8.0  # Factor from a stretch that missed nothing to the next one
 _COINCIDENT = 1e-13  # Times that are closer, relative to their size, belong to the same step
 _NO_LIMIT = 2**31 - 1  # Steps that odeint may make; the budget limits them
-_CALL_COST = 600.0  # Operations of a call of the rates by LSODA
 _NODE_COST = Cost(150.0, 5.0)  # Operations of reading states: once, and for each state
-_LINEAR_ALGEBRA = 0.02  # Operations of LSODA for each cube of the states in a call of the rates
-_FAILURES = (ArithmeticError, ValueError)  # What functions of floats raise instead of infinities
 
 Span: TypeAlias = "tuple[float, float]"  # From a time to another
-# Rates (n,) at a time and a state (n,)
-SingleRates: TypeAlias = Callable[[float, Array], "Sequence[float] | Array"]
-
-
-class _Border(Exception):
-    """An integration gets no further: the rates are not finite at a time, or it creeps there.
-
-    It is known to reach the time ``safe``.
-    """
-
-    def __init__(self, time: float, safe: float | None = None) -> None:
-        super().__init__(time, safe)
-        self.time, self.safe = time, safe
 
 
 @dataclass(frozen=True)
@@ -208,7 +189,7 @@ class _Single:
             passed = np.concatenate([[a], times[first:last], [b]])
             try:
                 path = self._integrated((a, b), begun, passed, _Lengths())
-            except _Border:
+            except Border:
                 return None
             states[first:last] = path[1:-1]
             state, first = path[-1], last
@@ -271,7 +252,7 @@ class _Single:
         called: list[float] = []
         try:
             self._integrated(segment, state, np.array([start, end]), _Lengths(longest), called)
-        except _Border as border:
+        except Border as border:
             safe = max((t for t in called if t < border.time), default=start)
             end = safe if border.safe is None else max(border.safe, start)
             again = _NEARER * (border.time - end) if border.safe is None else 0.0
@@ -279,7 +260,7 @@ class _Single:
             first = next((t - start for t in called if t > start), 0.0)
             breaks = _steps_of(called, start, end)
             path = self._read(segment, state, breaks, _Lengths(longest, first))
-        except _Border as border:
+        except Border as border:
             return self._nothing(start, state), _NEARER * (border.time - start)
         missed = self._missed(path, end)
         if missed is None:
@@ -328,13 +309,13 @@ class _Single:
         lengths: _Lengths,
         called: list[float] | None = None,
     ) -> Array:
-        """States (T, n) at times, the first of which is the start; a _Border where it ends.
+        """States (T, n) at times, the first of which is the start; a Border where it ends.
 
         The times at which rates are ``called`` are appended.
         """
-        rates = self._rates(*segment)
+        rates, jacobian = self._called(*segment)
         if called is not None:
-            rates = _recording(rates, called)
+            rates = recording(rates, called)
         longest = min(lengths.longest, self.tighter.longest_step)
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("error", scipy.integrate.ODEintWarning)
@@ -343,6 +324,7 @@ class _Single:
                     rates,
                     state,
                     times,
+                    Dfun=jacobian,
                     tfirst=True,
                     tcrit=times[-1:],
                     rtol=self.tighter.relative,
@@ -352,62 +334,15 @@ class _Single:
                     mxstep=_NO_LIMIT,
                 )
             except scipy.integrate.ODEintWarning:
-                raise _Border(times[-1], times[0]) from None
+                raise Border(times[-1], times[0]) from None
         if not np.isfinite(states).all():
-            raise _Border(times[-1], times[0])
+            raise Border(times[-1], times[0])
         return np.asarray(states)
 
-    def _rates(self, a: float, b: float) -> SingleRates:
-        """The right-hand side on a segment; factors are never taken at its very ends.
-
-        It raises a _Border where the rates are not finite, and after thousands of calls at almost
-        the same time.
-        """
-        system, point, column = self.system, self.point.tolist(), self.point[:, None]
-        function = scalar_rates(system)
+    def _called(self, a: float, b: float) -> tuple[Rates, Jacobian | None]:
+        """What LSODA calls on a segment; factors of time are never taken at its very ends."""
         near = inset(a, b) if len(self.edges) > 2 else 0.0
-        first, last = a + near, b - near
-        stacked_cost = function_cost(system.rhs, system.user_functions)(1)
-        each = stacked_cost if function is None else scalar_cost(function)
-        each += _CALL_COST + _LINEAR_ALGEBRA * system.n_differential**3
-        tiny, calls, looked_at = _TINY_PROGRESS * self.horizon, 0, -math.inf
-
-        def stacked(t: float, u: Array) -> Array:
-            charge(stacked_cost)
-            rates = system.rhs(t, u[:, None], column)[:, 0]
-            if not np.isfinite(rates).all():
-                raise _Border(t)
-            return np.asarray(rates)
-
-        def rates(t: float, u: Array) -> Sequence[float] | Array:
-            nonlocal calls, looked_at
-            if not calls % _COUNTED_CALLS:
-                charge(_COUNTED_CALLS * each)
-                if not calls % _LOOKED_CALLS:
-                    if abs(t - looked_at) < tiny:
-                        raise _Border(t, looked_at)
-                    looked_at = t
-            calls += 1
-            time = min(max(t, first), last) if near else t
-            if function is None:
-                return stacked(time, u)
-            try:
-                slopes = function(time, u.tolist(), point)
-            except _FAILURES:
-                return stacked(time, u)
-            return slopes if math.isfinite(sum(slopes)) else stacked(time, u)
-
-        return rates
-
-
-def _recording(rates: SingleRates, called: list[float]) -> SingleRates:
-    """Rates that append the times at which they are called."""
-
-    def recorded(t: float, u: Array) -> Sequence[float] | Array:
-        called.append(t)
-        return rates(t, u)
-
-    return recorded
+        return called_by_lsoda(self.system, self.point, (a + near, b - near), self.horizon)
 
 
 def _steps_of(called: Sequence[float], start: float, end: float) -> Array:
