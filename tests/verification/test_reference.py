@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.ir.request import Check, Domain, SolveRequest
+from rankone.trajectories.choice import WatchedStack
 from rankone.verification.measure import ReferenceSet
 from rankone.verification.points import check_points
 from rankone.verification.reference import integrate_reference
@@ -113,3 +114,34 @@ def test_a_state_that_falls_below_floating_point_numbers_and_grows_again_is_refu
     problem = ro.Problem.from_strings({"x": "k*(t - 5)*x"}, {"x": "1"}, {"k": (60, 61)}, (0, 10))
     with pytest.raises(ro.ConvergenceError, match="`x` falls below 1e-250 and may grow again"):
         ro.solve(problem, rtol=1e-3)
+
+
+def test_states_from_zero_that_are_amplified_take_two_integrations(monkeypatch):
+    """Each is made by the one before it, so that it is as small at first as steps are short."""
+    rates = {
+        "a": "-k*a",
+        "b": "k*a - b",
+        "c": "1e-3*b**2 - c",
+        "d": "1e-3*c*b - d",
+        "e": "1e-3*d*b + 2*e*(1 - e)",
+    }
+    initial = {"a": "1", **dict.fromkeys("bcde", "0")}
+    problem = ro.Problem.from_strings(rates, initial, {"k": (0.5, 1.5)}, (0, 10))
+    system, tolerances = ro.compile(problem).system, []
+    run = WatchedStack.run
+    monkeypatch.setattr(
+        WatchedStack, "run", lambda *given: tolerances.append(given[-1]) or run(*given)
+    )
+    reference = integrate_reference(system, np.array([[1.0], [0.7]]), (0.0, 10.0), 1e-7)
+    assert len(tolerances) == 2
+    for j, value in enumerate((1.0, 0.7)):
+        alone = solve_ivp(
+            lambda t, u, value=value: system.rhs(t, u, [value]),
+            (0.0, 10.0),
+            [1.0, 0.0, 0.0, 0.0, 0.0],
+            method="Radau",
+            t_eval=[5.0, 10.0],
+            rtol=1e-9,
+            atol=1e-60,
+        )
+        np.testing.assert_allclose(reference(alone.t)[:, j], alone.y, rtol=1e-5)

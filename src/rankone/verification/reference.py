@@ -43,6 +43,7 @@ _LONGEST_STEP = 0.1  # Longest step, in horizons, if narrow functions may hide b
 _BLOW_UP_GROWTH = 1e3  # Growth of a state from which it blows up, and meets no pole or border
 _COINCIDENT = 1e-14  # Times that are closer, relative to the ends of the horizon, are the same
 _LINGERING = 1e-3  # Part of its early size that resolves a negligible state that is amplified
+_BEGUN = 0.1  # Part of the time in which a state grows by a factor e, after which it has begun to
 _SMALL_STATE = 10.0  # Negligible parts of its presumed size below which a state is small
 _SAMPLES = 8  # Times at which rounding errors and the growth of small states are estimated
 _DIP_SAMPLES = 64  # Times at which states are looked for that fall far below their size
@@ -198,9 +199,11 @@ class _Resolution:
         coarse = before.floor > np.maximum(self.rounding.floor, finest)
         small = ~zero & (largest > 0.0) & (largest < _SMALL_STATE * _NEGLIGIBLE * self.size)
         usual = _NEGLIGIBLE * np.maximum(self.size, largest)
-        lingers = ~zero & ~small & (early > 0.0) & (early < np.minimum(usual, self.floor))
-        if lingers.any() and not self._amplifies(samples, dense.end):
-            lingers[:] = False
+        candidates = ~zero & ~small & (early > 0.0)
+        lingers = candidates & (early < np.minimum(usual, self.floor))
+        if lingers.any():
+            early = np.maximum(early, self._begun(dense, samples))
+            lingers = candidates & (early < np.minimum(usual, self.floor))
         dips = ~zero & self._grows_again(dense)
         self.size = np.where(small, largest, self.size)
         self.floor = np.where(lingers, _LINGERING * early, self.floor)
@@ -242,14 +245,21 @@ class _Resolution:
             )
         return dips[:, None]
 
-    def _amplifies(self, samples: Sequence[tuple[float, Array]], end: float) -> bool:
-        """Whether small states may grow exponentially along the first trajectory, by much."""
-        growth = 0.0
+    def _begun(self, dense: DenseTrajectories, samples: Sequence[tuple[float, Array]]) -> Array:
+        """Sizes of states (n, 1) before small ones may grow exponentially; infinite if none may.
+
+        A state that starts from zero is as small at first as steps are short. What it is after a
+        part of the time in which it grows counts, and does not depend on them.
+        """
+        growth, start = 0.0, self.start
         for time, states in samples:
             block = jacobians(self.system, self.points, time, states)[0]
             if np.isfinite(block).all():
                 growth = max(growth, growth_rate(block))
-        return growth * (end - self.start) > MOST_GROWTH
+        if growth * (dense.end - start) <= MOST_GROWTH:
+            return np.full((len(self.size), 1), np.inf)
+        begun = dense(np.array([start + _BEGUN / growth]))
+        return np.asarray(np.abs(begun).max(axis=(1, 2))[:, None])
 
     def reference(self, dense: DenseTrajectories) -> Reference:
         """The trajectories, and why they end where they do."""
