@@ -38,7 +38,7 @@ SUMMARY = re.compile(r"^  (?:success|error|train|timings) .*(?:\n {12}.*)*", re.
 CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.M | re.S)
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)")
 
-LONG = {ROOT / "docs" / name for name in ("cross.md", "classic-method.md")}
+LONG = {ROOT / "docs" / name for name in ("cross.md", "classic-method.md", "guide/falling-card.md")}
 COMMANDS = {
     path: path.name not in ("c-model.md", "solved-model.md")
     for path in sorted((ROOT / "docs" / "export").glob("*.md"))
