@@ -302,8 +302,8 @@ def test_the_absolute_value_of_a_remainder(where):
 
 def test_long_sums_of_text():
     """Like terms gather; sums of others are compiled up to a length that is named."""
-    compiled = ro.compile(text("+".join("k*x" for _ in range(25_000))))
-    assert compiled.system.rhs(0.0, np.array([2.0]), np.array([0.5]))[0] == 25_000.0
+    compiled = ro.compile(text("+".join("k*x" for _ in range(6_000))))
+    assert compiled.system.rhs(0.0, np.array([2.0]), np.array([0.5]))[0] == 6_000.0
     signs = "".join(f"{'-' if i % 3 else '+'}{i}e-1*x" for i in range(1, 1200))
     exact = sum((-i if i % 3 else i) for i in range(1, 1200)) / 10
     rate = ro.compile(text(f"k{signs}")).system.rhs(0.0, np.array([1.0]), np.array([0.5]))[0]

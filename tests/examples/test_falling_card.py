@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import re
 import shutil
@@ -26,8 +28,24 @@ needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js
 
 
 @pytest.fixture(scope="module")
-def solution():
-    return ro.solve(falling_card.problem, rtol=falling_card.RTOL)
+def run():
+    """The solution of the example and what it prints."""
+    solutions, solve, printed = [], ro.CompiledProblem.solve, io.StringIO()
+
+    def recorded(*arguments, **options):
+        solutions.append(solve(*arguments, **options))
+        return solutions[-1]
+
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(ro.CompiledProblem, "solve", recorded)
+        falling_card.main()
+    (solution,) = solutions
+    return solution, printed.getvalue()
+
+
+@pytest.fixture(scope="module")
+def solution(run):
+    return run[0]
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +63,12 @@ def drawn(page, folder, search):
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     return [np.array(line).T for line in found["lines"]], found["texts"]
+
+
+def test_main(run):
+    solution, printed = run
+    assert solution.success, solution.message
+    assert printed.startswith(repr(solution))
 
 
 def test_trajectories(solution):
