@@ -14,6 +14,7 @@ from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
 
 _MOST_TERMS = 5000  # Terms of the longest sum: each takes some milliseconds to compile
+_UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
@@ -69,13 +70,12 @@ def _residual(equation: Any, index: int, time: sp.Symbol) -> sp.Expr:
             equation,
             "write sympy.Eq(left, right), or an expression that vanishes, for each scalar equation",
         )
-    for unsupported in (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs):
-        for term in residual.atoms(unsupported):
-            raise error(
-                f"{quote(term)} is not supported in an equation",
-                term,
-                "integrals can be written as unknowns with equations of their own",
-            )
+    for term in _in_order(residual.atoms(*_UNSUPPORTED)):
+        raise error(
+            f"{quote(term)} is not supported in an equation",
+            term,
+            "integrals can be written as unknowns with equations of their own",
+        )
     residual = _carry_out_derivatives(residual, time, error)
     for applied in _in_order(residual.atoms(AppliedUndef)):
         if applied.args != (time,):
