@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import rankone as ro
 from rankone.support.budget import OutOfBudgetError, limited, work_done
@@ -226,3 +227,23 @@ def test_steps_tell_those_of_explicit_ones():
     stack, single = (explicit_steps(dense[each]) for each in ("stack", "single"))
     assert stack == dense["stack"].steps
     assert 0.3 * stack < single < 3.0 * stack
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_a_state_leaves_zero_where_its_jacobian_is_infinite(integrator):
+    """Newton's correction vanishes there, whatever the rate is."""
+    rate, end = "-k*sqrt(x) + 0.01*exp(-t)", 3.0
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "0"}, {"k": (0.5, 1)}, (0, end))
+    solution = ro.solve(problem, 1e-4, integrator=integrator)
+    assert solution.success
+    alone = solve_ivp(
+        lambda t, x: -0.7 * np.sqrt(np.maximum(x, 0.0)) + 0.01 * np.exp(-t),
+        (0.0, end),
+        [0.0],
+        method="LSODA",
+        t_eval=[0.1, 1.0],
+        rtol=1e-8,
+        atol=1e-14,
+    )
+    largest = 3.2e-4
+    np.testing.assert_allclose(solution(t=alone.t, k=0.7), alone.y, atol=2e-4 * largest)

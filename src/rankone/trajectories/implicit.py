@@ -18,7 +18,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, in_pieces, inverse
 from rankone.trajectories.defects import DefectControl, Interpolant
-from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.integrator import Tolerances, finite_blocks, raised
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
@@ -56,9 +56,17 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     ) -> None:
         self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
         super().__init__(rates, start, states, end, tolerances, control)
-        self.J = blocks(self.t, self.y)
+        self.J = self._jacobians(self.t, self.y)
         self.I = np.eye(self.J.shape[1])
         self.lu, self.solve_lu = self._inverses, self._solve
+
+    def _jacobians(self, t: float, y: Array) -> Array:
+        """Jacobians at states no smaller than their tolerance; zero where they are not finite.
+
+        The derivative of a root at zero is infinite, and Newton's corrections vanish however wrong
+        the state is. Without a Jacobian they converge in short steps.
+        """
+        return finite_blocks(self._blocks(t, raised(y, self.atol)))
 
     def _inverses(self, matrices: Array) -> Array:
         """Inverses; keeps those of the real Newton matrices for the check of the interpolant."""
@@ -80,7 +88,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
     def _validate_jac(self, jac: object, sparsity: object) -> tuple[object, object]:
         """The Jacobian as a function, and an empty matrix that SciPy needs and nothing uses."""
-        return lambda t, y, f=None: self._blocks(t, y), scipy.sparse.csc_matrix((self.n, self.n))
+        return lambda t, y, f=None: self._jacobians(t, y), scipy.sparse.csc_matrix((self.n, self.n))
 
     def _shortening(self, y_before: Array) -> float:
         error = max(map(self._interpolation_error, self._shares), default=0.0)
