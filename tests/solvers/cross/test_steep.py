@@ -142,7 +142,7 @@ def test_a_front_at_one_end_of_another_parameter():
 )
 @pytest.mark.slow
 def test_failures_name_the_parameter_and_the_place(rates, initial, box, end, said):
-    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3)
+    solution = ro.solve(problem(rates, initial, box, end), rtol=1e-3, effort="low")
     assert not solution.success
     assert solution.status.name == "STEEP"
     assert solution.method == "cross"
