@@ -18,7 +18,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, in_pieces, inverse
 from rankone.trajectories.defects import DefectControl, Interpolant
-from rankone.trajectories.integrator import Tolerances, finite_blocks, raised
+from rankone.trajectories.integrator import Tolerances, finite_blocks
 from rankone.trajectories.steppers import Piece, Rates, Stepper
 
 _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is checked
@@ -61,12 +61,12 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         self.lu, self.solve_lu = self._inverses, self._solve
 
     def _jacobians(self, t: float, y: Array) -> Array:
-        """Jacobians at states no smaller than their tolerance; zero where they are not finite.
+        """Jacobians, zero where they are not finite.
 
         The derivative of a root at zero is infinite, and Newton's corrections vanish however wrong
         the state is. Without a Jacobian they converge in short steps.
         """
-        return finite_blocks(self._blocks(t, raised(y, self.atol)))
+        return finite_blocks(self._blocks(t, y))
 
     def _inverses(self, matrices: Array) -> Array:
         """Inverses; keeps those of the real Newton matrices for the check of the interpolant."""

@@ -149,13 +149,6 @@ def jacobians(system: System, points: Array, time: float | Array, states: Array)
     return np.moveaxis(np.broadcast_to(jacobian, (n, n, m)), 2, 0)
 
 
-def raised(states: Array, floor: Array) -> Array:
-    """States of at least the size of a floor, with their signs."""
-    return np.asarray(
-        np.where(np.abs(states) < floor, np.where(states < 0.0, -floor, floor), states)
-    )
-
-
 def finite_blocks(blocks: Array) -> Array:
     """Matrices (m, n, n) with zero in place of each that is not finite."""
     finite = np.isfinite(blocks).all(axis=(1, 2), keepdims=True)

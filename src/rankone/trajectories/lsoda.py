@@ -12,7 +12,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import function_cost, scalar_cost
-from rankone.trajectories.integrator import finite_blocks, jacobians, raised
+from rankone.trajectories.integrator import finite_blocks, jacobians
 from rankone.trajectories.scalar import scalar_jacobian, scalar_rates
 
 _COUNTED_CALLS = 100  # Calls of the rates that are charged at once
@@ -40,19 +40,18 @@ class Border(Exception):
 
 
 def called_by_lsoda(
-    system: System, point: Array, span: tuple[float, float], horizon: float, floor: Array
+    system: System, point: Array, span: tuple[float, float], horizon: float
 ) -> tuple[Rates, Jacobian | None]:
     """Rates and Jacobian at a point (d,), taken within a span of time alone.
 
     The rates raise a Border where they are not finite, and after thousands of calls at almost the
-    same time. The Jacobian is taken at states of at least the size of a ``floor`` (n,), and None
-    where LSODA's own differences cost no more.
+    same time. The Jacobian is None where LSODA's own differences cost no more.
     """
     function = scalar_rates(system)
     stacked_cost = function_cost(system.rhs, system.user_functions)(1)
     each = stacked_cost if function is None else scalar_cost(function)
     each += _CALL_COST
-    jacobian = _jacobian(system, point, span, floor, system.n_differential * each)
+    jacobian = _jacobian(system, point, span, system.n_differential * each)
     each += _LINEAR_ALGEBRA * system.n_differential**3
     (first, last), numbers, column = span, point.tolist(), point[:, None]
     tiny, calls, looked_at = _TINY_PROGRESS * horizon, 0, -math.inf
@@ -86,7 +85,7 @@ def called_by_lsoda(
 
 
 def _jacobian(
-    system: System, point: Array, span: tuple[float, float], floor: Array, differences: float
+    system: System, point: Array, span: tuple[float, float], differences: float
 ) -> Jacobian | None:
     """The Jacobian, where it costs fewer operations than ``differences`` of the rates."""
     entries = scalar_jacobian(system)
@@ -101,11 +100,11 @@ def _jacobian(
 
     def jacobian(t: float, u: Array) -> Array:
         charge(cost)
-        matrix, time, state = np.zeros((n, n)), min(max(t, first), last), raised(u, floor)
+        matrix, time = np.zeros((n, n)), min(max(t, first), last)
         try:
-            matrix[rows, columns] = function(time, state.tolist(), numbers)
+            matrix[rows, columns] = function(time, u.tolist(), numbers)
         except _FAILURES:
-            matrix = jacobians(system, point[None], time, state)[0]
+            matrix = jacobians(system, point[None], time, u)[0]
         return np.asarray(finite_blocks(matrix[None])[0])
 
     return jacobian

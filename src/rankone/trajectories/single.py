@@ -342,8 +342,8 @@ class _Single:
     def _called(self, a: float, b: float) -> tuple[Rates, Jacobian | None]:
         """What LSODA calls on a segment; factors of time are never taken at its very ends."""
         near = inset(a, b) if len(self.edges) > 2 else 0.0
-        span, floor = (a + near, b - near), self.tighter.absolute[:, 0]
-        return called_by_lsoda(self.system, self.point, span, self.horizon, floor)
+        span = a + near, b - near
+        return called_by_lsoda(self.system, self.point, span, self.horizon)
 
 
 def _steps_of(called: Sequence[float], start: float, end: float) -> Array:
