@@ -15,8 +15,10 @@ from rankone.agreement.problems import check_outputs
 from rankone.codegen.printer import numpy_text
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.admissible import closed, gaps
+from rankone.expressions.boundaries import boundaries
 from rankone.expressions.notation import exact, plain_text
 from rankone.expressions.parsing import parse_expression
+from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import stable
 from rankone.ir.forms import Coordinate
 from rankone.ir.functions import duration, first_crossing, known_applied, maximum, minimum
@@ -26,7 +28,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError, RankoneError
 from rankone.support.wording import did_you_mean, listing, quote, shown
 from rankone.symbolic.features import cuts_of
-from rankone.symbolic.surfaces import boundaries, peaks, steps
 from rankone.symbolic.well_posed import Gap, check_gaps
 
 # What makes one number of a function of time

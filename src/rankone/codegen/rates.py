@@ -21,10 +21,10 @@ from rankone.codegen.pointwise import (
 from rankone.codegen.printer import numpy_text
 from rankone.codegen.sums import Addend, share
 from rankone.codegen.text import commented, docstring
+from rankone.expressions.derivatives import Differentiator
 from rankone.expressions.stable import stable
 from rankone.ir.forms import QuadraticSystem, Term
 from rankone.support.errors import ProblemError, SeparationError
-from rankone.symbolic.derivatives import Differentiator
 from rankone.symbolic.first_order import FirstOrderSystem
 from rankone.symbolic.well_posed import NamedExpression
 

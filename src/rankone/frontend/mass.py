@@ -50,6 +50,32 @@ class MassForm:
         entries = sp.Matrix(n, n, lambda i, j: exact(self.rows[i].get(j, sp.S.Zero)))
         return DomainMatrix.from_Matrix(entries).to_field()
 
+    def solved(self) -> tuple[list[sp.Expr], list[int | None]]:
+        """Solve M v + r = 0 for v; return also which equation gave which component.
+
+        Equations are counted from 1; where several were solved together there is None.
+        """
+        unknowns = range(len(self.leading))
+        if self.places is not None:
+            order = [self.places[i] for i in unknowns]
+            quotients = [
+                [_divide(-term, self.rows[e][i]) for term in self.remainders[e]]
+                for i, e in enumerate(order)
+            ]
+            return [sp.Add(*terms) for terms in quotients], [e + 1 for e in order]
+        inverse = self.matrix.inv().to_Matrix()
+        solved = []
+        for i in unknowns:
+            pairs = zip(inverse.row(i), self.remainders, strict=True)
+            solved.append(sp.Add(*[sp.Mul(-a, term) for a, r in pairs if a != 0 for term in r]))
+        return solved, [None for _ in unknowns]
+
+
+def _divide(term: sp.Expr, mass: sp.Expr) -> sp.Expr:
+    if mass is sp.S.One:
+        return term
+    return exact(term) / exact(mass) if mass.is_number else term / mass
+
 
 def check_mass(
     residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], coordinates: Sequence[Coordinate]

@@ -6,9 +6,8 @@
 :mod:`~.splitting`    one expression as a sum of products of functions of one coordinate
 :mod:`~.lifting`      functions of the unknowns become unknowns, so that the system separates
 :mod:`~.features`     where a system is not smooth: cuts of each coordinate
-:mod:`~.surfaces`     functions that vanish at kinks, jumps, narrow peaks and steep steps
+:mod:`~.surfaces`     functions that vanish where the system kinks, jumps or is narrow
 :mod:`~.well_posed`   is everything finite on a domain, and has every function a branch there?
-:mod:`~.derivatives`  the derivatives that a Jacobian needs
 ====================  ============================================================================
 
 Each pass takes frozen data and returns frozen data. Code generation reads the last,

@@ -25,22 +25,16 @@ from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
 from rankone.expressions.admissible import numeric
+from rankone.expressions.boundaries import DISCONTINUOUS, boundaries
+from rankone.expressions.derivatives import slope
+from rankone.expressions.peaks import peaks, steps
 from rankone.ir.forms import Coordinate
 from rankone.ir.verdict import SwitchingTerm
 from rankone.support.arrays import Array
 from rankone.support.budget import check_time
 from rankone.support.wording import quote, written
-from rankone.symbolic.derivatives import slope
 from rankone.symbolic.first_order import FirstOrderSystem
-from rankone.symbolic.surfaces import (
-    DISCONTINUOUS,
-    boundaries,
-    moving_cuts,
-    parameter_surfaces,
-    peaks,
-    state_surfaces,
-    steps,
-)
+from rankone.symbolic.surfaces import moving_cuts, parameter_surfaces, state_surfaces
 
 _MAX_DEGREE = 12  # Of polynomials whose roots SymPy isolates exactly; above it this takes seconds
 _COEFFICIENT_DIGITS = 25  # Decimal digits of irrational coefficients: more than a float holds

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 import sympy as sp
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.notation import exact, initial_latex, initial_texts, latex_of, text_of
+from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
-from rankone.frontend.mass import MassForm
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Coordinate, Jump, State
 from rankone.ir.functions import namespace_of
@@ -134,7 +133,7 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
     check_kind("first_order", problem, Problem, remedy=remedy)
     time = problem.time[0]
-    solved, equations = _solved(problem.mass)
+    solved, equations = problem.mass.solved()
     expressions = list(problem.initial)
     states = tuple(
         State(name_of(e), e, Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN)
@@ -167,30 +166,6 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         origins=tuple(origins),
         jumps=jumps,
     )
-
-
-def _solved(form: MassForm) -> tuple[list[sp.Expr], list[int | None]]:
-    """Solve M v + r = 0 for v; return also which equation gave which component."""
-    unknowns = range(len(form.leading))
-    if form.places is not None:
-        order = [form.places[i] for i in unknowns]
-        quotients = [
-            [_divide(-term, form.rows[e][i]) for term in form.remainders[e]]
-            for i, e in enumerate(order)
-        ]
-        return [sp.Add(*terms) for terms in quotients], [e + 1 for e in order]
-    inverse = form.matrix.inv().to_Matrix()
-    solved = []
-    for i in unknowns:
-        pairs = zip(inverse.row(i), form.remainders, strict=True)
-        solved.append(sp.Add(*[sp.Mul(-a, term) for a, r in pairs if a != 0 for term in r]))
-    return solved, [None for _ in unknowns]
-
-
-def _divide(term: sp.Expr, mass: sp.Expr) -> sp.Expr:
-    if mass is sp.S.One:
-        return term
-    return exact(term) / exact(mass) if mass.is_number else term / mass
 
 
 @dataclass(frozen=True, repr=False)
