@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rankone.estimation.minimize import Optimum
     from rankone.estimation.posterior import Posterior
     from rankone.frontend.problem import Problem
+    from rankone.frontend.trajectory import Trajectory
     from rankone.interface.compiled import CompiledProblem
     from rankone.interface.compiled import compile_problem as compile
     from rankone.interface.compiled import solve_problem as solve
@@ -79,6 +80,7 @@ __all__ = [
     "Status",
     "StorageError",
     "TrainOptions",
+    "Trajectory",
     "WeakForm",
     "__version__",
     "compile",
@@ -106,6 +108,7 @@ _MODULES = {
     "estimation.minimize": ("Optimum",),
     "estimation.posterior": ("Posterior",),
     "frontend.problem": ("Problem",),
+    "frontend.trajectory": ("Trajectory",),
     "interface.compiled": ("CompiledProblem", "compile", "solve"),
     "interface.solution": ("Solution", "load"),
     "ir.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),

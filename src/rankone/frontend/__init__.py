@@ -6,6 +6,8 @@
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives
 :mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``
+:mod:`~.numeric`        the equations as functions of numbers
+:mod:`~.trajectory`     one ordinary trajectory, by SciPy
 :mod:`~.problem_files`  problems from Python and TOML files
 ======================  ==========================================================================
 """

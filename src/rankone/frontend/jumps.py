@@ -18,7 +18,7 @@ from rankone.ir.functions import Table
 from rankone.support.errors import ProblemError, warn
 from rankone.support.wording import did_you_mean, listing, quote, shown
 
-Resets = dict[float, dict[sp.Expr, sp.Expr]]
+Resets = Mapping[float, Mapping[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""
 Impulses = dict[float, dict[int, sp.Expr]]
 """For each time what is added to states, by the index of the state."""
@@ -43,7 +43,7 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     if not isinstance(jumps, Mapping):
         raise ProblemError(f"jumps are {shown(jumps)}, not a mapping", term=jumps, remedy=_REMEDY)
     time = symbols.time
-    resets: Resets = {}
+    resets: dict[float, dict[sp.Expr, sp.Expr]] = {}
     for key, reset in jumps.items():
         instants = tuple(key) if isinstance(key, _SEVERAL) else (key,)
         if not instants:
@@ -58,7 +58,7 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
                 )
             resets[at] = _reset(reset, at, symbols)
     _check_apart(resets, time)
-    late = [at for at in sorted(resets) if at >= time[2] - _LEAST_GAP * (time[2] - time[1])]
+    late = [at for at in sorted(resets) if _is_late(at, time)]
     if late:
         first = f"the jump at {time[0]} = {late[0]:.12g}"
         further = f" and {len(late) - 1} more" if len(late) > 1 else ""
@@ -179,6 +179,15 @@ def at_start(jump: Jump, time: Time) -> bool:
     return jump.time - time[1] < _LEAST_GAP * (time[2] - time[1])
 
 
+def at_end(jump: Jump, time: Time) -> bool:
+    """Whether a jump is at the end of time or later, or earlier by rounding alone."""
+    return _is_late(jump.time, time)
+
+
+def _is_late(at: float, time: Time) -> bool:
+    return at >= time[2] - _LEAST_GAP * (time[2] - time[1])
+
+
 def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol) -> Iterator[str]:
     """The same as :func:`jump_texts` as LaTeX, with ``&``."""
     for values_after, times in Jump.kinds(jumps).items():
@@ -229,7 +238,7 @@ def without_impulses(
                     remedy="remove it",
                 )
                 continue
-            if at >= time[2] - _LEAST_GAP * (time[2] - time[1]):
+            if _is_late(at, time):
                 warn(
                     f"{quote(impulse)} is not before the end of time, {time[2]:g}",
                     remedy=_LATE_REMEDY,

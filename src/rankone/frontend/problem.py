@@ -10,9 +10,10 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, TypeGuard, TypeVar
 
+import numpy as np
 import sympy as sp
 
-from rankone.discretization.coordinates import name_of
+from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.expressions.parsing import parse_expression
@@ -29,12 +30,15 @@ from rankone.frontend.equations import (
 )
 from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
 from rankone.frontend.mass import MassForm, check_mass
+from rankone.frontend.numeric import NumericEquations
+from rankone.frontend.trajectory import LEAST_RTOL, MOST_RTOL, Trajectory, integrate
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
 from rankone.ir.measures import LINEAR, with_measure, written_scale
 from rankone.ir.metadata import with_unit
 from rankone.statistics.distributions import scale_of
-from rankone.support.errors import ProblemError, bounded_depth, warn
+from rankone.support.errors import EvaluationError, ProblemError, bounded_depth, warn
+from rankone.support.options import checked_number
 from rankone.support.wording import (
     aligned_equations,
     count,
@@ -272,6 +276,70 @@ class Problem:
             units=units,
             tail=tail,
             correlation=correlation,
+        )
+
+    def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
+        """Integrate one ordinary trajectory by SciPy, for a first check.
+
+        It is integrated from the equations as they were written, without compiling anything, jumps
+        and impulses included. Steps are SciPy's LSODA; none straddles a jump, or a time at which a
+        function of time and parameters switches.
+
+        Parameters
+        ----------
+        *at, **named
+            Times, a number or an array inside the horizon, and one value for each parameter, as a
+            solution takes them: ``trajectory(t=times, k=2.0)``, ``trajectory(times, {k: 2.0})``.
+        rtol : float
+            Tolerance of a step, relative to the states; from 1e-12 to 0.1. A parameter of that name
+            is given in a mapping.
+
+        Returns
+        -------
+        Trajectory
+            Its ``.values`` have the shape of a solution, ``(unknowns, *shape of the times)``;
+            ``trajectory[x]`` is one unknown.
+
+        Raises
+        ------
+        EvaluationError
+            As for a solution; and if a parameter has several values.
+        BlowUpError
+            If the trajectory cannot be continued to the end of the horizon.
+
+        Examples
+        --------
+        >>> t, k = sp.symbols("t k")
+        >>> u = sp.Function("u")(t)
+        >>> problem = Problem([sp.Eq(u.diff(t), -k * u)], (t, 0, 2), {k: (0.5, 5)}, {u: 1})
+        >>> trajectory = problem.trajectory([0.5, 1.0], k=2.0)
+        >>> trajectory[u].round(6)
+        array([0.367879, 0.135335])
+        """
+        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+        coordinates = self.coordinates
+        axes = Coordinates([c.name for c in coordinates], [(c.lower, c.upper) for c in coordinates])
+        times, *values = axes.arrays(axes.gather(at, named))
+        for coordinate, value in zip(coordinates[1:], values, strict=True):
+            if value.size != 1:
+                raise EvaluationError(
+                    f"`{coordinate.name}` has {value.size} values; a trajectory has one for each "
+                    "parameter",
+                    term=coordinate.name,
+                    remedy="call it for each",
+                )
+        point = np.array([value.item() for value in values])
+        states = integrate(self._numeric, point, times, rtol)
+        names = [name_of(state) for state in self.initial]
+        by_name = dict(zip(names, states, strict=True))
+        unknowns = np.stack([by_name[name_of(unknown)] for unknown in self.unknowns])
+        return Trajectory(times, unknowns, MappingProxyType(by_name))
+
+    @cached_property
+    def _numeric(self) -> NumericEquations:
+        """The equations as functions of numbers."""
+        return NumericEquations(
+            self.time, tuple(self.parameters), self.mass, self.initial, self.jumps or {}
         )
 
     @property

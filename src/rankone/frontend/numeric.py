@@ -1,0 +1,229 @@
+"""The equations of a problem as functions of numbers, made from them as the user wrote them.
+
+Nothing here reads generated code, so that trajectories integrated with it are an independent check
+of solutions. The highest derivatives are solved for numerically, by the mass matrix.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.boundaries import boundaries
+from rankone.expressions.derivatives import slope
+from rankone.expressions.peaks import peaks, steps
+from rankone.expressions.stable import NUMPY, stable
+from rankone.frontend.box import Time
+from rankone.frontend.jumps import (
+    Impulses,
+    Resets,
+    at_end,
+    at_start,
+    system_jumps,
+    without_impulses,
+)
+from rankone.frontend.mass import MassForm
+from rankone.ir.functions import known_applied
+from rankone.support.arrays import Array
+
+Numbers = Callable[[float, Array, Array], Array]
+"""Maps time, states (n,) and parameters (d,) to as many numbers as there are expressions."""
+_SAMPLES = (
+    4097  # Times between which a function of time that is not linear is looked at for switches
+)
+_ROOT_ACCURACY = 4.0 * np.finfo(float).eps  # Relative accuracy of times: a few roundings
+
+
+@dataclass(frozen=True)
+class _Switch:
+    """A function of time and parameters, and its levels at which something switches or is narrow.
+
+    The levels are None for all integers.
+    """
+
+    surface: Callable[[float, Array], float]
+    levels: Array | None
+    linear: bool
+
+    def times(self, time: Time, parameters: Array) -> list[float]:
+        """When the function takes one of its levels, as far as samples tell."""
+
+        def height(at: float, level: float = 0.0) -> float:
+            return self.surface(at, parameters) - level
+
+        samples = np.linspace(time[1], time[2], 2 if self.linear else _SAMPLES)
+        heights = np.array([height(at) for at in samples])
+        taken = self._between(heights, heights)
+        times = [float(at) for at, level in zip(samples, taken, strict=True) if level.size]
+        for k, levels in enumerate(self._between(heights[:-1], heights[1:])):
+            for level in levels:
+                if (heights[k] - level) * (heights[k + 1] - level) < 0.0:
+                    ends = float(samples[k]), float(samples[k + 1])
+                    size = _ROOT_ACCURACY * max(map(abs, ends))
+                    root = scipy.optimize.brentq(
+                        height, *ends, args=(level,), xtol=size, rtol=_ROOT_ACCURACY
+                    )
+                    times.append(root)
+        return times
+
+    def _between(self, first: Array, second: Array) -> list[Array]:
+        """The levels between pairs of heights, ends included."""
+        finite = np.isfinite(first) & np.isfinite(second)
+        pairs = np.sort(np.where(finite, [first, second], np.nan), axis=0).T
+        nothing = np.empty(0)
+        if self.levels is None:
+            return [
+                np.arange(np.ceil(a), np.floor(b) + 1.0) if a <= b else nothing for a, b in pairs
+            ]
+        levels = self.levels
+        return [levels[(levels >= a) & (levels <= b)] for a, b in pairs]
+
+
+class NumericEquations:
+    """The rates, initial values, jumps and switches of a problem as functions of numbers.
+
+    States are the unknowns and their lower derivatives, in the order of ``initial``.
+
+    Attributes
+    ----------
+    initial : callable
+        Maps time, states and parameters to the states (n,) at the start of time; which states it
+        is given does not matter.
+    jumps : list of (float, callable)
+        Times inside the horizon, the start included, at which states are reset, in order, and the
+        states after it.
+    """
+
+    def __init__(
+        self,
+        time: Time,
+        parameters: Sequence[sp.Symbol],
+        mass: MassForm,
+        initial: Mapping[sp.Expr, sp.Expr],
+        resets: Resets,
+    ) -> None:
+        self.time, self.states = time, tuple(initial)
+        self.clock, self.parameters = time[0].name, [symbol.name for symbol in parameters]
+        self._arguments = {v: sp.Dummy(real=True) for v in (time[0], *self.states, *parameters)}
+        places = {state: k for k, state in enumerate((*self.states, *mass.leading))}
+        self._rate_places = [places[state.diff(time[0])] for state in self.states]
+        self._rows, self._equations = mass.rows, mass.places
+        entries = [entry for row in mass.rows for entry in row.values()]
+        remainders = [_without_impulses(sp.Add(*terms)) for terms in mass.remainders]
+        self._entries, self._remainders = self.function(entries), self.function(remainders)
+        self._switches = self._known_switches([*entries, *remainders])
+        self.initial = self.function(list(initial.values()))
+        self.jumps = self._known_jumps(mass, resets)
+
+    def function(self, expressions: Sequence[sp.Expr]) -> Numbers:
+        """Expressions of time, states and parameters as a function of numbers."""
+        plain = [expression.xreplace(self._arguments) for expression in expressions]
+        implementations: dict[str, Callable[..., np.float64]] = {}
+        for k, kind in enumerate(dict.fromkeys(applied.func for applied in known_applied(plain))):
+            name = f"data_{k}"
+            implementations[name] = _of_numbers(kind._imp_)
+            plain = [e.replace(kind, sp.Function(name, real=True)) for e in plain]
+        modules = [implementations, NUMPY, "numpy", "scipy"]
+        arguments = list(self._arguments.values())
+        compiled = sp.lambdify(arguments, [stable(e) for e in plain], modules, cse=True)
+
+        def evaluate(time: float, states: Array, parameters: Array) -> Array:
+            return np.array(compiled(np.float64(time), *states, *parameters), dtype=float)
+
+        return evaluate
+
+    def highest(self, time: float, states: Array, parameters: Array) -> Array:
+        """The highest derivatives, in the order of the unknowns; NaN if nothing determines them."""
+        entries = self._entries(time, states, parameters)
+        remainders = self._remainders(time, states, parameters)
+        if self._equations is not None:
+            order = [self._equations[i] for i in range(len(remainders))]
+            return np.asarray(-remainders[order] / entries[order])
+        matrix = np.zeros((len(remainders), len(remainders)))
+        places = [(i, j) for i, row in enumerate(self._rows) for j in row]
+        matrix[tuple(np.transpose(places))] = entries
+        try:
+            return np.asarray(np.linalg.solve(matrix, -remainders), dtype=float)
+        except np.linalg.LinAlgError:
+            return np.full(len(remainders), np.nan)
+
+    def rates(self, time: float, states: Array, parameters: Array) -> Array:
+        """The derivatives of the states (n,)."""
+        derivatives = np.concatenate([states, self.highest(time, states, parameters)])
+        return np.asarray(derivatives[self._rate_places])
+
+    def switch_times(self, parameters: Array) -> list[float]:
+        """When functions of time and parameters in the equations switch or are narrow, in order."""
+        return sorted(at for switch in self._switches for at in switch.times(self.time, parameters))
+
+    def _known_switches(self, expressions: Sequence[sp.Expr]) -> list[_Switch]:
+        """Boundaries, peaks and steps of functions of time and parameters alone."""
+        time = self.time[0]
+
+        def moving(expression: sp.Basic) -> set[sp.Symbol]:
+            known = time in expression.free_symbols and not expression.has(AppliedUndef)
+            return {time} if known else set()
+
+        narrow = itertools.chain(peaks(expressions, moving), steps(expressions, moving))
+        middles = ((surface, (0.0,)) for node, surface in narrow if moving(node))
+        return [
+            _Switch(
+                self._of_time(surface),
+                None if levels is None else np.array(levels, dtype=float),
+                linear=_is_linear(surface, time),
+            )
+            for surface, levels in itertools.chain(boundaries(expressions), middles)
+            if moving(surface)
+        ]
+
+    def _of_time(self, expression: sp.Expr) -> Callable[[float, Array], float]:
+        """An expression of time and parameters alone as a function of numbers."""
+        of_states, nothing = self.function([expression]), np.full(len(self.states), np.nan)
+        return lambda time, parameters: float(of_states(time, nothing, parameters)[0])
+
+    def _known_jumps(self, mass: MassForm, resets: Resets) -> list[tuple[float, Numbers]]:
+        """Jumps and impulses from the start of time on and before its end."""
+        time = self.time[0]
+        functions = {state: sp.Function(name_of(state))(time) for state in self.states}
+        impulses: Impulses = {}
+        if any(term.has(sp.DiracDelta) for terms in mass.remainders for term in terms):
+            solved, origins = mass.solved()
+            highest = dict(zip(mass.leading, zip(solved, origins, strict=True), strict=True))
+            pairs = [highest.get(state.diff(time), (sp.S.Zero, None)) for state in self.states]
+            rates = [rate.xreplace(functions) for rate, _ in pairs]
+            numbers = [number for _, number in pairs]
+            _, impulses = without_impulses(rates, list(functions.values()), numbers, self.time)
+        written = {function: state for state, function in functions.items()}
+        return [
+            (
+                self.time[1] if at_start(jump, self.time) else jump.time,
+                self.function([value.xreplace(written) for value in jump.values]),
+            )
+            for jump in system_jumps(resets, impulses, functions, self.time)
+            if not at_end(jump, self.time)
+        ]
+
+
+def _is_linear(expression: sp.Expr, time: sp.Symbol) -> bool:
+    rate = slope(expression, time)
+    return rate is not sp.nan and time not in rate.free_symbols
+
+
+def _without_impulses(expression: sp.Expr) -> sp.Expr:
+    return expression.xreplace(dict.fromkeys(expression.atoms(sp.DiracDelta), sp.S.Zero))
+
+
+def _of_numbers(function: Callable[..., Array]) -> Callable[..., np.float64]:
+    """A function of arrays as one of numbers."""
+
+    def of_numbers(*arguments: float) -> np.float64:
+        return np.float64(function(*(np.atleast_1d(a) for a in arguments))[0])
+
+    return of_numbers
