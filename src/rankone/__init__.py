@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
     from rankone.estimation.minimize import Optimum
     from rankone.estimation.posterior import Posterior
+    from rankone.frontend.events import Event
     from rankone.frontend.problem import Problem
     from rankone.frontend.trajectory import Trajectory
     from rankone.interface.compiled import CompiledProblem
@@ -60,6 +61,7 @@ __all__ = [
     "ConvergenceError",
     "CrossOptions",
     "EvaluationError",
+    "Event",
     "ExportError",
     "FirstOrderSystem",
     "Fit",
@@ -107,6 +109,7 @@ _MODULES = {
     "estimation.fit": ("Fit",),
     "estimation.minimize": ("Optimum",),
     "estimation.posterior": ("Posterior",),
+    "frontend.events": ("Event",),
     "frontend.problem": ("Problem",),
     "frontend.trajectory": ("Trajectory",),
     "interface.compiled": ("CompiledProblem", "compile", "solve"),

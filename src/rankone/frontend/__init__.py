@@ -6,6 +6,8 @@
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives
 :mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``
+:mod:`~.events`         what happens where an expression crosses zero
+:mod:`~.text`           formulas by name as the expressions that the checks take
 :mod:`~.numeric`        the equations as functions of numbers
 :mod:`~.trajectory`     one ordinary trajectory, by SciPy
 :mod:`~.problem_files`  problems from Python and TOML files

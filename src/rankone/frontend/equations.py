@@ -214,13 +214,19 @@ def state_expressions(
 
 
 def check_names(
-    states: Iterable[tuple[str, sp.Expr]], parameters: Iterable[sp.Symbol], time: sp.Symbol
+    states: Iterable[tuple[str, sp.Expr]],
+    parameters: Iterable[sp.Symbol],
+    time: sp.Symbol,
+    further: Iterable[tuple[str, str]] = (),
 ) -> None:
-    """Raise unless all names differ and can be printed: results are labelled by name."""
+    """Raise unless all names differ and can be printed: results are labelled by name.
+
+    ``further`` has names and their owners: ``("bounce", "event 1")``.
+    """
     named = [(time.name, "the time")]
     named += [(symbol.name, f"parameter {quote(symbol)}") for symbol in parameters]
     named += [(name, f"unknown {quote(expression)}") for name, expression in states]
-    defect = name_defect(named)
+    defect = name_defect([*named, *further])
     if defect is not None:
         name, message = defect
         raise ProblemError(message, term=name, remedy="rename it")

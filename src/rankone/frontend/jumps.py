@@ -56,7 +56,8 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
                     term=key,
                     remedy="give all that is reset at a time in one mapping",
                 )
-            resets[at] = _reset(reset, at, symbols)
+            after = check_reset(reset, f"the jump at {time[0]} = {at:g}", symbols, _REMEDY)
+            resets[at] = {state: _value_at(value, time[0], at) for state, value in after.items()}
     _check_apart(resets, time)
     late = [at for at in sorted(resets) if _is_late(at, time)]
     if late:
@@ -100,14 +101,19 @@ def _check_apart(times: Iterable[float], time: Time) -> None:
             )
 
 
-def _reset(reset: object, at: float, symbols: Symbols) -> dict[sp.Expr, sp.Expr]:
-    """The states that one jump resets, and their values after it."""
-    time, states = symbols.time[0], symbols.states
+def check_reset(
+    reset: object, subject: str, symbols: Symbols, remedy: str
+) -> dict[sp.Expr, sp.Expr]:
+    """The states that a jump or an event resets, and their values after it.
+
+    Messages name it as the ``subject``: ``"the jump at t = 8"``.
+    """
+    states = symbols.states
     if not isinstance(reset, Mapping) or not reset:
         raise ProblemError(
-            f"the jump at {time} = {at:g} is {shown(reset)}, not a mapping from unknowns",
+            f"{subject} is {shown(reset)}, not a mapping from unknowns",
             term=reset,
-            remedy=_REMEDY,
+            remedy=remedy,
         )
     after: dict[sp.Expr, sp.Expr] = {}
     for state, written in reset.items():
@@ -118,24 +124,34 @@ def _reset(reset: object, at: float, symbols: Symbols) -> dict[sp.Expr, sp.Expr]
             if name in names:
                 hint = f" (did you mean {quote(names[name])}?)"
             raise ProblemError(
-                f"the jump at {time} = {at:g} resets {shown(state)}, which is not a state{hint}",
+                f"{subject} resets {shown(state)}, which is not a state{hint}",
                 term=state,
                 remedy=f"use the states themselves as keys: {listing(states)}",
             )
-        subject = f"the value of {quote(state)} after the jump at {time} = {at:g}"
-        remedy = "give an expression of the unknowns before it and of the parameters"
-        if isinstance(written, str):
-            remedy += ", without quotes; Problem.from_strings takes text"
-        expression = as_expression(written, subject, remedy)
-        subject = f"{subject}, {quote(expression)},"
-        strangers = expression.atoms(AppliedUndef, sp.Derivative) - set(states)
-        for stranger in sorted(strangers, key=sp.default_sort_key):
-            hint = did_you_mean(str(stranger), map(str, states))
-            message = f"{subject} names {quote(stranger)}, which is not a state{hint}"
-            raise ProblemError(message, term=written, remedy=remedy)
-        check_value(expression, subject, symbols, [*symbols.parameters, time], remedy)
-        after[state] = _value_at(exact(expression), time, at)
+        value = f"the value of {quote(state)} after {subject}"
+        after[state] = check_of_states(
+            written,
+            value,
+            symbols,
+            "give an expression of the unknowns before it and of the parameters",
+        )
     return after
+
+
+def check_of_states(written: object, subject: str, symbols: Symbols, remedy: str) -> sp.Expr:
+    """An expression of time, states and parameters, with exact numbers."""
+    if isinstance(written, str):
+        remedy += ", without quotes; Problem.from_strings takes text"
+    expression = as_expression(written, subject, remedy)
+    subject = f"{subject}, {quote(expression)},"
+    strangers = expression.atoms(AppliedUndef, sp.Derivative) - set(symbols.states)
+    for stranger in sorted(strangers, key=sp.default_sort_key):
+        hint = did_you_mean(str(stranger), map(str, symbols.states))
+        message = f"{subject} names {quote(stranger)}, which is not a state{hint}"
+        raise ProblemError(message, term=written, remedy=remedy)
+    time, *_ = symbols.time
+    check_value(expression, subject, symbols, [*symbols.parameters, time], remedy)
+    return exact(expression)
 
 
 def _value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
@@ -191,18 +207,26 @@ def _is_late(at: float, time: Time) -> bool:
 def jump_latex(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: sp.Symbol) -> Iterator[str]:
     """The same as :func:`jump_texts` as LaTeX, with ``&``."""
     for values_after, times in Jump.kinds(jumps).items():
-        pairs = zip(states, values_after, strict=True)
-        changes = (rf"{latex_of(u)} \to {latex_of(v)}" for u, v in pairs if u != v)
         at = ", ".join(f"{at:g}" for at in times)
+        changes = change_latex(zip(states, values_after, strict=True))
         yield rf"{sp.latex(time)} = {at}:\; & " + r",\; ".join(changes)
 
 
 def jump_texts(states: Sequence[sp.Expr], jumps: Iterable[Jump], time: str) -> Iterator[str]:
     """Lines such as ``at t = 8, 16: C -> C + D``, one for each kind of jump."""
     for values_after, times in Jump.kinds(jumps).items():
-        pairs = zip(states, values_after, strict=True)
-        changes = (f"{text_of(u)} -> {text_of(v)}" for u, v in pairs if u != v)
+        changes = change_texts(zip(states, values_after, strict=True))
         yield f"at {time} = {', '.join(f'{at:g}' for at in times)}: {', '.join(changes)}"
+
+
+def change_latex(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> list[str]:
+    """The same as :func:`change_texts` as LaTeX."""
+    return [rf"{latex_of(u)} \to {latex_of(v)}" for u, v in pairs if u != v]
+
+
+def change_texts(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> list[str]:
+    """States and their values after a reset as text, as far as they change: ``C -> C + D``."""
+    return [f"{text_of(u)} -> {text_of(v)}" for u, v in pairs if u != v]
 
 
 def without_impulses(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numbers
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, TypeGuard, TypeVar
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -16,7 +14,6 @@ import sympy as sp
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
-from rankone.expressions.parsing import parse_expression
 from rankone.frontend.box import check_correlation, check_parameters, check_time, check_units
 from rankone.frontend.equations import (
     Symbols,
@@ -28,9 +25,11 @@ from rankone.frontend.equations import (
     check_unknowns,
     state_expressions,
 )
+from rankone.frontend.events import Event, check_events, event_latex, event_texts
 from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.numeric import NumericEquations
+from rankone.frontend.text import events_of_text, formula, has_names, jumps_of_text, normalised
 from rankone.frontend.trajectory import LEAST_RTOL, MOST_RTOL, Trajectory, integrate
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
@@ -44,12 +43,9 @@ from rankone.support.wording import (
     count,
     did_you_mean,
     is_line,
-    listing,
     quote,
     shown,
 )
-
-Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,12 +86,15 @@ class Problem:
     correlation : mapping of (Symbol, Symbol) to float, optional
         Correlations of the Gaussian copula that joins parameters, ``{(k, c): 0.6}``; statistics of
         solutions are then those of correlated parameters.
+    events : sequence of Event, optional
+        What happens where an expression crosses zero: states are reset, time ends, or the instant
+        is only marked. :meth:`trajectory` takes them; ``solve`` does not yet.
 
     Attributes
     ----------
-    equations, time, parameters, initial, name, jumps, units, tail, correlation
+    equations, time, parameters, initial, name, jumps, units, tail, correlation, events
         As given, with numbers as floats, parameters as intervals, initial values in the order of
-        the states, jumps by time, units and correlations by name.
+        the states, jumps by time, units and correlations by name, and a name for each event.
     distributions : mapping of str to str
         The distributions of parameters as texts, by name.
     unknowns : tuple of Expr
@@ -137,6 +136,7 @@ class Problem:
     units: Mapping[Any, str] | None = None
     tail: float = 1e-6
     correlation: Mapping[Any, float] | None = None
+    events: Sequence[Event] = ()
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
@@ -167,8 +167,10 @@ class Problem:
             for at, reset in check_jumps(self.jumps, symbols).items()
         }
         after_jumps = [after for reset in jumps.values() for after in reset.values()]
-        check_lengths([*initial.values(), *after_jumps], 0)
-        expressions = [*residuals, *initial.values(), *after_jumps]
+        events = check_events(self.events, symbols)
+        of_events = [expression for event in events for expression in event.expressions]
+        check_lengths([*initial.values(), *after_jumps, *of_events], 0)
+        expressions = [*residuals, *initial.values(), *after_jumps, *of_events]
         check_distinct(expressions)
         used = sp.Tuple(*expressions).free_symbols
         for symbol in box:
@@ -185,6 +187,7 @@ class Problem:
             "correlation": MappingProxyType(check_correlation(self.correlation, box)),
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
+            "events": events,
             "units": MappingProxyType(check_units(self.units, time[0], box, states)),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
@@ -205,6 +208,7 @@ class Problem:
         units: Mapping[str, str] | None = None,
         tail: float = 1e-6,
         correlation: Mapping[tuple[str, str], float] | None = None,
+        events: Sequence[Mapping[str, Any]] = (),
     ) -> Problem:
         """Build a problem from text.
 
@@ -228,6 +232,9 @@ class Problem:
             Units by name: ``{"x": "m", "t": "s"}``.
         tail, correlation
             As for the class, by name.
+        events : sequence of mapping, optional
+            The fields of each :class:`Event`, with formulas: ``{"when": "x", "direction":
+            "falling", "then": {"v": "-e*v"}, "name": "bounce"}``.
 
         Raises
         ------
@@ -237,8 +244,8 @@ class Problem:
         t = sp.Symbol("t")
         if not isinstance(time, tuple | list) or len(time) != 2:
             raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
-        rhs, initial = _normalised("rhs", rhs), _normalised("initial", initial)
-        parameters = _normalised("parameters", parameters)
+        rhs, initial = normalised("rhs", rhs), normalised("initial", initial)
+        parameters = normalised("parameters", parameters)
         for state in initial:
             if state not in rhs:
                 raise ProblemError(
@@ -251,13 +258,13 @@ class Problem:
         symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
         check_names(list(unknowns.items()), symbols.values(), t)
         names = {"t": t, **symbols, **unknowns}
-        if _has_names(units):
-            units = _normalised("units", units)
+        if has_names(units):
+            units = normalised("units", units)
         return cls(
             equations=[
                 sp.Eq(
                     unknowns[state].diff(t),
-                    _formula(text, names, f"right-hand side of {quote(state)}", i),
+                    formula(text, names, f"right-hand side of {quote(state)}", i),
                     evaluate=False,
                 )
                 for i, (state, text) in enumerate(rhs.items(), 1)
@@ -265,17 +272,18 @@ class Problem:
             time=(t, time[0], time[1]),
             parameters={symbols[parameter]: bounds for parameter, bounds in parameters.items()},
             initial={
-                unknowns[state]: _formula(
+                unknowns[state]: formula(
                     initial[state], names, f"initial value of {quote(state)}", None
                 )
                 for state in rhs
                 if state in initial
             },
             name=name,
-            jumps=_jumps(jumps, names, unknowns),
+            jumps=jumps_of_text(jumps, names, unknowns),
             units=units,
             tail=tail,
             correlation=correlation,
+            events=events_of_text(events, names, unknowns),
         )
 
     def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
@@ -377,6 +385,7 @@ class Problem:
             dict(self.units or {}),
             self.tail,
             dict(self.correlation or {}),
+            self.events,
         )
 
     def __repr__(self) -> str:
@@ -398,7 +407,7 @@ class Problem:
         if with_units:
             lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in with_units))
         texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
-        return "\n".join([*lines, *(f"  {text}" for text in texts)])
+        return "\n".join([*lines, *(f"  {text}" for text in (*texts, *event_texts(self.events)))])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._shown()]
@@ -407,6 +416,7 @@ class Problem:
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]
         lines += jump_latex(list(self.initial), self._jumps(), self.time[0])
+        lines += event_latex(self.events)
         return aligned_equations(lines)
 
     def _jumps(self) -> tuple[Jump, ...]:
@@ -420,69 +430,3 @@ class Problem:
             equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
             for equation in self.equations
         ]
-
-
-def _has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
-    """Whether this is a mapping whose keys are texts."""
-    return isinstance(mapping, Mapping) and all(isinstance(key, str) for key in mapping)
-
-
-def _jumps(jumps: object, names: Mapping[str, sp.Expr], unknowns: Mapping[str, sp.Expr]) -> Any:
-    """Jumps with formulas in place of texts; the checks refuse whatever is not a mapping."""
-    if not isinstance(jumps, Mapping):
-        return jumps
-    parsed: dict[object, object] = {}
-    for time, reset in jumps.items():
-        if not _has_names(reset):
-            parsed[time] = reset
-            continue
-        reset = _normalised("jumps", reset)
-        for name in reset:
-            if name not in unknowns:
-                raise ProblemError(
-                    f"the jump at {shown(time)} resets {quote(name)}, which has no equation"
-                    f"{did_you_mean(name, unknowns)}",
-                    term=name,
-                    remedy=f"it may reset {listing(unknowns)}",
-                )
-        parsed[time] = {
-            unknowns[name]: _formula(
-                text, names, f"value of {quote(name)} after the jump at {shown(time)}", None
-            )
-            for name, text in reset.items()
-        }
-    return parsed
-
-
-def _formula(
-    text: object, names: Mapping[str, sp.Expr], where: str, equation: int | None
-) -> sp.Expr:
-    """Parse a text; let numbers pass."""
-    if isinstance(text, str):
-        return parse_expression(text, names, where=where, equation=equation)
-    if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
-        return sp.sympify(text)
-    raise ProblemError(
-        f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
-    )
-
-
-def _normalised(argument: str, mapping: Mapping[str, Entry]) -> dict[str, Entry]:
-    """The same with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
-    if not _has_names(mapping):
-        raise ProblemError(
-            f"{argument} is {quote(mapping)}, not a mapping from names",
-            term=mapping,
-            remedy="use names (text) as keys",
-        )
-    normal: dict[str, Entry] = {}
-    for name in mapping:
-        read = unicodedata.normalize("NFKC", name)
-        if read in normal:
-            raise ProblemError(
-                f"{argument} has two names that Python reads as {quote(read)}",
-                term=name,
-                remedy="rename one of them",
-            )
-        normal[read] = mapping[name]
-    return normal

@@ -40,6 +40,13 @@ y = "y0"
 times = [2, 4]             # or a single time = 2
 x = "x + 1"                # the value right after it
 
+# [[events]]               # where an expression crosses zero; for trajectories, not for solve
+# when = "y - 9"
+# direction = "rising"     # or "falling", or "both"
+# then = { y = "y/2" }     # the values right after it
+# terminal = false         # whether time ends there
+# name = "harvest"
+
 [units]                    # texts for t, parameters and unknowns; may be left out
 t = "years"
 
@@ -49,7 +56,7 @@ y0 = [4, 6]                # over decades with a scale: [1e-3, 10, "log"]
 """
 
 _REQUIRED = ("time", "rhs", "initial")
-_OPTIONAL = ("parameters", "name", "jumps", "units")
+_OPTIONAL = ("parameters", "name", "jumps", "units", "events")
 _SHOWN = "`rankone solve --help` shows the layout"
 
 
@@ -156,19 +163,38 @@ def _from_toml(file: Path) -> Problem:
         name=content.get("name"),
         jumps=_jumps(content.get("jumps", [])),
         units=dict(_table(content, "units")),
+        events=_events(content.get("events", [])),
     )
+
+
+def _events(tables: object) -> list[dict[str, Any]]:
+    """The tables [[events]], with formulas that are text or finite numbers."""
+    remedy = f"write [[events]], and below it `when` and perhaps `then`; {_SHOWN}"
+    events = []
+    for table in _tables("events", tables, remedy):
+        event = {**table}
+        if "when" in event:
+            event["when"] = _formula("events", "when", event["when"])
+        if "then" in event:
+            then = _table(event, "then", remedy='write then = { x = "0" }')
+            event["then"] = {name: _formula("events", name, f) for name, f in then.items()}
+        events.append(event)
+    return events
+
+
+def _tables(key: str, tables: object, remedy: str) -> list[Mapping[str, Any]]:
+    """A list of tables."""
+    if isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables):
+        return tables
+    message = f"`{key}` is {shown(tables)}, not a list of tables"
+    raise ProblemError(message, term=tables, remedy=remedy)
 
 
 def _jumps(tables: object) -> dict[tuple[float, ...], dict[str, str | float]]:
     """The tables [[jumps]]: for their times the values after them."""
-    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
-        raise ProblemError(
-            f"`jumps` is {shown(tables)}, not a list of tables",
-            term=tables,
-            remedy=f"write [[jumps]], and below it the times and the values; {_SHOWN}",
-        )
+    remedy = f"write [[jumps]], and below it the times and the values; {_SHOWN}"
     jumps: dict[tuple[float, ...], dict[str, str | float]] = {}
-    for table in tables:
+    for table in _tables("jumps", tables, remedy):
         keys = [key for key in ("time", "times") if key in table]
         after = {n: _formula("jumps", n, f) for n, f in table.items() if n not in keys}
         times = table[keys[0]] if keys else None
@@ -197,14 +223,14 @@ def _jumps(tables: object) -> dict[tuple[float, ...], dict[str, str | float]]:
     return jumps
 
 
-def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def _table(content: Mapping[str, Any], key: str, remedy: str | None = None) -> Mapping[str, Any]:
     """A table of the file; an empty one if it is left out."""
     table = content.get(key, {})
     if not isinstance(table, Mapping):
         raise ProblemError(
             f"`{key}` is {shown(table)}, not a table",
             term=table,
-            remedy=f"write a line [{key}], and below it one for each name; {_SHOWN}",
+            remedy=remedy or f"write a line [{key}], and below it one for each name; {_SHOWN}",
         )
     return table
 

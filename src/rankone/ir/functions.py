@@ -188,7 +188,7 @@ def table(
     if name is None:
         data = np.array([points, heights]).tobytes() + kind.encode()
         name = f"table_{hashlib.sha256(data).hexdigest()[:6]}"
-    _check_name(name)
+    check_name(name)
     return _table_class(name, points, heights, kind, 0)
 
 
@@ -244,7 +244,7 @@ def function(
     ProblemError
         If something given is not a function.
     """
-    _check_name(name)
+    check_name(name)
     several = isinstance(derivative, Sequence)
     derivatives = tuple(derivative) if isinstance(derivative, Sequence) else (derivative,)
     callables = (value, *derivatives)
@@ -355,7 +355,8 @@ def _floats(argument: str, sequence: Any) -> tuple[float, ...]:
     return tuple(floats.tolist())
 
 
-def _check_name(name: object) -> None:
+def check_name(name: object) -> None:
+    """Raise a ProblemError unless this is a name that Python reads as it is written."""
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise ProblemError(
             f"{shown(name)} is not a name", term=name, remedy="use a Python identifier"

@@ -20,7 +20,7 @@ from rankone.frontend.problem import Problem
 from rankone.ir.forms import Coordinate, Jump, State
 from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import Role
-from rankone.support.errors import check_kind
+from rankone.support.errors import ProblemError, check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
 
 
@@ -129,9 +129,17 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     ------
     OptionError
         If it is not a problem.
+    ProblemError
+        If the problem has events.
     """
     remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
     check_kind("first_order", problem, Problem, remedy=remedy)
+    if problem.events:
+        raise ProblemError(
+            f"`solve` does not take events yet, such as {quote(problem.events[0].name)}",
+            term=problem.events[0],
+            remedy="integrate single trajectories: problem.trajectory(t, ...) takes them",
+        )
     time = problem.time[0]
     solved, equations = problem.mass.solved()
     expressions = list(problem.initial)

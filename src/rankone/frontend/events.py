@@ -1,0 +1,160 @@
+"""Events: what happens where an expression of the states crosses zero."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.admissible import closed
+from rankone.expressions.notation import latex_of, text_of
+from rankone.frontend.equations import Symbols, check_names
+from rankone.frontend.jumps import change_latex, change_texts, check_of_states, check_reset
+from rankone.ir.functions import check_name
+from rankone.support.errors import ProblemError
+from rankone.support.wording import did_you_mean, listing, quote, shown
+
+_DIRECTIONS = {"both": "crosses", "rising": "rises through", "falling": "falls through"}
+_ARROWS = {"both": r"\leftrightarrows", "rising": r"\nearrow", "falling": r"\searrow"}
+_LIST_REMEDY = "give a list of them: events=[rankone.Event(x, then={x: 1})]"
+_WHEN_REMEDY = "give what crosses zero, an expression of unknowns, time and parameters: x - level"
+_THEN_REMEDY = "give {unknown: value after it}, for example {v: -e*v}"
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happens where an expression crosses zero.
+
+    Without ``then`` and ``terminal`` the instant is only marked. At the instant of an event a
+    trajectory has the values after it. A start at zero is no crossing, and after an event that
+    leaves its expression at zero the next crossing counts.
+
+    Parameters
+    ----------
+    when : Expr
+        What crosses zero: an expression of time, unknowns, their derivatives that are states, and
+        parameters.
+    direction : {"both", "rising", "falling"}
+        Which crossings count.
+    then : mapping of Expr to Expr, optional
+        States and their values after the event, in terms of those before it, all at once:
+        ``{x.diff(t): -e * x.diff(t)}``.
+    terminal : bool
+        Whether the trajectory ends there.
+    name : str, optional
+        A Python identifier; by default ``event_0``, ``event_1``, ..., by the position in the list.
+
+    Examples
+    --------
+    A ball bounces on the floor:
+
+    >>> t, e = sp.symbols("t e")
+    >>> x = sp.Function("x")(t)
+    >>> bounce = Event(x, "falling", then={x.diff(t): -e * x.diff(t)}, name="bounce")
+    """
+
+    when: Any
+    direction: str = "both"
+    then: Mapping[Any, Any] | None = None
+    terminal: bool = False
+    name: str | None = None
+
+    @property
+    def expressions(self) -> list[sp.Expr]:
+        """What crosses zero, and the values after it."""
+        return [self.when, *(self.then or {}).values()]
+
+
+def event_name(name: object, position: int) -> str:
+    """The name of an event; by default by its position, from 0."""
+    return f"event_{position}" if name is None else str(name)
+
+
+def check_events(events: object, symbols: Symbols) -> tuple[Event, ...]:
+    """Return the events with exact numbers, each with its name."""
+    if events is None:
+        return ()
+    if not isinstance(events, Sequence) or isinstance(events, str):
+        message = f"events are {shown(events)}, not a list of events"
+        raise ProblemError(message, term=events, remedy=_LIST_REMEDY)
+    checked = tuple(_checked(event, k, symbols) for k, event in enumerate(events))
+    owners = [(str(event.name), f"event {k}") for k, event in enumerate(checked)]
+    states = [(name_of(state), state) for state in symbols.states]
+    check_names(states, symbols.parameters, symbols.time[0], owners)
+    return checked
+
+
+def _checked(event: object, position: int, symbols: Symbols) -> Event:
+    """One event, with its name."""
+    if not isinstance(event, Event):
+        remedy = _LIST_REMEDY
+        if isinstance(event, Mapping):
+            remedy = "write rankone.Event(...); Problem.from_strings takes mappings"
+        message = f"event {position} is {shown(event)}, not a rankone.Event"
+        raise ProblemError(message, term=event, remedy=remedy)
+    if event.name is not None:
+        check_name(event.name)
+    name = event_name(event.name, position)
+    subject = f"event {quote(name)}"
+    direction, terminal = event.direction, event.terminal
+    if not isinstance(direction, str) or direction not in _DIRECTIONS:
+        raise ProblemError(
+            f"the direction of {subject} is {shown(direction)}"
+            f"{did_you_mean(str(direction), _DIRECTIONS)}",
+            term=direction,
+            remedy=f"choose from {listing(_DIRECTIONS)}",
+        )
+    if not isinstance(terminal, bool):
+        raise ProblemError(
+            f"`terminal` of {subject} is {shown(terminal)}",
+            term=terminal,
+            remedy="give True or False",
+        )
+    when = check_of_states(event.when, f"`when` of {subject}", symbols, _WHEN_REMEDY)
+    if not when.has(AppliedUndef) and symbols.time[0] not in when.free_symbols:
+        raise ProblemError(
+            f"`when` of {subject}, {quote(when)}, changes neither with time nor with an unknown",
+            term=event.when,
+            remedy=_WHEN_REMEDY,
+        )
+    return Event(closed(when), direction, _then(event, subject, symbols), terminal, name)
+
+
+def _then(event: Event, subject: str, symbols: Symbols) -> dict[sp.Expr, sp.Expr] | None:
+    """The states after an event; None if it resets nothing."""
+    then = event.then
+    if then is None or (isinstance(then, Mapping) and not then and event.terminal):
+        return None
+    if isinstance(then, Mapping) and not then:
+        raise ProblemError(
+            f"{subject} has an empty `then`",
+            term=event,
+            remedy=f"leave it out to mark the instant only, or {_THEN_REMEDY}",
+        )
+    if not isinstance(then, Mapping):
+        message = f"`then` of {subject} is {shown(then)}, not a mapping from unknowns"
+        raise ProblemError(message, term=then, remedy=_THEN_REMEDY)
+    after = check_reset(then, subject, symbols, _THEN_REMEDY)
+    return {state: closed(value) for state, value in after.items()}
+
+
+def event_texts(events: Iterable[Event]) -> Iterator[str]:
+    """Lines such as ``bounce: where x falls through 0: v -> -e*v``."""
+    for event in events:
+        changes = change_texts((event.then or {}).items()) + ["time ends"] * event.terminal
+        what = f": {', '.join(changes)}" if changes else ""
+        yield f"{event.name}: where {text_of(event.when)} {_DIRECTIONS[event.direction]} 0{what}"
+
+
+def event_latex(events: Iterable[Event]) -> Iterator[str]:
+    """The same as :func:`event_texts` as LaTeX, with ``&``."""
+    for event in events:
+        changes = change_latex((event.then or {}).items())
+        changes += [r"\text{time ends}"] * event.terminal
+        name = str(event.name).replace("_", r"\_")
+        crossing = rf"{latex_of(event.when)} {_ARROWS[event.direction]} 0"
+        yield rf"\text{{{name}}}:\; & " + r",\; ".join([crossing, *changes])

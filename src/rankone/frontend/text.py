@@ -1,0 +1,121 @@
+"""Problems as text: formulas by name, turned into the expressions that the checks take."""
+
+from __future__ import annotations
+
+import numbers
+import unicodedata
+from collections.abc import Mapping
+from typing import Any, TypeGuard, TypeVar
+
+import sympy as sp
+
+from rankone.expressions.parsing import parse_expression
+from rankone.frontend.events import Event, event_name
+from rankone.support.errors import ProblemError
+from rankone.support.wording import did_you_mean, listing, quote, shown
+
+Entry = TypeVar("Entry")
+Names = Mapping[str, sp.Expr]
+_EVENT_KEYS = ("when", "direction", "then", "terminal", "name")
+
+
+def jumps_of_text(jumps: object, names: Names, unknowns: Names) -> Any:
+    """Jumps with formulas in place of texts; the checks refuse whatever is not a mapping."""
+    if not isinstance(jumps, Mapping):
+        return jumps
+    return {
+        time: _reset_of_text(reset, f"the jump at {shown(time)}", names, unknowns)
+        for time, reset in jumps.items()
+    }
+
+
+def events_of_text(events: object, names: Names, unknowns: Names) -> Any:
+    """Events of mappings with formulas; the checks refuse whatever is not a list of them."""
+    if not isinstance(events, list | tuple):
+        return events
+    return [_event_of_text(event, k, names, unknowns) for k, event in enumerate(events)]
+
+
+def _event_of_text(event: object, position: int, names: Names, unknowns: Names) -> object:
+    """One event; what is neither a mapping nor an event, the checks refuse."""
+    if not isinstance(event, Mapping):
+        return event
+    subject = f"event {quote(event_name(event.get('name'), position))}"
+    for key in event:
+        if key not in _EVENT_KEYS:
+            raise ProblemError(
+                f"{subject} has the unknown key {quote(key)}{did_you_mean(str(key), _EVENT_KEYS)}",
+                term=key,
+                remedy=f"it may have {listing(_EVENT_KEYS)}",
+            )
+    if "when" not in event:
+        raise ProblemError(
+            f"{subject} has no `when`",
+            term=event,
+            remedy='give what crosses zero, for example "when": "x - 1"',
+        )
+    return Event(
+        formula(event["when"], names, f"`when` of {subject}", None),
+        event.get("direction", "both"),
+        _reset_of_text(event.get("then"), subject, names, unknowns),
+        event.get("terminal", False),
+        event.get("name"),
+    )
+
+
+def _reset_of_text(reset: object, subject: str, names: Names, unknowns: Names) -> Any:
+    """What is reset with formulas in place of texts."""
+    if not has_names(reset):
+        return reset
+    reset = normalised(subject, reset)
+    for name in reset:
+        if name not in unknowns:
+            raise ProblemError(
+                f"{subject} resets {quote(name)}, which has no equation"
+                f"{did_you_mean(name, unknowns)}",
+                term=name,
+                remedy=f"it may reset {listing(unknowns)}",
+            )
+    return {
+        unknowns[name]: formula(text, names, f"value of {quote(name)} after {subject}", None)
+        for name, text in reset.items()
+    }
+
+
+def has_names(mapping: object) -> TypeGuard[Mapping[str, Any]]:
+    """Whether this is a mapping whose keys are texts."""
+    return isinstance(mapping, Mapping) and all(isinstance(key, str) for key in mapping)
+
+
+def formula(
+    text: object, names: Mapping[str, sp.Expr], where: str, equation: int | None
+) -> sp.Expr:
+    """Parse a text; let numbers pass."""
+    if isinstance(text, str):
+        return parse_expression(text, names, where=where, equation=equation)
+    if isinstance(text, numbers.Real | sp.Number) and not isinstance(text, bool):
+        return sp.sympify(text)
+    raise ProblemError(
+        f"the {where} is {text!r}, neither text nor a number", equation=equation, term=text
+    )
+
+
+def normalised(argument: str, mapping: Mapping[str, Entry]) -> dict[str, Entry]:
+    """The same with names as Python reads them: NFKC turns a micro sign into a Greek mu."""
+    if not has_names(mapping):
+        raise ProblemError(
+            f"{argument} is {quote(mapping)}, not a mapping from names",
+            term=mapping,
+            remedy="use names (text) as keys",
+        )
+    normal: dict[str, Entry] = {}
+    for name in mapping:
+        read = unicodedata.normalize("NFKC", name)
+        if read in normal:
+            raise ProblemError(
+                f"{argument} has two names that Python reads as {quote(read)}",
+                term=name,
+                remedy="rename one of them",
+            )
+        normal[read] = mapping[name]
+    return normal
