@@ -9,7 +9,9 @@
 :mod:`~.events`         what happens where an expression crosses zero
 :mod:`~.text`           formulas by name as the expressions that the checks take
 :mod:`~.numeric`        the equations as functions of numbers
-:mod:`~.trajectory`     one ordinary trajectory, by SciPy
+:mod:`~.integration`    the integration of one trajectory, by SciPy
+:mod:`~.crossings`      where a trajectory crosses the surfaces of events
+:mod:`~.trajectory`     one trajectory at the times asked for
 :mod:`~.problem_files`  problems from Python and TOML files
 ======================  ==========================================================================
 """

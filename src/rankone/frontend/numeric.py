@@ -21,6 +21,7 @@ from rankone.expressions.derivatives import slope
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import NUMPY, stable
 from rankone.frontend.box import Time
+from rankone.frontend.events import Event
 from rankone.frontend.jumps import (
     Impulses,
     Resets,
@@ -35,9 +36,11 @@ from rankone.support.arrays import Array
 
 Numbers = Callable[[float, Array, Array], Array]
 """Maps time, states (n,) and parameters (d,) to as many numbers as there are expressions."""
+_SIDES = {"rising": 1, "falling": -1, "both": 0}  # To which side an event goes
 _SAMPLES = (
     4097  # Times between which a function of time that is not linear is looked at for switches
 )
+_ROUNDING = 64.0 * np.finfo(float).eps  # Relative error of what is computed from rounded numbers
 _ROOT_ACCURACY = 4.0 * np.finfo(float).eps  # Relative accuracy of times: a few roundings
 
 
@@ -86,6 +89,72 @@ class _Switch:
         return [levels[(levels >= a) & (levels <= b)] for a, b in pairs]
 
 
+class NumericEvents:
+    """The events of a problem as functions of numbers.
+
+    Attributes
+    ----------
+    names : list of str
+        The names of the events.
+    when : callable
+        Maps time, states and parameters to what crosses zero (events,).
+    then : list of callable or None
+        For each event the states (n,) after it; None if it resets nothing.
+    """
+
+    def __init__(self, equations: NumericEquations, events: Sequence[Event]) -> None:
+        self.names = [str(event.name) for event in events]
+        self._directions = [_SIDES[event.direction] for event in events]
+        self.terminal = [event.terminal for event in events]
+        self.when = equations.function([event.when for event in events])
+        self.then = [
+            equations.function([event.then.get(state, state) for state in equations.states])
+            if event.then
+            else None
+            for event in events
+        ]
+        partials = [equations.partials(event.when) for event in events]
+        self._places = [(k, j) for k, row in enumerate(partials) for j in row]
+        self._partials = equations.function([entry for row in partials for entry in row.values()])
+        self._shape = len(events), 1 + len(equations.states)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def counts(self, event: int, side: int) -> bool:
+        """Whether a crossing to a side is one in the direction of an event."""
+        return self._directions[event] in (0, side)
+
+    def interrupts(self, event: int) -> bool:
+        """Whether a trajectory does not go on after an event as if nothing had been."""
+        return self.terminal[event] or self.then[event] is not None
+
+    def slopes(self, time: float, rates: Array, states: Array, parameters: Array) -> Array:
+        """How fast each ``when`` changes along a trajectory (events,); NaN if that is not known.
+
+        What rounding leaves of a sum that vanishes is zero.
+        """
+        jacobian = self._jacobian(time, states, parameters)
+        terms = np.nan_to_num(jacobian) * np.array([1.0, *rates])
+        slopes = np.where(np.isnan(jacobian).any(axis=1), np.nan, terms.sum(axis=1))
+        slopes[np.abs(slopes) <= _ROUNDING * np.abs(terms).sum(axis=1)] = 0.0
+        return np.asarray(slopes)
+
+    def noise(self, time: float, states: Array, parameters: Array, sizes: Array) -> Array:
+        """What rounding of states of some sizes (n,) may change each ``when`` by (events,)."""
+        jacobian = self._jacobian(time, states, parameters)
+        noise = _ROUNDING * (np.abs(jacobian) @ np.array([abs(time), *sizes]))
+        return np.where(np.isfinite(noise), noise, 0.0)
+
+    def _jacobian(self, time: float, states: Array, parameters: Array) -> Array:
+        """Derivatives of each ``when`` by time and states."""
+        jacobian = np.zeros(self._shape)
+        if self._places:
+            entries = self._partials(time, states, parameters)
+            jacobian[tuple(np.transpose(self._places))] = entries
+        return jacobian
+
+
 class NumericEquations:
     """The rates, initial values, jumps and switches of a problem as functions of numbers.
 
@@ -99,6 +168,8 @@ class NumericEquations:
     jumps : list of (float, callable)
         Times inside the horizon, the start included, at which states are reset, in order, and the
         states after it.
+    events : NumericEvents
+        The events.
     """
 
     def __init__(
@@ -108,6 +179,7 @@ class NumericEquations:
         mass: MassForm,
         initial: Mapping[sp.Expr, sp.Expr],
         resets: Resets,
+        events: Sequence[Event],
     ) -> None:
         self.time, self.states = time, tuple(initial)
         self.clock, self.parameters = time[0].name, [symbol.name for symbol in parameters]
@@ -118,9 +190,11 @@ class NumericEquations:
         entries = [entry for row in mass.rows for entry in row.values()]
         remainders = [_without_impulses(sp.Add(*terms)) for terms in mass.remainders]
         self._entries, self._remainders = self.function(entries), self.function(remainders)
-        self._switches = self._known_switches([*entries, *remainders])
+        when = [event.when for event in events]
+        self._switches = self._known_switches([*entries, *remainders, *when], when)
         self.initial = self.function(list(initial.values()))
         self.jumps = self._known_jumps(mass, resets)
+        self.events = NumericEvents(self, events)
 
     def function(self, expressions: Sequence[sp.Expr]) -> Numbers:
         """Expressions of time, states and parameters as a function of numbers."""
@@ -138,6 +212,13 @@ class NumericEquations:
             return np.array(compiled(np.float64(time), *states, *parameters), dtype=float)
 
         return evaluate
+
+    def partials(self, expression: sp.Expr) -> dict[int, sp.Expr]:
+        """Derivatives of an expression by time (0) and states (from 1), as far as it has them."""
+        plain = expression.xreplace(self._arguments)
+        variables = [self._arguments[v] for v in (self.time[0], *self.states)]
+        present = plain.free_symbols
+        return {j: slope(plain, v) for j, v in enumerate(variables) if v in present}
 
     def highest(self, time: float, states: Array, parameters: Array) -> Array:
         """The highest derivatives, in the order of the unknowns; NaN if nothing determines them."""
@@ -163,8 +244,13 @@ class NumericEquations:
         """When functions of time and parameters in the equations switch or are narrow, in order."""
         return sorted(at for switch in self._switches for at in switch.times(self.time, parameters))
 
-    def _known_switches(self, expressions: Sequence[sp.Expr]) -> list[_Switch]:
-        """Boundaries, peaks and steps of functions of time and parameters alone."""
+    def _known_switches(
+        self, expressions: Sequence[sp.Expr], further: Sequence[sp.Expr]
+    ) -> list[_Switch]:
+        """Boundaries, peaks and steps of functions of time and parameters alone.
+
+        And where further functions of these vanish.
+        """
         time = self.time[0]
 
         def moving(expression: sp.Basic) -> set[sp.Symbol]:
@@ -172,14 +258,15 @@ class NumericEquations:
             return {time} if known else set()
 
         narrow = itertools.chain(peaks(expressions, moving), steps(expressions, moving))
-        middles = ((surface, (0.0,)) for node, surface in narrow if moving(node))
+        middles = [(surface, (0.0,)) for node, surface in narrow if moving(node)]
+        zeros = [(expression, (0.0,)) for expression in further]
         return [
             _Switch(
                 self._of_time(surface),
                 None if levels is None else np.array(levels, dtype=float),
                 linear=_is_linear(surface, time),
             )
-            for surface, levels in itertools.chain(boundaries(expressions), middles)
+            for surface, levels in itertools.chain(boundaries(expressions), middles, zeros)
             if moving(surface)
         ]
 

@@ -26,11 +26,12 @@ from rankone.frontend.equations import (
     state_expressions,
 )
 from rankone.frontend.events import Event, check_events, event_latex, event_texts
+from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
 from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.text import events_of_text, formula, has_names, jumps_of_text, normalised
-from rankone.frontend.trajectory import LEAST_RTOL, MOST_RTOL, Trajectory, integrate
+from rankone.frontend.trajectory import Trajectory
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
 from rankone.ir.measures import LINEAR, with_measure, written_scale
@@ -289,9 +290,13 @@ class Problem:
     def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
         """Integrate one ordinary trajectory by SciPy, for a first check.
 
-        It is integrated from the equations as they were written, without compiling anything, jumps
-        and impulses included. Steps are SciPy's LSODA; none straddles a jump, or a time at which a
-        function of time and parameters switches.
+        It is integrated from the equations as they were written, and nothing is compiled. Jumps,
+        impulses and events are included. Steps are those of SciPy's LSODA; none straddles a jump, a
+        time at which a function of time and parameters switches, or an event that resets or ends.
+
+        Events at one instant are applied in the order listed, each to what the one before has left;
+        what they set off by a reset follows, up to 100 times. An event of which both crossings lie
+        within 1/2000 of the horizon may be missed.
 
         Parameters
         ----------
@@ -306,14 +311,18 @@ class Problem:
         -------
         Trajectory
             Its ``.values`` have the shape of a solution, ``(unknowns, *shape of the times)``;
-            ``trajectory[x]`` is one unknown.
+            ``trajectory[x]`` is one unknown, ``trajectory.events`` has the times of events by name.
+            At the instant of a jump or an event values are those after it; after a terminal event
+            they are NaN.
 
         Raises
         ------
         EvaluationError
             As for a solution; and if a parameter has several values.
         BlowUpError
-            If the trajectory cannot be continued to the end of the horizon.
+            If the trajectory cannot be continued to the last of the times.
+        ConvergenceError
+            If it takes too many steps, or an event happens again and again at one instant.
 
         Examples
         --------
@@ -337,17 +346,24 @@ class Problem:
                     remedy="call it for each",
                 )
         point = np.array([value.item() for value in values])
-        states = integrate(self._numeric, point, times, rtol)
+        ascending, places = np.unique(times, return_inverse=True)
+        integration = Integration(self._numeric, point, ascending, rtol)
+        states = integration.values[:, places.reshape(times.shape)]
         names = [name_of(state) for state in self.initial]
         by_name = dict(zip(names, states, strict=True))
         unknowns = np.stack([by_name[name_of(unknown)] for unknown in self.unknowns])
-        return Trajectory(times, unknowns, MappingProxyType(by_name))
+        return Trajectory(times, unknowns, by_name, integration.events)
 
     @cached_property
     def _numeric(self) -> NumericEquations:
         """The equations as functions of numbers."""
         return NumericEquations(
-            self.time, tuple(self.parameters), self.mass, self.initial, self.jumps or {}
+            self.time,
+            tuple(self.parameters),
+            self.mass,
+            self.initial,
+            self.jumps or {},
+            self.events,
         )
 
     @property

@@ -1,0 +1,271 @@
+"""The integration of one trajectory, from event to event and from one known time to the next.
+
+No step straddles a jump, a switch at a known time or an event that interrupts the trajectory. Steps
+are those of :class:`scipy.integrate.LSODA`, which :func:`scipy.integrate.solve_ivp` takes as well.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+import scipy
+
+from rankone.frontend.crossings import Crossing, Sides
+from rankone.frontend.numeric import NumericEquations
+from rankone.support.arrays import Array
+from rankone.support.errors import BlowUpError, ConvergenceError
+from rankone.support.wording import quote
+
+LEAST_RTOL, MOST_RTOL = 1e-12, 0.1
+_SMALL_STATE = 1e-3  # States below this share of their largest value need not be as accurate
+_LEAST_TOLERANCE = 1e-13  # Of a step, over the largest value: below it rounding counts
+_FIRST_CHANGE = 0.01  # Relative change of the states over the time in which first rates are taken
+_FIRST_TIMES = 9  # Times in it at which rates are taken
+_FIRST_SHARE = 1e-6  # Size of a state that starts at zero, over its change in that time
+_LEAST_SIZE = 1e-12  # Size of states if nothing tells it
+_ROUNDING = 8.0 * np.finfo(float).eps  # Relative change of the states that tells the noise of rates
+_SAME_INSTANT = 1e-12  # Part of the horizon within which two times are one
+_LEAST_PIECE = 4.0  # Shortest time that is integrated over, in roundings
+_FEWEST_STEPS = 256  # Of a horizon if there are events: they are looked for in each step
+_MOST_STALLS = 200  # Steps in a row that are shorter than rounding of time; the first ones may be
+_MOST_STEPS = 1_000_000  # Steps of a trajectory: about a minute
+_MOST_ROUNDS = 100  # Rounds of events at one instant
+
+
+class Integration:
+    """One trajectory at a point (d,) of the box, for ascending times.
+
+    Attributes
+    ----------
+    values : ndarray (n, T)
+        The states at the times; after a jump or an event at its time, and NaN after a terminal one.
+    events : mapping of str to ndarray
+        When each event happened, by name, up to the last of the times.
+
+    Raises
+    ------
+    BlowUpError
+        If the trajectory cannot be continued to the last of the times.
+    ConvergenceError
+        If it takes too many steps, or events follow each other without end at one instant.
+    """
+
+    def __init__(
+        self, equations: NumericEquations, point: Array, times: Array, rtol: float
+    ) -> None:
+        self.equations, self.point, self.times, self.rtol = equations, point, times, rtol
+        _, self._start, self._end = equations.time
+        self._instant = _SAME_INSTANT * (self._end - self._start)
+        self.values = np.full((len(equations.states), times.size), np.nan)
+        self._occurrences: list[list[float]] = [[] for _ in equations.events.names]
+        self._sides = Sides(equations.events, point)
+        self._steps = self._rounds = 0
+        self._interrupted, self._ended = -np.inf, False
+        if times.size:
+            with np.errstate(all="ignore"):
+                self._integrate()
+
+    @property
+    def events(self) -> dict[str, Array]:
+        pairs = zip(self.equations.events.names, self._occurrences, strict=True)
+        return {name: np.array(times, dtype=float) for name, times in pairs}
+
+    def _integrate(self) -> None:
+        """Integrate from piece to piece, up to the last of the times."""
+        jumps = dict(self.equations.jumps)
+        self._time = self._start
+        nothing = np.full(len(self.equations.states), np.nan)
+        self._state = self.equations.initial(self._start, nothing, self.point)
+        self._sizes = np.zeros(len(self._state))
+        for a, b in itertools.pairwise(self._pieces(list(jumps))):
+            self._piece = a, b
+            if a in jumps:
+                self._state = jumps[a](a, self._state, self.point)
+            self._react(a, self._settled())
+            while self._goes_on() and self._time < b:
+                self._follow(b)
+            if not self._goes_on():
+                return
+
+    def _goes_on(self) -> bool:
+        return not self._ended and self._time <= self.times[-1]
+
+    def _pieces(self, jumps: list[float]) -> list[float]:
+        """The start, the jumps and switches in order, and the end; no two of them are the same."""
+        ends = [self._start, *jumps, self._end]
+        for at in self.equations.switch_times(self.point):
+            if self._start < at < self._end and min(abs(at - e) for e in ends) > self._instant:
+                ends.append(at)
+        return sorted(set(ends))
+
+    def _rates(self, time: float, state: Array) -> Array:
+        """The rates; what switches at the ends of a piece has the value that it has inside."""
+        a, b = self._piece
+        inside = 0.25 * min(self._instant, b - a)
+        return self.equations.rates(min(max(time, a + inside), b - inside), state, self.point)
+
+    # -- steps ------------------------------------------------------------------------------------
+
+    def _follow(self, end: float) -> None:
+        """Integrate to the end of a piece, or to the first event that interrupts it."""
+        if end - self._time <= _LEAST_PIECE * np.spacing(end):
+            self._keep(end, lambda times: np.repeat(self._state[:, None], times.size, axis=1))
+            self._time = end
+            return
+        self._sizes = np.maximum(self._sizes, np.abs(self._state))
+        if not np.isfinite(self._rates(self._time, self._state)).all():
+            raise self._blow_up()
+        with_events = len(self._occurrences) > 0
+        longest = (self._end - self._start) / _FEWEST_STEPS if with_events else np.inf
+        solver = scipy.integrate.LSODA(
+            self._rates,
+            self._time,
+            self._state,
+            end,
+            rtol=self.rtol,
+            atol=self._tolerances(end),
+            max_step=longest,
+        )
+        stalls = 0
+        while solver.status == "running" and self._goes_on():
+            failure = solver.step()
+            stalls = stalls + 1 if solver.t == self._time else 0
+            if failure is not None or stalls > _MOST_STALLS or not np.isfinite(solver.y).all():
+                raise self._blow_up()
+            self._steps += 1
+            if self._steps > _MOST_STEPS:
+                raise self._too_long()
+            self._sizes = np.maximum(self._sizes, np.abs(solver.y))
+            path = solver.dense_output()
+            if with_events and solver.t > self._time and self._interrupts(path, solver.t):
+                return
+            self._keep(solver.t, path)
+            self._time, self._state = solver.t, solver.y
+
+    def _keep(self, end: float, path: Callable[[Array], Array]) -> None:
+        """Keep the states at the times after the present one, up to an end."""
+        first, last = np.searchsorted(self.times, [self._time, end], side="right")
+        if first < last:
+            self.values[:, first:last] = path(self.times[first:last])
+
+    def _tolerances(self, end: float) -> Array:
+        """The absolute tolerance (n,) of each state, a share of its size, and more than rounding.
+
+        How large a state becomes that starts at zero, its first rates tell, or the other states.
+        """
+        start, state, sizes = self._time, self._state, self._sizes.copy()
+        first = self._rates(start, state)
+        slowness = np.abs(state / first)[(state != 0.0) & (first != 0.0)]
+        span = min(end - start, _FIRST_CHANGE * float(np.min(slowness, initial=np.inf)))
+        ahead = np.linspace(0.0, span, _FIRST_TIMES)
+        rates = np.abs([self._rates(start + s, state + s * first) for s in ahead])
+        change = span * np.max(np.where(np.isfinite(rates), rates, 0.0), axis=0)
+        at_zero = sizes == 0.0
+        sizes[at_zero] = _FIRST_SHARE * change[at_zero]
+        positive = sizes[sizes > 0.0]
+        sizes[sizes == 0.0] = _FIRST_SHARE * positive.min() if positive.size else _LEAST_SIZE
+        beside = self._rates(start, state * (1.0 + _ROUNDING))
+        noise = np.where(np.isfinite(beside), span * np.abs(beside - first), 0.0)
+        return np.maximum(max(_SMALL_STATE * self.rtol, _LEAST_TOLERANCE) * sizes, noise)
+
+    # -- events -----------------------------------------------------------------------------------
+
+    def _interrupts(self, path: Callable[[Array], Array], end: float) -> bool:
+        """Look for events in a step; whether one interrupted the trajectory, which is then past it.
+
+        Events within the same instant happen together.
+        """
+        events, crossings = self.equations.events, self._sides.crossings(path, self._time, end)
+        counting = [
+            c
+            for c in crossings
+            if events.counts(c.event, c.side) and (events.interrupts(c.event) or not c.unresolved)
+        ]
+        interrupting = [c.time for c in counting if events.interrupts(c.event)]
+        if not interrupting:
+            self._record(counting)
+            self._sides.pass_until(end)
+            return False
+        time = interrupting[0]
+        self._record([c for c in counting if c.time < time - self._instant])
+        self._sides.pass_until(time - self._instant)
+        now = [c for c in crossings if abs(c.time - time) <= self._instant]
+        fired = sorted({c.event for c in now if events.counts(c.event, c.side)})
+        unresolved = [c.event for c in now if c.unresolved and c.event in fired]
+        if unresolved:
+            raise self._stuck(unresolved[0], "it stays on its surface within the tolerance")
+        if time > self._time:
+            self._state = path(np.array([time]))[:, 0]
+        self._keep(time, path)
+        self._time = time
+        self._react(time, fired, {c.event for c in now})
+        return True
+
+    def _record(self, crossings: Sequence[Crossing]) -> None:
+        for crossing in crossings:
+            if crossing.time <= self.times[-1]:
+                self._occurrences[crossing.event].append(crossing.time)
+
+    def _settled(self, unmoved: Collection[int] = ()) -> list[int]:
+        """Take the sides of the present state; the events that a reset sets off."""
+        if not self._occurrences:
+            return []
+        rates = self._rates(self._time, self._state)
+        return self._sides.settle(self._time, self._state, rates, unmoved)
+
+    def _react(self, time: float, fired: list[int], on_surface: Collection[int] = ()) -> None:
+        """Apply events in the order listed, then those that they set off, round after round."""
+        events = self.equations.events
+        while fired and not self._ended:
+            at_once = time - self._interrupted <= self._instant
+            self._rounds = self._rounds + 1 if at_once else 1
+            self._interrupted = time
+            if self._rounds > _MOST_ROUNDS:
+                raise self._stuck(fired[0], f"more than {_MOST_ROUNDS} times at one instant")
+            before = events.when(time, self._state, self.point)
+            for k in fired:
+                self._record([Crossing(time, k, 0)])
+                reset = events.then[k]
+                if reset is not None:
+                    self._state = reset(time, self._state, self.point)
+                self._ended |= events.terminal[k]
+            after = events.when(time, self._state, self.point)
+            unmoved = [k for k in on_surface if before[k] == after[k]]
+            self._sides.return_to([*fired, *on_surface])
+            fired, on_surface = self._settled(unmoved), ()
+        self.values[:, self.times == time] = self._state[:, None]
+
+    # -- errors -----------------------------------------------------------------------------------
+
+    def _place(self) -> str:
+        """The present time and the parameters."""
+        named = zip(self.equations.parameters, self.point.tolist(), strict=True)
+        pairs = [(self.equations.clock, self._time), *named]
+        return ", ".join(f"{name} = {value:.6g}" for name, value in pairs)
+
+    def _blow_up(self) -> BlowUpError:
+        """The error for a trajectory that does not go on."""
+        return BlowUpError(
+            f"the trajectory cannot be continued beyond {self._place()}: it grows without bound "
+            "there, or a rate is not finite",
+            time=self._time,
+            parameters=dict(zip(self.equations.parameters, self.point.tolist(), strict=True)),
+            remedy="let time end earlier, or change the equations",
+        )
+
+    def _too_long(self) -> ConvergenceError:
+        return ConvergenceError(
+            f"the trajectory takes more than {_MOST_STEPS} steps; it has reached {self._place()}",
+            remedy="let time end earlier, or increase rtol",
+        )
+
+    def _stuck(self, event: int, reason: str) -> ConvergenceError:
+        """The error for events that follow each other without end."""
+        name = self.equations.events.names[event]
+        return ConvergenceError(
+            f"event {quote(name)} happens again and again at {self._place()}: {reason}",
+            term=name,
+            remedy="let time end earlier, or with that event: terminal=True",
+        )
