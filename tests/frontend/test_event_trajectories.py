@@ -394,3 +394,25 @@ def test_a_step_of_an_expression_is_a_crossing():
     trajectory = made.trajectory(5.0, k=1)
     np.testing.assert_allclose(trajectory.events["step"], [1.0], rtol=1e-9)
     np.testing.assert_allclose(trajectory[y], 1.0, rtol=1e-9)
+
+
+def test_a_tank_runs_empty():
+    """x' = -k sqrt(x) - 1/10 has no rate beyond the event: it empties (exact) all the same."""
+    empty = ro.Event(x, "falling", then={x: 0, y: 1}, terminal=True, name="empty")
+    made = drift(empty, rates=(-k * sp.sqrt(x) - 0.1, 0, 0), initial=(1, 0, 0))
+    end = 2 - 0.2 * np.log(1.1 / 0.1)
+    trajectory = made.trajectory([1.0, 5.0], k=1)
+    np.testing.assert_allclose(trajectory.events["empty"], [end], rtol=1e-7)
+    assert np.isnan(trajectory[x][1])
+
+
+def test_no_event_is_made_up_where_a_trajectory_cannot_go_on():
+    made = drift(ro.Event(x + 1, terminal=True), rates=(-sp.sqrt(x) - 1, 0, 0), initial=(1, 0, 0))
+    with pytest.raises(ro.BlowUpError, match=r"cannot be continued beyond t = 0\.61370"):
+        made.trajectory(5.0, k=1)
+
+
+def test_a_reset_to_what_is_no_number():
+    made = drift(ro.Event(x - 1, then={x: sp.log(-x)}), rates=(1, 0, 0))
+    with pytest.raises(ro.BlowUpError, match=r"beyond t = 1, k = 1: .* a state or rate is"):
+        made.trajectory(5.0, k=1)

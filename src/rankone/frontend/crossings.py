@@ -99,6 +99,18 @@ class Sides:
             if at <= time:
                 self.sides[k], self._expected[k] = side, False
 
+    def ahead(self, time: float, state: Array, rates: Array) -> dict[int, float]:
+        """The interrupting events that a straight path crosses, and how long that takes."""
+        heights = self.events.when(time, state, self.point)
+        slopes = self.events.slopes(time, rates, state, self.point)
+        return {
+            k: max(-float(height / slope), 0.0)
+            for k, (height, slope) in enumerate(zip(heights, slopes, strict=True))
+            if self.sides[k] * slope < 0.0
+            and self.events.interrupts(k)
+            and self.events.counts(k, -int(self.sides[k]))
+        }
+
     def return_to(self, events: Collection[int]) -> None:
         """The trajectory is on the surfaces of events."""
         self.sides[list(events)] = 0

@@ -7,6 +7,7 @@ are those of :class:`scipy.integrate.LSODA`, which :func:`scipy.integrate.solve_
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
@@ -30,7 +31,9 @@ _SAME_INSTANT = 1e-12  # Part of the horizon within which two times are one
 _LEAST_PIECE = 4.0  # Shortest time that is integrated over, in roundings
 _FEWEST_STEPS = 256  # Of a horizon if there are events: they are looked for in each step
 _MOST_STALLS = 200  # Steps in a row that are shorter than rounding of time; the first ones may be
-_MOST_STEPS = 1_000_000  # Steps of a trajectory: about a minute
+_MOST_STEPS = 200_000  # Steps of a trajectory: about a minute
+_SHORT_STEP = 1e-10  # Part of the horizon of the first step after one that failed
+_REACH = 1e-9  # Part of the horizon over which a trajectory is continued straight to an event
 _MOST_ROUNDS = 100  # Rounds of events at one instant
 
 
@@ -63,8 +66,10 @@ class Integration:
         self._sides = Sides(equations.events, point)
         self._steps = self._rounds = 0
         self._interrupted, self._ended = -np.inf, False
+        self._first_step: float | None = None
         if times.size:
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"), warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "lsoda: ", UserWarning)  # failures are handled
                 self._integrate()
 
     @property
@@ -115,7 +120,8 @@ class Integration:
             self._time = end
             return
         self._sizes = np.maximum(self._sizes, np.abs(self._state))
-        if not np.isfinite(self._rates(self._time, self._state)).all():
+        first = self._rates(self._time, self._state)
+        if not np.isfinite([*self._state, *first]).all():
             raise self._blow_up()
         with_events = len(self._occurrences) > 0
         longest = (self._end - self._start) / _FEWEST_STEPS if with_events else np.inf
@@ -127,13 +133,17 @@ class Integration:
             rtol=self.rtol,
             atol=self._tolerances(end),
             max_step=longest,
+            first_step=self._first_step and min(self._first_step, end - self._time),
         )
-        stalls = 0
+        start, stalls = self._time, 0
         while solver.status == "running" and self._goes_on():
             failure = solver.step()
             stalls = stalls + 1 if solver.t == self._time else 0
             if failure is not None or stalls > _MOST_STALLS or not np.isfinite(solver.y).all():
-                raise self._blow_up()
+                if self._time - start <= self._instant:
+                    self._reach_event()
+                self._first_step = _SHORT_STEP * (self._end - self._start)
+                return
             self._steps += 1
             if self._steps > _MOST_STEPS:
                 raise self._too_long()
@@ -203,6 +213,24 @@ class Integration:
         self._react(time, fired, {c.event for c in now})
         return True
 
+    def _reach_event(self) -> None:
+        """Continue to an interrupting event right ahead, beyond which there are no rates.
+
+        A tank that runs empty has no rate ``sqrt(x)`` below zero, so that no step passes its event.
+        """
+        rates = self._rates(self._time, self._state)
+        ahead = self._sides.ahead(self._time, self._state, rates)
+        reach = _REACH * (self._end - self._start)
+        near = {k: delay for k, delay in ahead.items() if delay <= reach}
+        if not near or not np.isfinite(rates).all():
+            raise self._blow_up()
+        delay = min(near.values())
+        fired = [k for k, later in near.items() if later - delay <= self._instant]
+        time, state = self._time + delay, self._state + delay * rates
+        self._keep(time, lambda times: np.repeat(state[:, None], times.size, axis=1))
+        self._time, self._state = time, state
+        self._react(time, fired, fired)
+
     def _record(self, crossings: Sequence[Crossing]) -> None:
         for crossing in crossings:
             if crossing.time <= self.times[-1]:
@@ -249,7 +277,7 @@ class Integration:
         """The error for a trajectory that does not go on."""
         return BlowUpError(
             f"the trajectory cannot be continued beyond {self._place()}: it grows without bound "
-            "there, or a rate is not finite",
+            "there, or a state or rate is not finite",
             time=self._time,
             parameters=dict(zip(self.equations.parameters, self.point.tolist(), strict=True)),
             remedy="let time end earlier, or change the equations",
