@@ -197,10 +197,3 @@ def test_tables_in_events_have_names_of_their_own():
     first, second = (ro.table([0, 1], [0, height], name="f") for height in (1, 2))
     with pytest.raises(ro.ProblemError, match="`f` names two tables"):
         ball(ro.Event(first(t)), ro.Event(second(t)))
-
-
-@pytest.mark.parametrize("refused", [ro.compile, ro.solve, ro.first_order, ro.weak_form])
-def test_solve_refuses_events(refused):
-    with pytest.raises(ro.ProblemError, match=r"`solve` does not take events yet.*trajectory") as f:
-        refused(ball(BOUNCE))
-    assert f.value.term == BOUNCE

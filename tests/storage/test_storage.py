@@ -352,7 +352,7 @@ def edited_netcdf(path: Path, edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda header, _: header.update(format_version=3), "version 3 .* upgrade rankone"),
+        (lambda header, _: header.update(format_version=4), "version 4 .* upgrade rankone"),
         (lambda header, _: header.pop("slabs"), "damaged"),
         (lambda header, _: header["metadata"].pop("rtol"), "damaged"),
         (lambda header, _: header["metadata"].update(box=[]), "names do not fit the cores"),

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import rankone as ro
+from rankone.ir.events import SystemEvent
 from rankone.support.budget import OutOfWorkError, limited
 from rankone.trajectories.choice import integrator_for
-from rankone.trajectories.events import MOST_ROUNDS, Event, integrate_to_events
+from rankone.trajectories.events import MOST_ROUNDS, integrate_to_events
 from rankone.trajectories.integrator import Tolerances
 
 INTEGRATORS = ["stack", "single", "auto"]
@@ -30,7 +31,7 @@ def ball(end):
 
 
 def bounce(e):
-    return Event(lambda t, u, p: u[0], -1, lambda t, u, p: np.stack([0.0 * u[0], -e * u[1]]))
+    return SystemEvent(lambda t, u, p: u[0], -1, lambda t, u, p: np.stack([0.0 * u[0], -e * u[1]]))
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
@@ -53,7 +54,7 @@ def test_a_bouncing_ball(integrator):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_a_marker_is_passed_in_its_direction_alone(integrator):
     system = system_of({"x": "w*y", "y": "-w*x"}, {"x": "0", "y": "1"}, {"w": (1, 3)}, 10)
-    markers = [Event(lambda t, u, p: u[0] - 0.5, d) for d in (1, -1, 0)]
+    markers = [SystemEvent(lambda t, u, p: u[0] - 0.5, d) for d in (1, -1, 0)]
     for w, each in zip(
         (1.0, 2.5), trajectories(system, [[1.0], [2.5]], markers, integrator), strict=True
     ):
@@ -67,7 +68,7 @@ def test_a_marker_is_passed_in_its_direction_alone(integrator):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_a_terminal_event_ends_each_trajectory_at_its_time(integrator):
     system = system_of({"x": "-k*x"}, {"x": "1"}, {"k": (0.5, 2)}, 2)
-    half = Event(lambda t, u, p: u[0] - 0.5, terminal=True)
+    half = SystemEvent(lambda t, u, p: u[0] - 0.5, terminal=True)
     rates = np.array([[0.2], [0.5], [2.0]])
     slow, middle, fast = trajectories(system, rates, [half], integrator)
     assert (slow.end, slow.ends) == (2.0, False)
@@ -81,7 +82,7 @@ def test_a_terminal_event_ends_each_trajectory_at_its_time(integrator):
 def test_resets_depend_on_time_and_parameters(integrator):
     """A dose of the size k*t whenever x falls to 1/2."""
     system = system_of({"x": "-x"}, {"x": "k"}, {"k": (1, 2)}, 3)
-    dose = Event(lambda t, u, p: u[0] - 0.5, -1, lambda t, u, p: u + p * t)
+    dose = SystemEvent(lambda t, u, p: u[0] - 0.5, -1, lambda t, u, p: u + p * t)
     (each,) = trajectories(system, [[1.0]], [dose], integrator)
     times, x = [np.log(2.0)], 0.5 + np.log(2.0)
     while (later := times[-1] + np.log(2 * x)) < 3:
@@ -94,7 +95,7 @@ def test_resets_depend_on_time_and_parameters(integrator):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_events_and_jumps_at_known_times(integrator):
     system = system_of({"x": "-k"}, {"x": "1"}, {"k": (1, 2)}, 3, jumps={1: {"x": "x + 1"}})
-    zero = Event(lambda t, u, p: u[0], -1, lambda t, u, p: u + 0.75)
+    zero = SystemEvent(lambda t, u, p: u[0], -1, lambda t, u, p: u + 0.75)
     (each,) = trajectories(system, [[2.0]], [zero], integrator, [0.0, 1.0, 3.0])
     # 1 to 0 at 0.5, 0.75 to 0 at 0.875, 0.5 at 1, 1.5 to 0 at 1.75, then every 0.375
     exact = [0.5, 0.875, 1.75, 2.125, 2.5, 2.875]
@@ -113,15 +114,15 @@ def test_events_that_accumulate_end_a_trajectory(integrator):
 
 
 @pytest.mark.parametrize("integrator", ["stack", "single"])
-def test_two_events_at_one_instant_read_the_same_states(integrator):
+def test_events_at_one_instant_are_applied_in_their_order(integrator):
     system = system_of({"x": "k", "y": "k"}, {"x": "0", "y": "0"}, {"k": (1, 2)}, 1)
     swaps = [
-        Event(lambda t, u, p: u[0] - 0.5, 1, lambda t, u, p: np.stack([u[1] - 1, u[1]])),
-        Event(lambda t, u, p: u[1] - 0.5, 1, lambda t, u, p: np.stack([u[0], u[0] - 2])),
+        SystemEvent(lambda t, u, p: u[0] - 0.5, 1, lambda t, u, p: np.stack([u[1] - 1, u[1]])),
+        SystemEvent(lambda t, u, p: u[1] - 0.5, 1, lambda t, u, p: np.stack([u[0], u[0] - 2])),
     ]
     (each,) = trajectories(system, [[1.0]], swaps, integrator)
     assert [o.event for o in each.occurrences] == [0, 1]
-    np.testing.assert_allclose(each.occurrences[0].after, [-0.5, -1.5], atol=1e-9)
+    np.testing.assert_allclose(each.occurrences[0].after, [-0.5, -2.5], atol=1e-9)
 
 
 @pytest.mark.parametrize("direction", [0, 1, -1])
@@ -129,7 +130,7 @@ def test_two_events_at_one_instant_read_the_same_states(integrator):
 def test_a_function_that_is_not_a_number_is_no_event(integrator, direction):
     """x falls from 1 to -1; log(x + 0.5) is zero at 1/2 and not a number below -1/2."""
     system = system_of({"x": "-k"}, {"x": "1"}, {"k": (0.5, 2)}, 2)
-    event = Event(lambda t, u, p: np.log(u[0] + 0.5), direction, terminal=True)
+    event = SystemEvent(lambda t, u, p: np.log(u[0] + 0.5), direction, terminal=True)
     (each,) = trajectories(system, [[1.0]], [event], integrator)
     exact = [0.5] if direction != 1 else []
     np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-9)
@@ -147,7 +148,7 @@ def test_markers_are_recorded_along_one_integration(integrator):
     system = system_of({"x": "w*y", "y": "-w*x"}, {"x": "0", "y": "1"}, {"w": (1, 3)}, 20)
     points = [[1.0 + 0.2 * k] for k in range(8)]
     plain, _ = work_of(system, points, [], integrator)
-    marker = Event(lambda t, u, p: u[0] - 0.5)
+    marker = SystemEvent(lambda t, u, p: u[0] - 0.5)
     marked, outcome = work_of(system, points, [marker], integrator)
     assert sum(each.times_of(0).size for each in outcome) > 60
     assert marked < 1.5 * plain
@@ -163,7 +164,9 @@ def test_a_reset_costs_about_as_much_as_the_time_since_the_last(integrator):
         5,
     )
     plain, _ = work_of(system, [[2.0]], [], integrator)
-    back = Event(lambda t, u, p: u[0] - 1.0, 1, lambda t, u, p: np.stack([0.0 * u[0], *u[1:]]))
+    back = SystemEvent(
+        lambda t, u, p: u[0] - 1.0, 1, lambda t, u, p: np.stack([0.0 * u[0], *u[1:]])
+    )
     reset, (each,) = work_of(system, [[2.0]], [back], integrator)
     np.testing.assert_allclose(each.times_of(0)[:9], np.arange(1, 10) / 2, rtol=1e-8)
     assert reset < 8.0 * plain

@@ -156,6 +156,8 @@ class _ProblemCheck:
             self._check_initial()
             if self.first_order.jumps:
                 self._check_jumps()
+            if self.first_order.events:
+                self._check_events()
 
     def _check_rates(self) -> None:
         """Raise if the generated rates do not solve the equations."""
@@ -242,6 +244,25 @@ class _ProblemCheck:
                     at = f"the jump at {clock} = {times[0]:g}"
                     subject = f"the value of {state} after {at}, {quote(after)},"
                     self._check_value(subject, after, leaves, generated[i], np.concatenate([p, u]))
+
+    def _check_events(self) -> None:
+        """Raise if the generated events are not those of the problem."""
+        first_order, p, u = self.first_order, self.points.parameters, self.points.states
+        t = self.points.time
+        leaves = [first_order.coordinates[0].symbol, *self.symbols, *first_order.functions]
+        columns = np.concatenate([t[None], p, u])
+        for form, event in zip(first_order.events, self.system.events, strict=True):
+            what = f"event {quote(form.name)}"
+            heights = np.broadcast_to(np.asarray(event.when(t, u, p), dtype=float), t.shape)
+            self._check_value(f"{quote(form.when)} of {what}", form.when, leaves, heights, columns)
+            if form.then is None or event.then is None:
+                continue
+            generated = np.asarray(event.then(t, u, p), dtype=float)
+            for i, after in enumerate(form.then):
+                if after != first_order.functions[i]:
+                    state = quote(first_order.states[i].expression)
+                    subject = f"the value of {state} after {what}, {quote(after)},"
+                    self._check_value(subject, after, leaves, generated[i], columns)
 
     def _check_value(
         self,

@@ -16,7 +16,15 @@ from rankone.codegen.pointwise import PointwiseWriter
 from rankone.codegen.rates import GeneralWriter, SeparatedWriter
 from rankone.codegen.text import WIDTH, described_table, docstring, literal, nested, quoted, table
 from rankone.expressions.admissible import known_functions
-from rankone.ir.forms import Coordinate, Jump, QuadraticSystem, SeparatedForm, State, Term
+from rankone.ir.forms import (
+    Coordinate,
+    EventForm,
+    Jump,
+    QuadraticSystem,
+    SeparatedForm,
+    State,
+    Term,
+)
 from rankone.ir.functions import known_applied
 from rankone.ir.measures import LINEAR
 from rankone.support.errors import check_kind
@@ -102,6 +110,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
     """
     writer = GeneralWriter(system)
     further = [*system.initial, *(value for jump in system.jumps for value in jump.values)]
+    further += system.event_expressions
     expressions = [*system.rhs, *further]
     factors = known_functions(system.coordinates, expressions)
     features = features_of(system.coordinates, system.rhs, further)
@@ -112,6 +121,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
+        "Events": _events(writer, system.events),
     }
     names = [state.name for state in system.states]
     tables = _tables(False, names, len(names), (), system.coordinates)
@@ -255,6 +265,29 @@ def _jump_tables(writer: PointwiseWriter, jumps: Sequence[Jump]) -> list[str]:
     return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
 
 
+def _events(writer: PointwiseWriter, events: Sequence[EventForm]) -> list[Block]:
+    """The events, what crosses zero, and the states after those that reset some."""
+    if not events:
+        return []
+    n, k = len(writer.states), len(events)
+    rows = ((quoted(e.name), e.direction, e.terminal, e.then is not None) for e in events)
+    heights = f"What crosses zero at events, at u ({n}, ...): ({k}, ...)."
+    after = f"States right after it from u ({n}, ...) before, at p (d, ...): ({n}, ...)."
+    names = [state.name for state in writer.states]
+    return [
+        [
+            "# name, direction, whether it ends the trajectory, whether it resets states",
+            *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
+        ],
+        writer.vector("event_heights", "t, u, p", heights, [e.when for e in events]),
+        *(
+            writer.vector(f"after_event_{i}", "t, u, p", after, e.then, names)
+            for i, e in enumerate(events)
+            if e.then is not None
+        ),
+    ]
+
+
 def _gaps(writer: PointwiseWriter, name: str, gaps: Sequence[Gap]) -> list[Block]:
     """The texts of gaps, and the function that says which ones a state lies in."""
     texts = []
@@ -273,7 +306,8 @@ def generated_module(
 ) -> tuple[QuadraticSystem | None, ModuleSpecification]:
     """The module of a system, and its quadratic form if it separates; timed."""
     with timed(timings, "lowering"):
-        quadratic = None if separated.general else quadratic_system(separated)
+        general = bool(separated.general or system.events)
+        quadratic = None if general else quadratic_system(separated)
     with timed(timings, "code generation"):
         if quadratic is None:
             source = general_source(system, name)

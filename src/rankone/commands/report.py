@@ -128,7 +128,7 @@ class _Statistics:
 
 def _statistics(solution: Solution) -> _Statistics | None:
     """The statistics at the end of what was solved; None if nothing was."""
-    if not solution.outcome.slabs:
+    if not solution.outcome.slabs or solution.outcome.timeline is not None:
         return None
     at = () if solution.metadata.timeless else (solution.time[1],)
     low, high = solution.quantile(_BAND_PROBABILITIES, *at)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.estimation.free_parameters import FreeParameters
-from rankone.estimation.least_squares import TrainModel
+from rankone.estimation.models import model_of
 from rankone.estimation.observations import checked_times, state_name
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
@@ -39,8 +39,8 @@ class States:
         self.names, self.times, self.free = tuple(names), times, free
         rows = np.array([solution.states.index(name) for name in names], dtype=np.intp)
         self._shape = (rows.size, times.size)
-        slabs = solution.outcome.slabs
-        self._model = TrainModel(slabs, np.repeat(rows, times.size), np.tile(times, rows.size))
+        at = np.repeat(rows, times.size), np.tile(times, rows.size)
+        self._model = model_of(solution.outcome, *at)
 
     def __call__(self, z: Array) -> tuple[Array, Array]:
         """Values (states, times) and derivatives (states, times, n) with respect to z."""

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from rankone.estimation.cube_distributions import CubeDistribution, adapted, chain
 from rankone.estimation.fit import Fit
 from rankone.estimation.free_parameters import Bounds, ParameterValues
-from rankone.estimation.least_squares import LeastSquares, TrainModel
+from rankone.estimation.least_squares import LeastSquares
+from rankone.estimation.models import model_of
 from rankone.estimation.observations import Measurements
 from rankone.estimation.search import fit
 from rankone.solution.core import SolutionCore
@@ -277,11 +278,12 @@ def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
 def _without_fixed(fit: Fit) -> LeastSquares:
     """The least squares of the free parameters alone, with ranks that the noise allows."""
     free, observations = fit._problem.free, fit.observations
-    slabs = fit.solution.outcome.slabs
+    outcome = fit.solution.outcome
     for position in reversed(range(len(free.order))):
         if free.order[position] in free.fixed:
-            slabs = with_fixed(slabs, position, free.fixed[free.order[position]])
-    model = TrainModel(slabs, observations.rows, observations.times)
+            fixed = with_fixed(outcome.slabs, position, free.fixed[free.order[position]])
+            outcome = replace(outcome, slabs=fixed)
+    model = model_of(outcome, observations.rows, observations.times)
     unit = fit._unit if fit._unit > 0.0 else 1.0
     positions = tuple(range(len(free.names)))
     alone = replace(free, order=free.names, positions=positions, fixed={})

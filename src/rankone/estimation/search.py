@@ -14,7 +14,8 @@ from rankone.estimation.free_parameters import (
     free_parameters,
 )
 from rankone.estimation.identification import identify
-from rankone.estimation.least_squares import LeastSquares, Minima, TrainModel
+from rankone.estimation.least_squares import LeastSquares, Minima
+from rankone.estimation.models import model_of
 from rankone.estimation.observations import Measurements, Observations, observed
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array, spread
@@ -107,7 +108,7 @@ def fit(
     starts = min(math.ceil(factor * starts), _MOST_STARTS)
     screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
     _check_size(observations, free)
-    model = TrainModel(self.outcome.slabs, observations.rows, observations.times)
+    model = model_of(self.outcome, observations.rows, observations.times)
     problem = LeastSquares(model, observations, free)
     residuals, first = _starts(problem, starts, max(screened, starts, 1))
     minima = problem.minima(first)

@@ -139,6 +139,7 @@ def pack(
             f"the solution is not a success: {solution.message}",
             remedy="solve again, or pass allow_failed=True to export it as it is",
         )
+    solution.outcome.slabs_over_clock_time("an exported model")
     metadata = solution.metadata
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)

@@ -127,7 +127,7 @@ class CompiledProblem:
     @cached_property
     def _lifting(self) -> LiftedProblem | sp.Expr | None:
         """The lifted form, what cannot be lifted, or None where there is nothing to lift."""
-        if self.quadratic is not None:
+        if self.quadratic is not None or self.first_order.events:
             return None
         return lifted_problem(self.first_order, self.system, self.problem.name or "")
 
@@ -141,6 +141,10 @@ class CompiledProblem:
         """
         if method in _ANY_SYSTEM or self.quadratic is not None:
             return self
+        if self.first_order.events:
+            raise OptionError(
+                f"method={method!r} does not take events", remedy="leave method= out, or take cross"
+            )
         if self.lifted is None:
             raise SeparationError(
                 str(self.methods[method]),
@@ -159,7 +163,9 @@ class CompiledProblem:
     def methods(self) -> dict[str, str | None]:
         """For each method None if it applies, else the reason why not."""
         reason = None
-        if self.quadratic is None and self.lifted is None:
+        if self.first_order.events:
+            reason = "events are followed by trajectories, which cross samples"
+        elif self.quadratic is None and self.lifted is None:
             reason = (
                 f"{self.separated.general[0].reason}; {quote(self._lifting)} has no lifted form"
             )
@@ -276,7 +282,7 @@ class CompiledProblem:
                 f"on_failure={on_failure!r} is unknown", remedy="use 'return' or 'raise'"
             )
         refuse_positional(arguments, "method")
-        separated = not self.separated.general
+        separated = self.quadratic is not None
         count = len(self.separated.coordinates) - 1
         engines = engines_for(method, options, count, separated=separated)
         form = self.form_for(str(method))

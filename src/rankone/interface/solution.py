@@ -15,6 +15,7 @@ from rankone.ir.outcome import SlabRecord
 from rankone.outputs.interpolation import samples_of, with_outputs
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
+from rankone.solution.timeline import EventTimes
 from rankone.solvers.registry import ENGINES
 from rankone.statistics.densities import DistributionOverBox
 from rankone.statistics.distributions import from_text
@@ -23,13 +24,14 @@ from rankone.storage import read, write
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, StorageError, optional_module
 from rankone.tensors.canonical import CanonicalForms, canonical_form
+from rankone.tensors.timeline import TimelineEvaluator
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
 
-class Solution(DistributionOverBox, EstimationFromData):
+class Solution(DistributionOverBox, EstimationFromData, EventTimes):
     """The unknowns as functions of time and of all parameters.
 
     It is evaluated like :class:`~rankone.solution.core.SolutionCore`, whose methods it has:
@@ -121,7 +123,8 @@ class Solution(DistributionOverBox, EstimationFromData):
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
         names = (self.metadata.time, *self.metadata.parameters)
-        form = partial(canonical_form, self.outcome.slabs, names, rtol=rtol, max_rank=max_rank)
+        slabs = self.outcome.slabs_over_clock_time("to_canonical")
+        form = partial(canonical_form, slabs, names, rtol=rtol, max_rank=max_rank)
         return CanonicalForms(form, self.states, self.unknowns)
 
     @cached_property
@@ -253,6 +256,13 @@ class Solution(DistributionOverBox, EstimationFromData):
         ndarray (unknowns, parameters, *broadcast shape of the values)
         """
         gathered = self._coordinates.gather(at, named)
+        if isinstance(self._evaluator, TimelineEvaluator):
+            arrays = np.broadcast_arrays(*self._coordinates.arrays(gathered))
+            times, *points = (array.ravel() for array in arrays)
+            free, stacked = range(len(points)), np.array(points).reshape(-1, times.size)
+            _, moved = self._evaluator.linearised(times[None], stacked, self._unknowns, free)
+            moved = np.moveaxis(moved[:, 0], 2, 1)
+            return np.asarray(moved.reshape(*moved.shape[:2], *arrays[0].shape))
         slopes = [slope._evaluate(gathered, slope._unknowns) for slope in self._slopes]
         if not slopes:
             unknowns = self._evaluate(gathered, self._unknowns)

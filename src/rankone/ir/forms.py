@@ -86,6 +86,21 @@ class Jump:
 
 
 @dataclass(frozen=True, slots=True)
+class EventForm:
+    """An event: what crosses zero, in which direction, and what it resets.
+
+    ``when`` and ``then`` are in time, the values of the states before, ``x(t)``, and the
+    parameters. ``then`` has a value for each differential state, or is None.
+    """
+
+    name: str
+    when: sp.Expr
+    direction: int
+    then: tuple[sp.Expr, ...] | None
+    terminal: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Factor:
     """A function of one coordinate; factor 0 of every dimension is the constant one."""
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import Cause, Note, Status, Verdict
+from rankone.support.errors import EvaluationError
 from rankone.tensors.slab import SlabTrain
 
 
@@ -40,7 +42,7 @@ class Measured:
     ``method``; 95 % of those that count are no worse than ``quantile``, and ``worst`` is the worst
     of them. ``counted`` are the states that success is for, None for all. ``drift`` is the largest
     difference between lifted states and what they stand for, relative to their sizes; None where
-    none are lifted.
+    none are lifted. ``time_error`` is the largest error of the time of an event, over the horizon.
     """
 
     interior: tuple[float, ...]
@@ -53,6 +55,7 @@ class Measured:
     counted: tuple[int, ...] | None = None
     drift: float | None = None
     integrator: str = "stack"
+    time_error: float | None = None
 
     @property
     def error(self) -> float:
@@ -105,7 +108,8 @@ class Outcome:
     the budget that ``effort`` sets, by stage: ``reference``, ``march``, ``check``. ``blow_up`` has
     time and parameter values near which a trajectory blows up, ``safe`` where the box would have to
     end instead, the one that keeps most of it first. ``switching`` is the state whose rate switches
-    to and fro where the reference trajectories came to an end.
+    to and fro where the reference trajectories came to an end. With events, the slabs are over the
+    stretches of a ``timeline``.
     """
 
     slabs: tuple[SlabTrain, ...]
@@ -119,6 +123,7 @@ class Outcome:
     switching: int | None = None
     cause: Cause | None = None
     notes: tuple[Note, ...] = ()
+    timeline: Timeline | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -129,6 +134,18 @@ class Outcome:
     def message(self) -> str:
         """One or two sentences: how it ended, why, and what to do."""
         return str(self.verdict)
+
+    def slabs_over_clock_time(self, what: str) -> tuple[SlabTrain, ...]:
+        """The slabs, for what reads them as functions of time.
+
+        An EvaluationError that names it, if they are over the stretches of a timeline.
+        """
+        if self.timeline is not None:
+            raise EvaluationError(
+                f"{what} does not take solutions with events yet",
+                remedy="evaluate the solution, or its event_times, at points instead",
+            )
+        return self.slabs
 
     @property
     def error(self) -> float:

@@ -33,12 +33,13 @@ A module leaves out what its system does not have; :func:`system_of` fills in wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
+from rankone.ir.events import EventOrder, SystemEvent
 from rankone.ir.features import (
     GAP_REMEDY,
     Features,
@@ -118,7 +119,8 @@ class System:
     ``scales`` are those of the parameters, words of :data:`~rankone.discretization.scales.SCALES`.
     ``features`` say where the system is not smooth, ``jumps`` where its states are reset, ``gaps``
     where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
-    from, if rankone compiled it.
+    from, if rankone compiled it. ``events`` reset its trajectories or end them; a system in
+    stretches between them has the ``clock`` that it runs by.
     """
 
     separated: bool
@@ -146,6 +148,8 @@ class System:
     jumps: Jumps
     gaps: Gaps
     specification: ModuleSpecification | None = None
+    events: tuple[SystemEvent, ...] = ()
+    clock: Clock | None = None
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -171,6 +175,24 @@ class System:
                 product = product * row[index]
             start[state] += product
         return start if self.initial_separates else start + self.unseparated_initial(p)
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """The system over clock time that runs in stretches, and the order of its events.
+
+    Its jumps, and the ``cuts`` of its time, are events.
+    """
+
+    system: System
+    order: EventOrder
+    horizon: tuple[float, float]
+    cuts: tuple[float, ...] = ()
+
+    @property
+    def length(self) -> float:
+        """Length of the horizon."""
+        return self.horizon[1] - self.horizon[0]
 
 
 _REQUIRED = (
@@ -256,7 +278,23 @@ def system_of(names: Mapping[str, object]) -> System:
             gaps=Gaps(member("JUMP_GAPS", ()), member("jump_gaps", no_rows)),
         ),
         gaps=Gaps(member("GAPS", ()), member("gaps", no_rows)),
+        events=_events(names),
     )
+
+
+def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
+    """The events of a generated module."""
+    listed = cast("Sequence[tuple[str, int, bool, bool]]", names.get("EVENTS", ()))
+
+    def event(k: int, name: str, direction: int, terminal: bool, resets: bool) -> SystemEvent:
+        def when(t: Array, u: Array, p: Array) -> Array:
+            heights = cast(OfStates, names["event_heights"])
+            return np.asarray(heights(t, u, p)[k])
+
+        then = cast("OfStates | None", names[f"after_event_{k}"] if resets else None)
+        return SystemEvent(when, direction, then, terminal, name)
+
+    return tuple(event(k, *each) for k, each in enumerate(listed))
 
 
 # Relative changes of states and time over which a gap ahead of a trajectory is looked for

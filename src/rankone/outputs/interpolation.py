@@ -194,7 +194,8 @@ class OutputInterpolation:
 
     def _sampler(self, grid: TimeGrid) -> Sampler:
         solution = self.solution
-        slabs, names = solution.outcome.slabs, solution.metadata.parameters
+        slabs = solution.outcome.slabs_over_clock_time("output")
+        names = solution.metadata.parameters
         return Sampler(slabs, names, self.quantities, grid, solution.rtol)
 
     def _resolving_grid(self, level: float, points: CheckPoints) -> TimeGrid:

@@ -98,6 +98,8 @@ def times_of(solution: Solution, t: ArrayLike | None, count: int) -> Array:
 
 def fine_times(solution: Solution, end: float, count: int) -> Array:
     """Even times up to an end, and both sides of each meeting of slabs: states may jump there."""
+    if solution.outcome.timeline is not None:  # jumps are at times of their own at each point
+        return np.linspace(solution.time[0], end, count)
     evenly = np.linspace(solution.time[0], end, count)
     meetings = np.array([slab.start for slab in solution.outcome.slabs[1:]])
     meetings = meetings[(meetings > evenly[0]) & (meetings < end)]

@@ -17,14 +17,18 @@ from typing import Any, NoReturn
 import numpy as np
 
 from rankone.discretization.coordinates import Coordinates, name_of
+from rankone.ir.events import Ending
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SafeInterval
+from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import Status, SwitchingTerm
 from rankone.storage.npz import write
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, EvaluationError
 from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.timeline import TimelineEvaluator
 
 # How trajectories end before the horizon
 _ENDS = {
@@ -138,9 +142,12 @@ class SolutionCore:
         return on_grid[:, 0] if self.metadata.timeless else on_grid
 
     @cached_property
-    def _evaluator(self) -> TrainEvaluator:
+    def _evaluator(self) -> TrainEvaluator | TimelineEvaluator:
         if not self.outcome.slabs:
             raise EvaluationError(f"nothing was solved: {self.message}")
+        timeline = self.outcome.timeline
+        if timeline is not None:
+            return timeline_evaluator(self.outcome.slabs, timeline)
         return TrainEvaluator(self.outcome.slabs)
 
     # --- what was asked and what came out ------------------------------------------------------
@@ -217,6 +224,8 @@ class SolutionCore:
         start, end = self.metadata.horizon
         if not self.outcome.slabs:
             return start, start
+        if self.outcome.timeline is not None:
+            return start, end
         reached = self.outcome.slabs[-1].end
         return start, end if abs(end - reached) <= 1e-10 * (end - start) else reached
 
@@ -289,6 +298,11 @@ class _ByState(dict[str, float]):
         if name not in self:
             raise KeyError(f"no state {name}{did_you_mean(name, self)}; known are {listing(self)}")
         return self[name]
+
+
+def timeline_evaluator(slabs: Sequence[SlabTrain], timeline: Timeline) -> TimelineEvaluator:
+    """The evaluator of slabs over the stretches of a timeline."""
+    return TimelineEvaluator(slabs, timeline.horizon, timeline.ending is Ending.HORIZON)
 
 
 @contextmanager

@@ -25,10 +25,11 @@ _Pair = tuple[Outcome, SolutionMetadata]
 def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) -> _Pair:
     """The derivatives of all states with respect to a parameter or time; their error is unknown."""
     name = name_of(coordinate)
+    slabs = outcome.slabs_over_clock_time("diff")
     if name == metadata.time and not metadata.timeless:
-        slabs = tuple(slab.derivative() for slab in outcome.slabs)
+        slabs = tuple(slab.derivative() for slab in slabs)
     else:
-        slabs = differentiated(outcome.slabs, _position(metadata, name))
+        slabs = differentiated(slabs, _position(metadata, name))
     derivative = replace(
         outcome,
         slabs=slabs,
@@ -44,7 +45,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:
     """The same at one time, which is no longer a coordinate."""
-    slab = at_one_time(outcome.slabs, time, metadata.horizon)
+    slab = at_one_time(outcome.slabs_over_clock_time("at"), time, metadata.horizon)
     fixed = (*metadata.fixed, (metadata.time, float(time)))
     metadata = replace(metadata, source=None, timeless=True, fixed=fixed)
     return _part(replace(outcome, slabs=(slab,)), metadata.rtol), metadata

@@ -199,7 +199,7 @@ def solve_in_attempts(
                 reference_set = ReferenceSet.of(system, request)
                 marcher = marcher_of(reference_set)
         except OutOfBudgetError as out:
-            return _out_at_reference(out, system, stages)
+            return out_at_reference(out, system, stages)
         best, records, met = _attempts(marcher, request.rtol, options, report, stages)
     reference_set = marcher.reference_set
     status = best.status(reference_set, request.rtol)
@@ -279,7 +279,7 @@ def _narrowed(
     return [] if box is None else [box]
 
 
-def _out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> Outcome:
+def out_at_reference(out: OutOfBudgetError, system: System, stages: Stages) -> Outcome:
     """The outcome when a limit is met by the reference."""
     status, cause, switching = Status.of_limit(out), ReferenceLimit(), None
     if out.reached is not None:

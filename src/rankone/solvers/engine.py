@@ -12,8 +12,10 @@ from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
 from rankone.ir.request import Domain, SolveRequest, check_factors
 from rankone.ir.system import System
+from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import MeasuredError, OtherEngines, Remedy, Status
-from rankone.solvers.attempts import Marcher, solve_in_attempts
+from rankone.solvers.attempts import Marcher, Stages, out_at_reference, solve_in_attempts
+from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
@@ -47,12 +49,21 @@ class Engine:
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance."""
         options = request.options_of(self.options)
+        stages = Stages()
+        try:
+            with stages.of("reference"):
+                clock = clock_of(system, request)
+        except OutOfBudgetError as out:
+            return out_at_reference(out, system, stages)
+        if clock is not None:
+            system, request = over_stretches(clock, request)
         with open_workers(system, options.executor) as workers:
 
             def marcher(reference_set: ReferenceSet) -> Marcher:
                 return self.marcher(request, reference_set, workers)
 
-            return solve_in_attempts(marcher, options, system, request, report)
+            outcome = solve_in_attempts(marcher, options, system, request, report)
+        return outcome if clock is None else replace(outcome, timeline=Timeline.of(clock))
 
     def run(
         self,

@@ -26,10 +26,12 @@ from rankone.statistics.solution_statistics import (
     Statistics,
     doubtful_shares,
 )
+from rankone.statistics.timeline_statistics import TimelineStatistics
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, warn
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import shown
+from rankone.tensors.timeline import TimelineEvaluator
 
 Times = ArrayLike | None
 """Times; None where nothing depends on time."""
@@ -384,8 +386,14 @@ class StatisticsOverBox(SolutionCore):
         parameters = self._joint_distribution(under, correlation)
         latest = self._latest_statistics
         if latest is None or latest.parameters.key != parameters.key:
-            latest = Statistics(self.outcome.slabs, self.metadata.unknown_rows, parameters)
+            latest = self._statistics_of(parameters)
             self._latest_statistics = latest
         return latest
+
+    def _statistics_of(self, parameters: JointDistribution) -> Statistics:
+        rows, evaluator = self.metadata.unknown_rows, self._evaluator
+        if isinstance(evaluator, TimelineEvaluator):
+            return TimelineStatistics(evaluator, rows, parameters)
+        return Statistics(self.outcome.slabs, rows, parameters)
 
     _latest_statistics: Statistics | None = None

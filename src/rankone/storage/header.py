@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from rankone.discretization import BASES, SCALES, Basis1D, Scale
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SlabRecord
+from rankone.ir.timeline import CLOCK_STATES, Timeline
 from rankone.ir.verdict import NarrowBox, Status
 from rankone.support.errors import StorageError
 from rankone.support.files import as_path
@@ -35,8 +36,8 @@ from rankone.tensors.slab import SlabTrain
 from rankone.tensors.train import Train
 
 FORMAT = "rankone-solution"
-FORMAT_VERSION = 2  # Newest version that is read
-_FIRST_VERSION = 1  # Version of files that hold nothing of what came with the newest one
+FORMAT_VERSION = 3  # Newest version that is read: it came with timelines
+_FIRST_VERSION, _SECOND_VERSION = 1, 2  # Versions of files that hold nothing of what came later
 _SECOND_NOTES = (NarrowBox.__name__,)  # Notes that came with version 2, as did scales of bases
 # Fields of an outcome that the header holds as they are
 _PLAIN = ("status", "cause", "notes", "measured", "timings", "work", "blow_up")
@@ -102,14 +103,19 @@ def packed(outcome: Outcome, metadata: SolutionMetadata) -> Arrays:
         slabs.append({"start": slab.start, "end": slab.end, "bases": used})
     scaled = any(not basis.scale.is_identity for basis in bases)
     is_second = scaled or _has_new_notes(plain((outcome.cause, outcome.notes)))
+    version = _SECOND_VERSION if is_second else _FIRST_VERSION
+    timeline = {}
+    if outcome.timeline is not None:
+        version, timeline = FORMAT_VERSION, {"timeline": outcome.timeline}
     header = {
         "format": FORMAT,
-        "format_version": FORMAT_VERSION if is_second else _FIRST_VERSION,
+        "format_version": version,
         "metadata": {"unknowns": metadata.unknowns, **plain(metadata)},
         **{name: getattr(outcome, name) for name in ("message", *_PLAIN)},
         "history": outcome.history,
         "bases": [_fields(basis) for basis in bases],
         "slabs": slabs,
+        **timeline,
     }
     arrays = {"header": np.array(json.dumps(plain(header), allow_nan=False))}
     for i, slab in enumerate(outcome.slabs):
@@ -191,6 +197,7 @@ def _outcome(header: Mapping[str, Any], record: type[SlabRecord], arrays: Arrays
     return Outcome(
         slabs=tuple(slabs),
         history=tuple(rebuilt(record, entry) for entry in header["history"]),
+        timeline=rebuilt(hints["timeline"], header.get("timeline")),
         **{name: rebuilt(hints[name], header[name]) for name in _PLAIN},
     )
 
@@ -237,9 +244,11 @@ def _slab(
 def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     """Raise a ValueError unless the entries of a file fit each other."""
     states, parameters = len(metadata.states), len(metadata.parameters)
+    timeline = outcome.timeline
+    rows = states if timeline is None else states + CLOCK_STATES
     counts = {(len(slab.cores[0]), len(slab.bases)) for slab in outcome.slabs}
     measured = states if outcome.measured is None else len(outcome.measured.interior)
-    if counts | {(measured, len(metadata.box))} != {(states, parameters)}:
+    if counts | {(rows, len(metadata.box))} != {(rows, parameters)} or measured != states:
         raise ValueError("the names do not fit the cores")
     counted = None if outcome.measured is None else outcome.measured.counted
     if counted is not None and not (counted and {*counted} <= {*range(states)}):
@@ -251,9 +260,13 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
     ):
         if not -math.inf < interval[0] < interval[1] < math.inf:
             raise ValueError(f"{subject} is {interval}, not two finite ascending numbers")
-    _check_slabs(outcome.slabs, metadata)
-    end = metadata.horizon[1]
-    if outcome.status is Status.CONVERGED and not outcome.slabs[-1].end >= end - _near(metadata):
+    span = metadata.horizon
+    if timeline is not None:
+        _check_timeline(timeline, span)
+        span = (0.0, float(timeline.stretches))
+    _check_slabs(outcome.slabs, metadata, span)
+    end = span[1]
+    if outcome.status is Status.CONVERGED and not outcome.slabs[-1].end >= end - _near(span):
         raise ValueError(
             f"the status is CONVERGED, but the last slab ends at {outcome.slabs[-1].end}, not {end}"
         )
@@ -288,10 +301,21 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         raise ValueError("a fixed coordinate is not finite")
 
 
-def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None:
-    """Raise a ValueError unless slabs follow each other and their bases cover the box."""
-    begin, end = metadata.horizon
-    near = _near(metadata)
+def _check_timeline(timeline: Timeline, horizon: tuple[float, float]) -> None:
+    """Raise a ValueError unless the entries of a timeline fit each other."""
+    names = {name for instant in timeline.instants for name in instant}
+    if timeline.horizon != horizon or len(timeline.resets) != len(timeline.instants):
+        raise ValueError("the timeline does not fit the horizon, or itself")
+    if timeline.stretches < 1 or not all(map(is_line, {*names, *timeline.events})):
+        raise ValueError("the timeline has no stretch, or an event a name of several lines")
+
+
+def _check_slabs(
+    slabs: Sequence[SlabTrain], metadata: SolutionMetadata, span: tuple[float, float]
+) -> None:
+    """Raise a ValueError unless slabs follow each other over a span and cover the box."""
+    begin, end = span
+    near = _near(span)
     for i, slab in enumerate(slabs):
         if not -math.inf < slab.start < slab.end < math.inf:
             raise ValueError(f"slab {i} is ({slab.start}, {slab.end}), which does not ascend")
@@ -307,9 +331,9 @@ def _check_slabs(slabs: Sequence[SlabTrain], metadata: SolutionMetadata) -> None
             raise ValueError(f"the cores of slab {i} are not finite")
 
 
-def _near(metadata: SolutionMetadata) -> float:
+def _near(span: tuple[float, float]) -> float:
     """By how much neighbouring slabs may miss each other."""
-    begin, end = metadata.horizon
+    begin, end = span
     return _SLAB_GAP * (end - begin)
 
 

@@ -15,12 +15,14 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
+from rankone.frontend.events import Event
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.problem import Problem
-from rankone.ir.forms import Coordinate, Jump, State
+from rankone.ir.events import BOTH, FALLING, RISING
+from rankone.ir.forms import Coordinate, EventForm, Jump, State
 from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import Role
-from rankone.support.errors import ProblemError, check_kind
+from rankone.support.errors import check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
 
 
@@ -76,15 +78,23 @@ class FirstOrderSystem(Stage):
         As for every :class:`Stage`.
     rhs : tuple of Expr
         For each state the right-hand side of its derivative, in the states' ``functions``.
+    events : tuple of EventForm
+        In the order of the user.
     """
 
     rhs: tuple[sp.Expr, ...]
+    events: tuple[EventForm, ...] = field(default=(), kw_only=True)
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
         """The functions of the user in the equations, by the names that generated source uses."""
         jumps = (after for jump in self.jumps for after in jump.values)
-        return namespace_of([*self.rhs, *self.initial, *jumps])
+        return namespace_of([*self.rhs, *self.initial, *jumps, *self.event_expressions])
+
+    @property
+    def event_expressions(self) -> tuple[sp.Expr, ...]:
+        """What the events are made of."""
+        return tuple(e for event in self.events for e in (event.when, *(event.then or ())))
 
     def piecewise(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
         """Rates, initial values and values after jumps that have piecewise functions.
@@ -129,17 +139,9 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     ------
     OptionError
         If it is not a problem.
-    ProblemError
-        If the problem has events.
     """
     remedy = "build one with rankone.Problem(...); what is compiled has `.first_order`"
     check_kind("first_order", problem, Problem, remedy=remedy)
-    if problem.events:
-        raise ProblemError(
-            f"`solve` does not take events yet, such as {quote(problem.events[0].name)}",
-            term=problem.events[0],
-            remedy="integrate single trajectories: problem.trajectory(t, ...) takes them",
-        )
     time = problem.time[0]
     solved, equations = problem.mass.solved()
     expressions = list(problem.initial)
@@ -173,7 +175,19 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         initial=initial,
         origins=tuple(origins),
         jumps=jumps,
+        events=tuple(_event(event, functions) for event in problem.events),
     )
+
+
+def _event(event: Event, functions: Mapping[sp.Expr, sp.Expr]) -> EventForm:
+    """An event in the states of the first-order system."""
+    states, then = dict(functions), None
+    if event.then is not None:
+        after = {states[u]: value.xreplace(states) for u, value in event.then.items()}
+        then = tuple(after.get(u, u) for u in states.values())
+    direction = {"rising": RISING, "falling": FALLING, "both": BOTH}[event.direction]
+    when = event.when.xreplace(states)
+    return EventForm(str(event.name), when, direction, then, event.terminal)
 
 
 @dataclass(frozen=True, repr=False)

@@ -70,6 +70,25 @@ class SlabTrain:
             columns = core.reshape(len(core), -1) @ products
         return columns
 
+    def with_slopes(self, points: Array, free: Sequence[int]) -> Array:
+        """Product of the cores of the parameters and its derivatives, (r_1, N * (1 + k)).
+
+        For each point the value, then the derivatives from the last parameter to the first.
+        """
+        count = points.shape[1]
+        products = np.ones((1, count, 1))
+        for j in reversed(range(len(self.bases))):
+            core, basis = self.cores[j + 1], self.bases[j]
+            modes = basis.modal_values(points[j])
+            matrix = core.reshape(len(core), -1)
+            columns = modes.T[:, None, :, None] * products
+            if j in free:
+                slopes = basis.modal_slopes(points[j]).T[:, None, :, None] * products[:, :, :1]
+                columns = np.concatenate([columns, slopes], axis=3)
+            width = columns.shape[3]
+            products = (matrix @ columns.reshape(matrix.shape[1], -1)).reshape(-1, count, width)
+        return products.reshape(len(products), -1)
+
     def on_grid(self, times: Array, columns: Array) -> Array:
         """Evaluate at all times (T,) for columns of :meth:`over_parameters`: (states, M, T)."""
         states, rank = len(self.cores[0]), len(columns)

@@ -26,6 +26,7 @@ from rankone.trajectories.series import charge_compilation, has_series, is_insta
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks import StackedIntegrator
+from rankone.trajectories.stretches import StretchIntegrator
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
 _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
@@ -50,6 +51,16 @@ def integrator_for(
     reference. The others are those of :class:`StackedIntegrator`; stacks look anywhere only in
     systems that do not separate.
     """
+    if system.clock is not None:
+        inner = integrator_for(
+            system.clock.system,
+            integrator,
+            accuracy=accuracy,
+            stiff=stiff,
+            bearable_steps=bearable_steps,
+            looks_anywhere=looks_anywhere,
+        )
+        return StretchIntegrator(inner, integrator)
     single = SingleIntegrator(looks_anywhere)
     if integrator == "single":
         return single

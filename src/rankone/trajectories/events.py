@@ -15,43 +15,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rankone.ir.events import BOTH, SystemEvent
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached, charge
-from rankone.support.costs import CALL
-from rankone.trajectories.defects import roots
+from rankone.support.budget import OutOfBudgetError, Reached
+from rankone.trajectories.crossings import Crossings
 from rankone.trajectories.integrator import Integrator, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, joined
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
 _INSTANT = 1e-12  # Part of the horizon within which times are the same instant
-_LOOK_COST = 10.0  # Operations of an event function for each number that it reads
 _STRETCH = 1.5  # Length of what is integrated after a reset, over the time since the last one
 _LEAST_STRETCH = 1e-3  # The same at least, in horizons
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
-_RISING, _FALLING, _BOTH = 1, -1, 0
-
-# Maps times (N,), states (n, N) and parameters (d, N) to numbers (N,), or to states (n, N)
-OfTrajectory = Callable[[Array, Array, Array], Array]
-
-
-@dataclass(frozen=True)
-class Event:
-    """A root of ``when``, rising (1), falling (-1) or both (0).
-
-    ``then`` maps the states before it to those after it; it ends the trajectory if ``terminal``.
-    """
-
-    when: OfTrajectory
-    direction: int = _BOTH
-    then: OfTrajectory | None = None
-    terminal: bool = False
-
-    @property
-    def interrupts(self) -> bool:
-        """Whether the trajectory does not go on as if nothing had been."""
-        return self.terminal or self.then is not None
 
 
 @dataclass(frozen=True)
@@ -98,6 +75,11 @@ class EventTrajectory:
         far = edge - self.end > _STRETCH * self.stretch
         return self.end + self.stretch if far else edge
 
+    @property
+    def fired(self) -> frozenset[int]:
+        """The events where it is now."""
+        return frozenset(each.event for each in self.occurrences if each.time == self.end)
+
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""
         return np.array([each.time for each in self.occurrences if each.event == event])
@@ -117,12 +99,14 @@ def integrate_to_events(
     points: Array,
     edges: Sequence[float],
     tolerances: Tolerances,
-    events: Sequence[Event],
+    events: Sequence[SystemEvent],
+    enough: Callable[[EventTrajectory, float], bool] | None = None,
 ) -> list[EventTrajectory]:
     """The trajectories at points (m, d), with events.
 
-    States are reset at the edges where the system jumps, and after that by events. An
-    OutOfBudgetError says which time all trajectories have reached.
+    States are reset at the edges where the system jumps, and after that by events. A trajectory is
+    followed no further once it is ``enough`` on the way to the next edge. An OutOfBudgetError says
+    which time all trajectories have reached.
     """
     states = system.initial(np.ascontiguousarray(points.T)).T
     nothing = np.zeros((0, NODES.size, states.shape[1]))
@@ -131,13 +115,16 @@ def integrate_to_events(
     search = _Search(system, tuple(events), edges[-1] - edges[0], tolerances)
     for a, b in itertools.pairwise(edges):
         search.jump(trajectories, points, a)
-        while running := [k for k, each in enumerate(trajectories) if _runs(each, b)]:
+        while running := [
+            k
+            for k, each in enumerate(trajectories)
+            if _runs(each, b) and not (enough and enough(each, b))
+        ]:
             some = [trajectories[k] for k in running]
             ends = np.array([each.next_end(b) for each in some])
             try:
                 paths = search.paths(integrator, some, points[running], ends)
-                for k, path, end in zip(running, paths, ends.tolist(), strict=True):
-                    search.advance(trajectories[k], path, points[k], end)
+                search.advance_all(some, paths, points[running], ends.tolist())
             except OutOfBudgetError as out:
                 raise type(out)(_reached(some, out.reached)) from out
     return trajectories
@@ -161,7 +148,7 @@ class _Search:
     """Integrates from event to event, and looks for the next ones."""
 
     system: System
-    events: tuple[Event, ...]
+    events: tuple[SystemEvent, ...]
     horizon: float
     tolerances: Tolerances
 
@@ -192,12 +179,37 @@ class _Search:
         spans = Spans(starts, states, ends)
         return integrator.paths(self.system, points, spans, self.tolerances)
 
-    def advance(self, trajectory: EventTrajectory, path: Path, point: Array, end: float) -> None:
-        """Follow a path to the first event that interrupts it, or to its end."""
-        if not path.steps:
-            trajectory.ends = True
+    def advance_all(
+        self,
+        trajectories: Sequence[EventTrajectory],
+        paths: Sequence[Path],
+        points: Array,
+        ends: Sequence[float],
+    ) -> None:
+        """Follow each path to the first event that interrupts it, or to its end."""
+        moved = [k for k, path in enumerate(paths) if path.steps]
+        for each, path in zip(trajectories, paths, strict=True):
+            each.ends |= not path.steps
+        if not moved:
             return
-        crossings = self._crossings(trajectory, path, point)
+        fired = [trajectories[k].fired for k in moved]
+        first = np.array([trajectories[k].rounds <= 1 for k in moved])
+        moving = [paths[k] for k in moved]
+        crossings = Crossings(self.system, moving, points[moved], fired, first)
+        of_events = [crossings.of(k, event) for k, event in enumerate(self.events)]
+        for place, k in enumerate(moved):
+            crossed = [times[place] for times in of_events]
+            self._advance(trajectories[k], paths[k], points[k], ends[k], crossed)
+
+    def _advance(
+        self,
+        trajectory: EventTrajectory,
+        path: Path,
+        point: Array,
+        end: float,
+        crossings: Sequence[Array],
+    ) -> None:
+        """Follow a path with the times at which it crosses each event."""
         pairs = zip(self.events, crossings, strict=True)
         time = min((x for event, xs in pairs if event.interrupts for x in xs), default=math.inf)
         first, last = (time + sign * _INSTANT * self.horizon for sign in (-1.0, 1.0))
@@ -212,19 +224,48 @@ class _Search:
         cut = path.until(time, before)
         if cut.steps:
             trajectory.paths.append(cut)
-        after, column = before.copy(), point[:, None]
+        trajectory.rounds = trajectory.rounds if self._at_once(cut) else 0
+        here, all_fired = trajectory.end, [*fired]
+        while True:
+            after = self._reset(fired, time, before, point)
+            trajectory.occurrences += [Occurrence(k, here, before, after) for k in fired]
+            trajectory.rounds += 1
+            fired = self._triggered(fired, time, (before, after), point)
+            if not fired or trajectory.rounds >= MOST_ROUNDS:
+                break
+            before, all_fired = after, all_fired + fired
+        trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
+        gap, trajectory.interrupted = time - trajectory.interrupted, time
+        trajectory.stretch = max(_STRETCH * gap, _LEAST_STRETCH * self.horizon)
+        terminal = any(self.events[k].terminal for k in all_fired)
+        trajectory.ends = terminal or trajectory.stuck or not np.isfinite(after).all()
+
+    def _reset(self, fired: Sequence[int], time: float, state: Array, point: Array) -> Array:
+        """The state after events at one instant, applied in their order."""
         for k in fired:
             reset = self.events[k].then
             if reset is not None:
-                now = reset(np.array([time]), before[:, None], column)
-                after += np.asarray(now).reshape(-1) - before
-        trajectory.occurrences += [Occurrence(k, trajectory.end, before, after) for k in fired]
-        again = trajectory.rounds + 1 if self._at_once(cut) else 1
-        trajectory.rounds, trajectory.stuck = again, again >= MOST_ROUNDS
-        gap, trajectory.interrupted = time - trajectory.interrupted, time
-        trajectory.stretch = max(_STRETCH * gap, _LEAST_STRETCH * self.horizon)
-        terminal = any(self.events[k].terminal for k in fired)
-        trajectory.ends = terminal or trajectory.stuck or not np.isfinite(after).all()
+                now = reset(np.array([time]), state[:, None], point[:, None])
+                state = np.asarray(now, dtype=float).reshape(-1)
+        return state
+
+    def _triggered(
+        self, fired: Sequence[int], time: float, states: tuple[Array, Array], point: Array
+    ) -> list[int]:
+        """The events whose surface a reset, from one state to another, jumps across."""
+        if np.array_equal(*states):
+            return []
+        columns = np.stack(states, axis=1)
+        times, points = np.full(2, time), np.repeat(point[:, None], 2, axis=1)
+        triggered = []
+        for k, event in enumerate(self.events):
+            if k in fired:
+                continue
+            with np.errstate(all="ignore"):
+                before, after = np.sign(np.broadcast_to(event.when(times, columns, points), 2))
+            if before * after < 0.0 and event.direction in (BOTH, after):
+                triggered.append(k)
+        return triggered
 
     def _at_once(self, path: Path) -> bool:
         return bool(path.end - path.breaks[0] <= _INSTANT * self.horizon)
@@ -240,56 +281,3 @@ class _Search:
                 Occurrence(k, time, state, state)
                 for (time, k), state in zip(passed, states, strict=True)
             ]
-
-    def _crossings(self, trajectory: EventTrajectory, path: Path, point: Array) -> list[Array]:
-        """The times of each event on a path, in order; of those that interrupt it the first."""
-        times = (path.breaks[:-1, None] + np.diff(path.breaks)[:, None] * NODES).ravel()
-        states = path.nodal.reshape(times.size, -1).T
-        fired = {each.event for each in trajectory.occurrences if each.time == trajectory.end}
-        return [
-            self._roots(event, path, point, (times, states), k in fired)
-            for k, event in enumerate(self.events)
-        ]
-
-    def _roots(
-        self,
-        event: Event,
-        path: Path,
-        point: Array,
-        nodes: tuple[Array, Array],
-        has_fired: bool,
-    ) -> Array:
-        """The roots of an event on a path; the first one alone if it interrupts the trajectory.
-
-        A trajectory that begins at the event is on its surface except for rounding. It is there
-        again at once if it was reset and goes on to the same side as before.
-        """
-        times, states = nodes
-        heights = self._heights(event, point, times, states)
-        if has_fired:
-            side = np.sign(heights[1])
-            if event.then is not None and side and side == event.direction:
-                return times[:1]
-            heights[0] = heights[1]
-        before, after = np.sign(heights[:-1]), np.sign(heights[1:])
-        # not a number is no side
-        crossed = (before != after) & (before != 0.0) & np.isfinite(before) & np.isfinite(after)
-        if event.direction != _BOTH:
-            crossed &= before == -event.direction
-        k = np.flatnonzero(crossed)[: 1 if event.interrupts else None]
-        if not k.size:
-            return times[:0]
-        a, width = times[k], times[k + 1] - times[k]
-
-        def height(shares: Array) -> Array:
-            place = a + width * shares
-            return self._heights(event, point, place, path(place))
-
-        return np.asarray(a + width * roots(height, heights[k], heights[k + 1]))
-
-    def _heights(self, event: Event, point: Array, times: Array, states: Array) -> Array:
-        charge(CALL + _LOOK_COST * states.size)
-        parameters = np.repeat(point[:, None], times.size, axis=1)
-        with np.errstate(all="ignore"):
-            heights = np.asarray(event.when(times, states, parameters), dtype=float)
-        return np.broadcast_to(heights, times.shape).copy()

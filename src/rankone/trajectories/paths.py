@@ -42,7 +42,7 @@ class Path:
     @cached_property
     def coefficients(self) -> Array:
         """Of the powers of ``2 share - 1``, (nodes, S, n)."""
-        return np.asarray(np.tensordot(_TO_POWERS, self.nodal, axes=(1, 1)))
+        return step_coefficients(self.nodal)
 
     def __call__(self, times: Array) -> Array:
         """States (n, T), after a jump at its time."""
@@ -78,6 +78,11 @@ class Path:
         """
         breaks = start + (end - start) * self.breaks
         return replace(self, breaks=np.where(self.breaks == 1.0, end, breaks))
+
+
+def step_coefficients(nodal: Array) -> Array:
+    """Coefficients (nodes, S, n) of the powers of ``2 share - 1`` of steps (S, nodes, n)."""
+    return np.asarray(np.tensordot(_TO_POWERS, nodal, axes=(1, 1)))
 
 
 def joined(paths: Sequence[Path]) -> Path:

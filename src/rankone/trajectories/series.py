@@ -84,6 +84,7 @@ def has_series(system: System) -> bool:
     or peak.
     """
     analytic = not (system.features.n_state_surfaces or system.features.n_moving_cuts)
+    analytic = analytic and system.clock is None
     code = _code(system)
     return analytic and code is not None and _is_expressible(code, *_shape(system))
 

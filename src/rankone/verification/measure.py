@@ -17,7 +17,8 @@ import numpy as np
 
 from rankone.ir.outcome import Measured
 from rankone.ir.request import Domain, SolveRequest
-from rankone.ir.system import System
+from rankone.ir.system import Clock, System
+from rankone.ir.timeline import CLOCK_STATES
 from rankone.ir.verdict import NumericallyZero
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
@@ -25,6 +26,7 @@ from rankone.support.costs import function_cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import following
+from rankone.verification.clock import clock_errors
 from rankone.verification.coverage import Coverage
 from rankone.verification.cuts import Cuts, system_cuts
 from rankone.verification.points import (
@@ -86,7 +88,7 @@ class ReferenceSet:
 
     ``cuts`` are the times at which the time factors jump, kink or are narrow, and at which states
     are reset; ``parameter_cuts`` belong to the factors of each parameter. ``counted`` are the
-    states whose error counts, None for all. ``integrator`` is the option of the solve.
+    states whose error counts, None for all. ``integrator`` and ``rtol`` are those of the solve.
     """
 
     system: System
@@ -100,6 +102,7 @@ class ReferenceSet:
     parameter_cuts: tuple[Cuts, ...] = ()
     counted: tuple[int, ...] | None = None
     integrator: str = "auto"
+    rtol: float = 0.0
 
     @classmethod
     def of(cls, system: System, request: SolveRequest) -> ReferenceSet:
@@ -109,6 +112,8 @@ class ReferenceSet:
         whole_box = few if check.cover is None else check.cover == "box"
         in_time, *parameter_cuts = system_cuts(system, domain)
         cuts = _with_jumps(in_time.points, system, domain)
+        if system.clock is not None:
+            cuts = tuple(map(float, range(1, system.clock.order.stretches)))
         all_cuts = [each.points for each in parameter_cuts] if check.points else ()
         beside = [each[:: max(1, -(-len(each) // _MOST_CHECKED_CUTS))] for each in all_cuts]
         every_corner = whole_box or few
@@ -139,6 +144,7 @@ class ReferenceSet:
             tuple(parameter_cuts),
             check.states,
             request.integrator,
+            request.rtol,
         )
         reference_set._check_sizes()
         return reference_set
@@ -175,6 +181,8 @@ class ReferenceSet:
         for a, b in itertools.pairwise([start, *self.system.jumps.inside(start, end), end]):
             times = np.concatenate([times, times_within(a, b, _JUMP_SHARES)])
         states = self.system.with_products(self.reference(times))
+        if (clock := self.system.clock) is not None:  # what comes after the horizon does not count
+            states = np.where(states[-CLOCK_STATES] <= clock.horizon[1], states, 0.0)
         sizes = np.abs(self._without_corners(states, axis=1)).max(axis=(1, 2))
         n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
@@ -196,6 +204,8 @@ class ReferenceSet:
         reference, m = self.reference, len(self.reference.points)
         corners, unknowns = slice(1, 1 + self.corners), len(self.system.unknowns)
         all_times = [times_within(slab.start, slab.end, _CHECK_SHARES) for slab in slabs]
+        if (clock := self.system.clock) is not None:
+            return self._over_clock_time(clock, slabs)
         with unlimited():
             errors, largest = np.zeros((self.states.size, m)), self.states
             all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
@@ -210,6 +220,23 @@ class ReferenceSet:
         units = np.repeat(self.states[:, None], m, axis=1)
         units[:, corners] = largest[:, None]
         errors = (np.where(np.isfinite(errors), errors, np.inf) / units)[:unknowns]
+        return self._measured(errors)
+
+    def _over_clock_time(self, clock: Clock, slabs: Sequence[SlabTrain]) -> Measured:
+        """Errors of slabs over stretches, over clock time, in units of the sizes over it."""
+        with unlimited():
+            errors, largest, time_error = clock_errors(self.reference, clock, slabs, self.rtol)
+        interior = self._without_corners(largest, axis=1).max(axis=1)
+        units = np.repeat(np.where(interior > 0.0, interior, 1.0)[:, None], largest.shape[1], 1)
+        corners = slice(1, 1 + self.corners)
+        units[:, corners] = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))[
+            :, None
+        ]
+        return replace(self._measured(errors / units), time_error=time_error)
+
+    def _measured(self, errors: Array) -> Measured:
+        """What errors (unknowns, m) in units of the sizes amount to."""
+        reference, m, corners = self.reference, errors.shape[1], slice(1, 1 + self.corners)
         counts = np.ones(m, dtype=bool)
         counts[corners] = self.whole_box
         of_states = errors if self.counted is None else errors[list(self.counted)]

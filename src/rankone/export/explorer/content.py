@@ -114,7 +114,7 @@ def curve_times(solution: DistributionOverBox) -> Array:
     """
     start, end = solution.time
     times = [np.linspace(start, end, _CURVE_TIMES)]
-    slabs = solution.outcome.slabs
+    slabs = solution.outcome.slabs_over_clock_time("a page")
     if len(slabs) <= _MOST_SLABS:
         times += [
             np.linspace(slab.start, slab.end, _TIMES_IN_SLAB, endpoint=False) for slab in slabs

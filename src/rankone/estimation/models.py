@@ -1,0 +1,143 @@
+"""Solutions at the times of data, as functions of the parameters, with derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.ir.outcome import Outcome
+from rankone.solution.core import timeline_evaluator
+from rankone.support.arrays import Array
+from rankone.tensors.slab import SlabTrain, slab_positions
+from rankone.tensors.timeline import TimelineEvaluator
+
+_POINTS_AT_ONCE = 1024  # Points that are evaluated together, to bound memory
+
+
+class Model(Protocol):
+    """Values of m data as functions of the parameters."""
+
+    def thinned(self, scale: Array, tolerance: float) -> Model:
+        """The same with smaller ranks, within a tolerance of the data times ``scale`` (m,).
+
+        The tolerance is of the root mean square over the box of the norm over all data.
+        """
+
+    def values(self, points: Array) -> Array:
+        """Values at points (d, N) of all parameters: shape (N, m)."""
+
+    def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
+        """Values (N, m), and derivatives (N, m, k) with respect to some parameters.
+
+        ``free`` are the positions of k parameters, ascending.
+        """
+
+
+def model_of(outcome: Outcome, rows: NDArray[np.intp], times: Array) -> Model:
+    """The model of states ``rows`` at times, one each."""
+    if outcome.timeline is not None:
+        evaluator = timeline_evaluator(outcome.slabs, outcome.timeline)
+        return TimelineModel(evaluator, rows, times)
+    return TrainModel(outcome.slabs, rows, times)
+
+
+class TimelineModel:
+    """A :class:`Model` of a solution over stretches between events."""
+
+    def __init__(self, evaluator: TimelineEvaluator, rows: NDArray[np.intp], times: Array) -> None:
+        self.evaluator, self.rows, self.times = evaluator, rows, times
+
+    def thinned(self, scale: Array, tolerance: float) -> TimelineModel:
+        """The same: times of events need all digits."""
+        return self
+
+    def values(self, points: Array) -> Array:
+        """Values (N, m); see :meth:`Model.values`."""
+        table = np.empty((points.shape[1], self.times.size))
+        for row in np.unique(self.rows):
+            here = np.flatnonzero(self.rows == row)
+            at = self.times[here][:, None]
+            for begin in range(0, points.shape[1], _POINTS_AT_ONCE):
+                block = slice(begin, begin + _POINTS_AT_ONCE)
+                states = self.evaluator.curves(at, points[:, block], np.array([row]))
+                table[block, here] = states[0].T
+        return table
+
+    def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
+        """Values (N, m) and derivatives (N, m, k); see :meth:`Model.linearised`."""
+        count = points.shape[1]
+        values = np.empty((count, self.times.size))
+        slopes = np.empty((count, self.times.size, len(free)))
+        for row in np.unique(self.rows):
+            here = np.flatnonzero(self.rows == row)
+            at = np.broadcast_to(self.times[here][:, None], (here.size, count))
+            states, moved = self.evaluator.linearised(at, points, np.array([row]), free)
+            values[:, here], slopes[:, here] = states[0].T, moved[0].swapaxes(0, 1)
+        return values, slopes
+
+
+class TrainModel:
+    """States ``rows`` of a solution at fixed times, one each, as functions of the parameters.
+
+    The first core of the train is evaluated at the times once. Each point of the box then takes a
+    product of small matrices, and each derivative the same product with one matrix replaced.
+    """
+
+    def __init__(self, slabs: Sequence[SlabTrain], rows: NDArray[np.intp], times: Array) -> None:
+        self.size = times.size
+        owner = slab_positions(slabs, times)
+        self._groups: list[tuple[SlabTrain, list[tuple[NDArray[np.intp], Array]]]] = []
+        for k in np.unique(owner):
+            here = np.flatnonzero(owner == k)
+            in_time = slabs[k].in_time(times[here])[rows[here], np.arange(here.size)]
+            same = (group for slab, group in self._groups if slab.shares_parameters(slabs[k]))
+            group = next(same, None)
+            if group is None:
+                self._groups.append((slabs[k], group := []))
+            group.append((here, in_time))
+
+    def thinned(self, scale: Array, tolerance: float) -> TrainModel:
+        """The same with smaller ranks, within a tolerance of the data times ``scale`` (m,).
+
+        The tolerance is of the root mean square over the box of the norm over all data.
+        """
+        thinned = copy(self)
+        thinned._groups = []
+        for slab, group in self._groups:
+            places = np.concatenate([here for here, _ in group])
+            first = np.concatenate([in_time for _, in_time in group]) * scale[places, None]
+            train = slab.train.with_first(first).right_orthonormal()
+            train, _ = train.truncated(tolerance / np.sqrt(len(self._groups)))
+            smaller = replace(slab, train=train.with_first(slab.cores[0]))
+            thinned._groups.append((smaller, [(places, train.first / scale[places, None])]))
+        return thinned
+
+    def values(self, points: Array) -> Array:
+        """Values at points (d, N) of all parameters: shape (N, m)."""
+        table = np.empty((points.shape[1], self.size))
+        for begin in range(0, points.shape[1], _POINTS_AT_ONCE):
+            block = slice(begin, begin + _POINTS_AT_ONCE)
+            for slab, group in self._groups:
+                products = slab.over_parameters(points[:, block])
+                for here, in_time in group:
+                    table[block, here] = (in_time @ products).T
+        return table
+
+    def linearised(self, points: Array, free: Sequence[int]) -> tuple[Array, Array]:
+        """Values (N, m), and derivatives (N, m, k) with respect to some parameters.
+
+        ``free`` are the positions of k parameters, ascending.
+        """
+        count, columns = points.shape[1], 1 + len(free)
+        table = np.empty((self.size, count, columns))
+        for slab, group in self._groups:
+            products = slab.with_slopes(points, free)
+            for here, in_time in group:
+                table[here] = (in_time @ products).reshape(here.size, count, columns)
+        moved = table.transpose(1, 0, 2)
+        return moved[:, :, 0], moved[:, :, :0:-1]

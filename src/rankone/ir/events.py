@@ -1,0 +1,66 @@
+"""Events: roots along trajectories that reset or end them, and the order in which they come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeAlias
+
+from rankone.support.arrays import Array
+
+RISING, FALLING, BOTH = 1, -1, 0
+
+# Maps times (N,), states (n, N) and parameters (d, N) to numbers (N,), or to states (n, N)
+OfTrajectory: TypeAlias = Callable[[Array, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class SystemEvent:
+    """A root of ``when``, rising (1), falling (-1) or both (0).
+
+    ``then`` maps the states before it to those after it; it ends the trajectory if ``terminal``.
+    It is ``timed`` if it is at a known time, and no event of the user.
+    """
+
+    when: OfTrajectory
+    direction: int = BOTH
+    then: OfTrajectory | None = None
+    terminal: bool = False
+    name: str = ""
+    timed: bool = False
+
+    @property
+    def interrupts(self) -> bool:
+        """Whether the trajectory does not go on as if nothing had been."""
+        return self.terminal or self.then is not None
+
+
+class Ending(StrEnum):
+    """What ends the last stretch of all trajectories."""
+
+    EVENT = "event"
+    """The last event, which may come after the horizon."""
+    HORIZON = "horizon"
+    """The end of the horizon: all trajectories meet as many events before it."""
+    LENGTH = "length"
+    """The same time after the last event, which may come after the horizon."""
+
+
+@dataclass(frozen=True)
+class EventOrder:
+    """The events of all trajectories of a box, in their order.
+
+    ``instants`` are the positions of the events at each instant, several where they coincide. A
+    stretch lies before each of them, and one more behind the last unless the ``ending`` is an
+    event; ``length`` is its own where it is the same for all trajectories.
+    """
+
+    instants: tuple[tuple[int, ...], ...]
+    ending: Ending
+    length: float = 0.0
+
+    @property
+    def stretches(self) -> int:
+        """Number of stretches."""
+        return len(self.instants) + (self.ending is not Ending.EVENT)

@@ -1,0 +1,54 @@
+"""The timeline of a solution with events: what ends each stretch, and where clock time is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rankone.ir.events import Ending
+from rankone.ir.system import Clock
+
+CLOCK_STATES = 2
+"""States of slabs over stretches behind those of the problem: the clock, and the length."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The events that end the stretches of all trajectories, in their order.
+
+    ``events`` are the names of all events, and ``instants`` those of the events at each instant;
+    ``resets`` says which of them reset states, and ``terminal`` whether the last one ends the
+    trajectories. ``horizon`` is that of the clock. Behind the states of the slabs are the clock and
+    the length of the stretch.
+    """
+
+    events: tuple[str, ...]
+
+    instants: tuple[tuple[str, ...], ...]
+    resets: tuple[bool, ...]
+    ending: Ending
+    terminal: bool
+    horizon: tuple[float, float]
+
+    @classmethod
+    def of(cls, clock: Clock) -> Timeline:
+        """The timeline of a solve."""
+        events, instants = clock.system.events, clock.order.instants
+        return cls(
+            tuple(event.name for event in events if not event.timed),
+            tuple(tuple(events[k].name for k in instant) for instant in instants),
+            tuple(any(events[k].then is not None for k in instant) for instant in instants),
+            clock.order.ending,
+            bool(instants) and any(events[k].terminal for k in instants[-1]),
+            clock.horizon,
+        )
+
+    @property
+    def met(self) -> tuple[tuple[str, ...], ...]:
+        """The instants that some trajectory meets before the end of the horizon."""
+        beyond = self.ending is Ending.EVENT and not self.terminal
+        return self.instants[:-1] if beyond else self.instants
+
+    @property
+    def stretches(self) -> int:
+        """Number of stretches."""
+        return len(self.instants) + (self.ending is not Ending.EVENT)

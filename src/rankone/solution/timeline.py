@@ -1,0 +1,109 @@
+"""What a solution with events says of their times."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rankone.discretization.coordinates import name_of
+from rankone.ir.timeline import Timeline
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError
+from rankone.support.wording import did_you_mean, listing
+from rankone.tensors.timeline import TimelineEvaluator
+
+
+class EventTimes(SolutionCore):
+    """The times of events, as functions of the parameters."""
+
+    @property
+    def timeline(self) -> Timeline:
+        """The events that end the stretches of all trajectories, in their order.
+
+        Raises
+        ------
+        EvaluationError
+            If the problem has no events.
+        """
+        timeline = self.outcome.timeline
+        if timeline is None:
+            raise EvaluationError("the problem has no events, and the solution no timeline")
+        return timeline
+
+    @property
+    def time_error(self) -> float:
+        """Largest measured error of the time of an event, relative to the horizon.
+
+        NaN if unchecked, or without events.
+        """
+        measured = self.outcome.measured
+        error = None if measured is None else measured.time_error
+        return float("nan") if error is None else error
+
+    def event_times(self, event: object, *at: object, **named: object) -> Array:
+        """When an event occurs, for given values of the parameters.
+
+        Parameters
+        ----------
+        event : str
+            Its name.
+        *at, **named
+            Values of the parameters, as in a call, without times.
+
+        Returns
+        -------
+        ndarray (largest count over the box, *broadcast shape of the values)
+            The times in order, NaN for those that are not reached by the end.
+
+        Raises
+        ------
+        EvaluationError
+            If there is no such event, or as in a call.
+        """
+        timeline, name = self.timeline, name_of(event)
+        if name not in timeline.events:
+            raise EvaluationError(
+                f"no event `{name}`{did_you_mean(name, timeline.events)}; "
+                f"the events are {listing(timeline.events)}",
+                term=event,
+            )
+        borders, shape = self._borders(at, named)
+        places = [i for i, instant in enumerate(timeline.met, 1) if name in instant]
+        times = borders[places]
+        times[times > timeline.horizon[1]] = np.nan
+        return times.reshape(len(places), *shape)
+
+    def end(self, *at: object, **named: object) -> Array:
+        """When the solution ends: at a terminal event, or at the end of the horizon.
+
+        Arguments and errors are those of a call, without times.
+
+        Returns
+        -------
+        ndarray (broadcast shape of the values)
+        """
+        timeline, (_, horizon) = self.outcome.timeline, self.metadata.horizon
+        if timeline is None or not timeline.terminal:
+            values = self._parameters(at, named)
+            return np.full(np.broadcast_shapes(*(v.shape for v in values)), horizon)
+        borders, shape = self._borders(at, named)
+        return np.asarray(np.minimum(borders[-1], horizon).reshape(shape))
+
+    def _borders(
+        self, at: tuple[object, ...], named: dict[str, object]
+    ) -> tuple[Array, tuple[int, ...]]:
+        """Clock times (stretches + 1, N) of the borders of stretches, and the shape of N."""
+        evaluator = self._evaluator
+        assert isinstance(evaluator, TimelineEvaluator)
+        values = np.broadcast_arrays(*self._parameters(at, named))
+        shape = values[0].shape if values else ()
+        points = np.array([v.ravel() for v in values]) if values else np.empty((0, 1))
+        return evaluator.borders(points), shape
+
+    def _parameters(self, at: tuple[object, ...], named: dict[str, object]) -> list[Array]:
+        """The values of the parameters; times are no coordinate here."""
+        start = {self.metadata.time: self.time[0]}
+        if at and not isinstance(at[0], dict):
+            raise EvaluationError("the times of events depend on the parameters alone", term=at[0])
+        gathered = self._coordinates.gather(at, {**start, **named})
+        return self._coordinates.arrays(gathered)[1:]

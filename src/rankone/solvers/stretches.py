@@ -1,0 +1,49 @@
+"""Solves over stretches between events, in which all trajectories of a box meet their events."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rankone.ir.request import Domain, SolveRequest
+from rankone.ir.system import Clock, System
+from rankone.trajectories.choice import integrator_for
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.stretches import event_order, in_stretches, timed_events
+from rankone.verification.cuts import system_cuts
+from rankone.verification.points import check_points
+
+_PILOTS = 16  # Trajectories, besides corners, that tell the order of events
+_PILOT_RTOL = 1e-6  # Their relative tolerance
+_PILOT_FLOOR = 1e-6  # Size of a state, over that at the start, below which accuracy is absolute
+
+
+def clock_of(system: System, request: SolveRequest) -> Clock | None:
+    """The clock of a system with events, after some trajectories; None where it has none.
+
+    Raises
+    ------
+    OrderError
+        If the trajectories do not meet the same events in the same order.
+    """
+    if not system.events:
+        return None
+    domain = request.domain
+    in_time, *_ = system_cuts(system, domain)
+    cuts = tuple(cut for cut in in_time.points if domain.horizon[0] < cut < domain.horizon[1])
+    timed = timed_events(system, cuts)
+    points = check_points(domain.bounds, _PILOTS, every_corner=True, scales=domain.coordinates)
+    largest = np.abs(system.initial(np.ascontiguousarray(points.T))).max(axis=1, keepdims=True)
+    sizes = np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
+    tolerances = Tolerances(_PILOT_RTOL, _PILOT_RTOL * _PILOT_FLOOR * sizes)
+    chosen = integrator_for(timed, request.integrator, accuracy=_PILOT_RTOL)
+    order = event_order(timed, points, domain.horizon, chosen, tolerances)
+    return Clock(timed, order, domain.horizon, cuts)
+
+
+def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRequest]:
+    """The system and the request over the pseudo-time of its stretches."""
+    system = in_stretches(clock)
+    domain = request.domain
+    return system, replace(request, domain=Domain(system.horizon, domain.box, domain.scales))

@@ -1,0 +1,143 @@
+"""Evaluation over clock time of slabs over stretches: the stretch first, then its states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rankone.support.arrays import Array
+from rankone.tensors.evaluator import Rows, TrainEvaluator
+from rankone.tensors.slab import SlabTrain, slab_positions
+
+_ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the last stretch
+
+
+class TimelineEvaluator:
+    """States at clock times, with the methods of :class:`TrainEvaluator`.
+
+    The slabs are over pseudo-time: stretch i is [i, i + 1]. The last two of their states are the
+    clock and the length of the stretch. The clock begins at ``horizon[0]``, and ends with the
+    horizon if ``ends_there``. Values are NaN where no stretch reaches.
+    """
+
+    def __init__(
+        self, slabs: Sequence[SlabTrain], horizon: tuple[float, float], ends_there: bool
+    ) -> None:
+        self.horizon, self.ends_there = horizon, ends_there
+        self.slabs, self.trains = tuple(slabs), TrainEvaluator(slabs)
+        stretches = round(slabs[-1].end)
+        self._clock = np.array([len(slabs[0].cores[0]) - 2], dtype=np.intp)
+        # a stretch begins at the clock of its own slabs, and the last one ends before the end
+        self._begins = np.arange(stretches, dtype=float)
+        self._last = np.nextafter(float(stretches), 0.0)
+
+    def borders(self, points: Array) -> Array:
+        """Clock times (stretches + 1, N) at which stretches begin and end at points (d, N)."""
+        pseudo = np.append(self._begins, self._last)[:, None]
+        times = self.trains.curves(pseudo, points, self._clock)[0]
+        times[0] = self.horizon[0]
+        if self.ends_there:
+            times[-1] = self.horizon[1]
+        return np.asarray(np.maximum.accumulate(times, axis=0))
+
+    def one(self, point: Sequence[float], rows: Rows) -> Array:
+        """States at one point, 1 + d numbers: shape (rows,)."""
+        return self.many(np.array(point, dtype=float)[:, None], rows)[:, 0]
+
+    def many(self, points: Array, rows: Rows) -> Array:
+        """States at paired points (1 + d, N): shape (rows, N)."""
+        return self.curves(points[:1], points[1:], rows)[:, 0]
+
+    def curves(self, times: Array, points: Array, rows: Rows) -> Array:
+        """States at several times for each point of the parameters: shape (rows, T, N).
+
+        ``times`` (T, N) belong to the ``points`` (d, N), or of the shape (T, 1) to all.
+        """
+        times = np.broadcast_to(times, (len(times), points.shape[1]))
+        borders = self.borders(points)
+        pseudo, outside = self._pseudo_times(times, borders)
+        states = self.trains.curves(pseudo, points, rows)
+        states[:, outside] = math.nan
+        return states
+
+    def linearised(
+        self, times: Array, points: Array, rows: Rows, free: Sequence[int]
+    ) -> tuple[Array, Array]:
+        """States (rows, T, N) at times (T, N), and derivatives (rows, T, N, k).
+
+        They are with respect to some parameters at positions ``free``, ascending, at fixed clock
+        time: events move with the parameters, and with them the pseudo-time.
+        """
+        count, width = points.shape[1], 1 + len(free)
+        products: list[Array] = []
+        for i, slab in enumerate(self.slabs):
+            if i and slab.shares_parameters(self.slabs[i - 1]):
+                products.append(products[-1])
+            else:
+                made = slab.with_slopes(points, free).reshape(-1, count, width)
+                # the value, then the derivatives in the order of the parameters
+                products.append(np.concatenate([made[:, :, :1], made[:, :, :0:-1]], axis=2))
+        borders = self._borders_with_slopes(products)
+        pseudo, outside = self._pseudo_times(times, borders[..., 0])
+        stretch = np.minimum(np.floor(pseudo), self._begins[-1]).astype(np.intp)
+        column = np.broadcast_to(np.arange(count), times.shape)
+        begin = borders[stretch, column]
+        lengths = borders[stretch + 1, column] - begin
+        share = (pseudo - stretch)[..., None]
+        moved = -(begin[..., 1:] + share * lengths[..., 1:])
+        moved /= np.where(lengths[..., :1] > 0.0, lengths[..., :1], np.inf)
+        n = len(self.slabs[0].cores[0][rows])
+        states = np.empty((n, *times.shape, width))
+        owner = slab_positions(self.slabs, pseudo.ravel()).reshape(pseudo.shape)
+        for k in np.unique(owner):
+            here, slab = owner == k, self.slabs[k]
+            at = products[k][:, column[here]]
+            for_states = slab.with_first(slab.cores[0][rows])
+            in_time = for_states.in_time(pseudo[here])
+            slopes = np.einsum(
+                "ner,re->ne", for_states.derivative().in_time(pseudo[here]), at[:, :, 0]
+            )
+            found = np.einsum("ner,rek->nek", in_time, at)
+            found[..., 1:] += slopes[..., None] * moved[here]
+            states[:, here] = found
+        states[:, outside] = math.nan
+        return states[..., 0], states[..., 1:]
+
+    def _borders_with_slopes(self, products: Sequence[Array]) -> Array:
+        """Clock times (stretches + 1, N) of borders, with their derivatives along a last axis."""
+        pseudo = np.append(self._begins, self._last)
+        owners = slab_positions(self.slabs, pseudo)
+        borders = []
+        for s, k in zip(pseudo, owners, strict=True):
+            clock = self.slabs[k].with_first(self.slabs[k].cores[0][self._clock])
+            borders.append(np.tensordot(clock.in_time(np.array([s]))[0, 0], products[k], 1))
+        at = np.array(borders)
+        at[0] = 0.0
+        at[0, :, 0] = self.horizon[0]
+        if self.ends_there:
+            at[-1] = 0.0
+            at[-1, :, 0] = self.horizon[1]
+        return at
+
+    def grid(self, axes: Sequence[Array], rows: Rows) -> Array:
+        """States on a tensor grid of 1 + d axes: (rows, *sizes of the axes)."""
+        sizes = [axis.size for axis in axes]
+        mesh = np.meshgrid(*axes[1:], indexing="ij")
+        points = np.stack([each.ravel() for each in mesh]) if mesh else np.empty((0, 1))
+        states = self.curves(np.asarray(axes[0])[:, None], points, rows)
+        return states.reshape(len(states), *sizes)
+
+    def _pseudo_times(self, times: Array, borders: Array) -> tuple[Array, Array]:
+        """Pseudo-times (T, N) of clock times, and which are in no stretch."""
+        stretch = np.zeros(times.shape, dtype=np.intp)
+        for border in borders[1:-1]:
+            stretch += times >= border
+        begin = np.take_along_axis(borders, stretch, axis=0)
+        length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
+        share = (times - begin) / np.where(length > 0.0, length, 1.0)
+        rounding = _ROUNDING * (self.horizon[1] - self.horizon[0])
+        outside = times > borders[-1] + rounding
+        latest = np.minimum(np.nextafter(stretch + 1.0, 0.0), self._last)
+        return np.clip(stretch + share, stretch, latest), outside

@@ -1,0 +1,78 @@
+"""Errors over clock time of slabs over stretches between events."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from rankone.ir.events import Ending
+from rankone.ir.system import Clock
+from rankone.support.arrays import Array
+from rankone.tensors.slab import SlabTrain
+from rankone.tensors.timeline import TimelineEvaluator
+from rankone.trajectories.stretches import StretchTrajectories
+from rankone.verification.reference import Reference
+
+_TIMES = 41  # Evenly spaced times of the horizon at which values are compared
+_SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of each stretch, besides
+_BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
+
+
+def clock_errors(
+    reference: Reference, clock: Clock, slabs: Sequence[SlabTrain], rtol: float
+) -> tuple[Array, Array, float]:
+    """Largest errors of the states at clock times, and largest states there, both (n, m).
+
+    The third is the largest error of the time of an event before the end, over the horizon.
+
+    Times within ``rtol`` horizons of an event that resets states are left out. An error is
+    infinite where the slabs have no value and the reference has one, or the other way round.
+    """
+    ends_there = clock.order.ending is Ending.HORIZON
+    evaluator = TimelineEvaluator(slabs, clock.horizon, ends_there)
+    n = clock.system.n_differential
+    errors, largest = np.zeros((n, len(reference.points))), np.zeros((n, len(reference.points)))
+    rows, time_error = slice(0, n), 0.0
+    borders = evaluator.borders(np.ascontiguousarray(reference.points.T))
+    for k, (point, (batch, at)) in enumerate(zip(reference.points, _each(reference), strict=True)):
+        times = _compared(clock, batch, at, rtol)
+        exact = batch.at(at, times)
+        found = evaluator.curves(times[:, None], point[:, None], rows)[:, :, 0]
+        missing = np.isnan(exact)
+        defects = np.abs(found - exact)
+        defects = np.where(missing & np.isnan(found), 0.0, np.nan_to_num(defects, nan=np.inf))
+        errors[:, k] = defects.max(axis=1, initial=0.0)
+        exact_borders = batch.borders[at]
+        inside = exact_borders <= clock.horizon[1]
+        missed = np.abs(borders[:, k] - exact_borders)[inside].max(initial=0.0)
+        time_error = max(time_error, float(missed) / clock.length)
+        largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
+    return errors, largest, time_error
+
+
+def _each(reference: Reference) -> Iterator[tuple[StretchTrajectories, int]]:
+    for batch in reference.batches:
+        assert isinstance(batch, StretchTrajectories)
+        for k in range(len(batch.trajectories)):
+            yield batch, k
+
+
+def _compared(clock: Clock, batch: StretchTrajectories, k: int, rtol: float) -> Array:
+    """The clock times at which a trajectory is compared."""
+    start, end = clock.horizon
+    out = rtol * clock.length
+    borders, events = batch.borders[k], clock.system.events
+    times = [np.linspace(start, end, _TIMES), borders[0] + (end - borders[0]) * _SHARES]
+    times += [a + (b - a) * _SHARES for a, b in itertools.pairwise(borders)]
+    resets = np.array(
+        [o.time for o in batch.trajectories[k].occurrences if events[o.event].interrupts]
+    )
+    times += [resets - _BESIDE * out, resets + _BESIDE * out]
+    all_times = np.unique(np.concatenate(times))
+    all_times = all_times[(all_times >= start) & (all_times <= end)]
+    if resets.size:
+        away = np.abs(all_times[:, None] - resets).min(axis=1) >= out
+        all_times = all_times[away]
+    return np.asarray(all_times)
