@@ -89,7 +89,7 @@ class Problem:
         solutions are then those of correlated parameters.
     events : sequence of Event, optional
         What happens where an expression crosses zero: states are reset, time ends, or the instant
-        is only marked. :meth:`trajectory` takes them; ``solve`` does not yet.
+        is only marked. All trajectories of the box have to meet the same ones in the same order.
 
     Attributes
     ----------

@@ -42,6 +42,22 @@ class Timeline:
             clock.horizon,
         )
 
+    def __str__(self) -> str:
+        """What ends each stretch, in words."""
+        names = [" and ".join(instant) for instant in self.instants]
+        last = {
+            Ending.EVENT: "may come after the end" if not self.terminal else "ends it",
+            Ending.HORIZON: "the end of the horizon",
+            Ending.LENGTH: "the end of the horizon, or later",
+        }[self.ending]
+        if self.ending is Ending.EVENT:
+            names[-1] += f" ({last})"
+        else:
+            names.append(last)
+        start, end = self.horizon
+        lines = [f"{self.stretches} stretches over [{start:g}, {end:g}], which end with"]
+        return "\n".join([*lines, *(f"  {name}" for name in names)])
+
     @property
     def met(self) -> tuple[tuple[str, ...], ...]:
         """The instants that some trajectory meets before the end of the horizon."""

@@ -1,0 +1,271 @@
+"""Solutions of problems with events, against single trajectories by SciPy."""
+
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.ir.events import Ending
+from rankone.support.budget import limited
+
+RTOL = 1e-4
+
+
+def problem(rhs, initial, parameters, end, events, **further):
+    return ro.Problem.from_strings(rhs, initial, parameters, (0, end), events=events, **further)
+
+
+@cache
+def solved(name):
+    return ro.solve(PROBLEMS[name], RTOL)
+
+
+BOUNCE = {"when": "y", "direction": "falling", "then": {"y": 0, "v": "-e*v"}, "name": "bounce"}
+PROBLEMS = {
+    # two to three bounces before the end, as the height is
+    "ball": problem(
+        {"y": "v", "v": "-9.81 - c*v*abs(v)"},
+        {"y": "h", "v": 0},
+        {"h": (0.8, 1.2), "c": (0.04, 0.06), "e": (0.78, 0.82)},
+        1.6,
+        [BOUNCE],
+    ),
+    # to the ground on a slope, for some parameters after the end
+    "projectile": problem(
+        {"x": "p", "y": "q", "p": "-c*p", "q": "-9.81 - c*q"},
+        {"x": 0, "y": 0, "p": "w*cos(a)", "q": "w*sin(a)"},
+        {"w": (15, 25), "a": (0.6, 0.9), "c": (0.05, 0.1)},
+        2.5,
+        [{"when": "y - x/10", "direction": "falling", "terminal": True, "name": "ground"}],
+    ),
+    "relay": problem(
+        {"x": "k*(s*m - x)", "s": "0"},
+        {"x": 0, "s": 1},
+        {"k": (0.9, 1.1), "m": (3.9, 4.1)},
+        3,
+        [
+            {"when": "x - 2", "direction": "rising", "then": {"s": 0}, "name": "off"},
+            {"when": "x - 1", "direction": "falling", "then": {"s": 1}, "name": "on"},
+        ],
+    ),
+    # a dose after a lag, and a second one at a known time
+    "dose": problem(
+        {"A": "-k*A"},
+        {"A": "0.1"},
+        {"k": (0.2, 0.4), "lag": (1, 2), "D": (1, 2)},
+        6,
+        [{"when": "t - lag", "direction": "rising", "then": {"A": "A + D"}, "name": "dose"}],
+        jumps={3: {"A": "A + 1"}},
+    ),
+}
+ENDINGS = {
+    "ball": (Ending.EVENT, 4),
+    "projectile": (Ending.EVENT, 1),
+    "relay": (Ending.EVENT, 6),
+    "dose": (Ending.HORIZON, 3),
+}
+
+
+def points(solution, count=6, seed=3):
+    box = np.array(list(solution.parameters.values()))
+    shares = np.random.default_rng(seed).random((count, len(box)))
+    shares[:2] = [[0.0], [1.0]]  # two corners as well
+    for point in box[:, 0] + shares * (box[:, 1] - box[:, 0]):
+        yield dict(zip(solution.parameters, point, strict=True))
+
+
+def apart(times, events, solution):
+    """The times that are not near an event that resets."""
+    near = 1.01 * RTOL * solution.time[1]
+    happened = np.concatenate([*events.values(), [-1.0]])
+    return times[np.abs(times[:, None] - happened).min(axis=1) > near]
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_values_and_times_of_events(name):
+    solution = solved(name)
+    assert solution.success
+    assert (solution.timeline.ending, solution.timeline.stretches) == ENDINGS[name]
+    end = solution.time[1]
+    sizes, worst = np.zeros(len(solution.unknowns)), np.zeros(len(solution.unknowns))
+    for point in points(solution):
+        events = PROBLEMS[name].trajectory(np.array([end]), point).events
+        times = apart(np.linspace(0.0, end, 60), events, solution)
+        exact = PROBLEMS[name].trajectory(times, point).values
+        found = solution(times, point)
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(exact))
+        sizes = np.maximum(sizes, np.nanmax(np.abs(exact), axis=1))
+        worst = np.maximum(worst, np.nanmax(np.abs(found - exact), axis=1))
+        for event, instants in events.items():
+            ours = solution.event_times(event, point)
+            ours = ours[np.isfinite(ours)]
+            assert ours.size == instants.size
+            np.testing.assert_allclose(ours, instants, atol=RTOL * end)
+    assert (worst <= 1.5 * RTOL * sizes).all()
+
+
+def test_the_end_is_that_of_a_terminal_event_or_of_the_horizon():
+    solution = solved("projectile")
+    ends = solution.end(w=[15, 25], a=0.7, c=0.07)
+    assert ends.shape == (2,)
+    assert ends[1] == 2.5
+    exact = PROBLEMS["projectile"].trajectory(2.5, w=15, a=0.7, c=0.07).events["ground"]
+    np.testing.assert_allclose(ends[0], exact[0], rtol=1e-4)
+    assert np.isnan(solution(2.4, w=15, a=0.7, c=0.07)).all()
+    assert np.isnan(solution.event_times("ground", w=25, a=0.7, c=0.07)).all()
+    assert solved("dose").end(k=0.3, lag=1.5, D=1.0) == 6.0
+
+
+def test_values_at_an_instant_are_those_after_it():
+    solution = solved("ball")
+    point = {"h": 1.0, "c": 0.05, "e": 0.8}
+    (first, *_) = solution.event_times("bounce", point)
+    before, after = solution([first - 1e-6, first + 1e-6], point).T
+    np.testing.assert_allclose(after[1], -0.8 * before[1], rtol=1e-4)
+
+
+def test_broadcasting_and_grids_are_as_without_events():
+    solution = solved("ball")
+    times, heights = np.linspace(0, 1.6, 7), np.array([0.9, 1.0, 1.1])
+    on_grid = solution.grid(t=times, h=heights, c=0.05, e=0.8)
+    paired = solution(t=times[:, None], h=heights, c=0.05, e=0.8)
+    np.testing.assert_allclose(on_grid[:, :, :, 0, 0], paired, atol=1e-12)
+    one = solution["v"](t=times[3], h=heights[1], c=0.05, e=0.8)
+    np.testing.assert_allclose(one, paired[1, 3, 1], atol=1e-12)
+    assert solution.event_times("bounce", h=heights, c=0.05, e=[[0.8], [0.79]]).shape == (3, 2, 3)
+
+
+def test_gradients_know_that_events_move():
+    solution, point = solved("ball"), {"h": 1.0, "c": 0.05, "e": 0.8}
+    for time in (0.3, 0.7, 1.2):
+        for j, name in enumerate(point):
+            step = 1e-5
+            up, down = ({**point, name: point[name] + sign * step} for sign in (1, -1))
+            slope = (solution(time, up) - solution(time, down)) / (2 * step)
+            np.testing.assert_allclose(
+                solution.gradient(time, point)[:, j], slope, rtol=1e-5, atol=1e-6
+            )
+
+
+def test_smaller_solutions_and_files(tmp_path):
+    solution, point = solved("ball"), {"c": 0.05, "e": 0.8}
+    whole = solution(t=1.0, h=1.1, **point)
+    fixed = solution.fix(h=1.1)
+    np.testing.assert_allclose(fixed(t=1.0, **point), whole, rtol=1e-12)
+    np.testing.assert_allclose(
+        fixed.event_times("bounce", point), solution.event_times("bounce", h=1.1, **point)
+    )
+    part = solution.restrict(h=(1.05, 1.15))
+    np.testing.assert_allclose(part(t=1.0, h=1.1, **point), whole, rtol=1e-9)
+    for kept in (
+        ro.load(solution.save(tmp_path / "ball.npz")),
+        pickle.loads(pickle.dumps(solution)),
+    ):
+        np.testing.assert_array_equal(kept(t=1.0, h=1.1, **point), whole)
+        assert kept.timeline == solution.timeline
+        assert kept.time_error == solution.time_error
+
+
+def test_a_fit_finds_a_lag():
+    """A dose and its lag are seen together alone, as a dose at a known time: the dose is fixed."""
+    solution = solved("dose")
+    truth, times = {"k": 0.3, "lag": 1.4, "D": 1.5}, np.linspace(0.25, 5.75, 23)
+    noise = 0.01 * np.random.default_rng(1).normal(size=times.size)
+    data = solution["A"](times, truth) + noise
+    fit = solution.fit(times, data, sigma=0.01, fixed={"D": 1.5})
+    assert fit.success
+    for name in ("k", "lag"):
+        low, high = fit.interval()[name]
+        assert low <= truth[name] <= high
+
+
+def test_statistics_are_those_of_samples():
+    solution = solved("dose")
+    sample = solution["A"](t=4.0, **solution.sample(100_000, seed=5))
+    np.testing.assert_allclose(solution.mean(4.0), sample.mean(), atol=5e-3 * sample.std())
+    np.testing.assert_allclose(solution.std(4.0), sample.std(), rtol=1e-2)
+    np.testing.assert_allclose(
+        solution.quantile(0.3, 4.0), np.quantile(sample, 0.3), atol=1e-2 * sample.std()
+    )
+    indices = solution.sobol([4.0])
+    assert indices.total.sum() >= 0.95
+
+
+def test_statistics_are_over_what_still_runs():
+    with pytest.warns(ro.RankoneWarning, match="still running: .* % of the box"):
+        mean = solved("projectile").mean(2.2)
+    assert np.isfinite(mean).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "what"),
+    [
+        (lambda s, _: s.diff("h"), "diff"),
+        (lambda s, _: s.at(1.0), "at"),
+        (lambda s, _: s.output({"highest": "maximum(y)"}), "output"),
+        (lambda s, _: s.to_canonical(), "to_canonical"),
+        (lambda s, path: s.export(path / "model.py"), "an exported model"),
+        (lambda s, path: s.explore(path / "page.html"), "an exported model"),
+    ],
+)
+def test_what_does_not_take_events_says_so(call, what, tmp_path):
+    with pytest.raises(ro.EvaluationError, match=f"{what} does not take solutions with events"):
+        call(solved("ball"), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_events_of_another_name():
+    with pytest.raises(ro.EvaluationError, match=r"no event `bounc` \(did you mean `bounce`"):
+        solved("ball").event_times("bounc", h=1.0, c=0.05, e=0.8)
+    decay = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
+    with pytest.raises(ro.EvaluationError, match="no events"):
+        ro.solve(decay, 1e-3).event_times("bounce", k=1)
+
+
+def test_orders_that_differ_are_refused():
+    events = [
+        {"when": "t - a", "direction": "rising", "then": {"x": 1}, "name": "first"},
+        {"when": "t - 1", "direction": "rising", "then": {"x": "x + k"}, "name": "second"},
+    ]
+    crossing = problem({"x": "-k*x"}, {"x": 1}, {"k": (1, 2), "a": (0.5, 1.5)}, 2, events)
+    with pytest.raises(ro.ConvergenceError, match=r"same order everywhere: .*`first`.* at k"):
+        ro.solve(crossing, 1e-3)
+
+
+def test_events_that_accumulate_are_refused():
+    ball = problem({"y": "v", "v": "-9.81"}, {"y": 1, "v": 0}, {"e": (0.4, 0.5)}, 2, [BOUNCE])
+    with pytest.raises(ro.ConvergenceError, match="events accumulate"):
+        ro.solve(ball, 1e-3)
+
+
+def test_methods_that_need_separated_terms_say_that_they_take_no_events():
+    compiled = ro.compile(PROBLEMS["dose"])
+    assert compiled.methods["cross"] is None
+    with pytest.raises(ro.OptionError, match="'train' does not take events"):
+        compiled.solve(1e-3, method="train")
+
+
+def test_a_budget_ends_a_solve_with_events():
+    with limited(1e6):
+        solution = ro.solve(PROBLEMS["relay"], 1e-6)
+    assert not solution.success
+
+
+@pytest.mark.parametrize("integrator", ["stack", "single"])
+def test_integrators_agree(integrator):
+    solution = ro.solve(PROBLEMS["relay"], RTOL, integrator=integrator)
+    assert solution.success
+    point = {"k": 1.05, "m": 4.03}
+    np.testing.assert_allclose(solution(2.9, point), solved("relay")(2.9, point), atol=4 * RTOL)
+
+
+def test_another_box_and_another_end():
+    compiled = ro.compile(PROBLEMS["dose"])
+    solution = compiled.solve(RTOL, parameters={"lag": (1.2, 1.4)}, t_final=2.5)
+    assert solution.success
+    point = {"k": 0.3, "lag": 1.3, "D": 1.5}
+    np.testing.assert_allclose(
+        solution(2.4, point), PROBLEMS["dose"].trajectory(2.4, point).values, rtol=2 * RTOL
+    )
