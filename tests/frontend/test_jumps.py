@@ -95,7 +95,7 @@ def test_lifted_states_are_reset_with_what_they_stand_for():
         ({(): {x: 1}}, "a jump has no times"),
         ({8: {}}, "the jump at t = 8 is .*, not a mapping"),
         ({"8": {x: 1}}, "the time of a jump is .*, not a real number"),
-        ({k: {x: 1}}, "the time of a jump, `k`, depends on `k`"),
+        ({t: {x: 1}}, "the time of a jump, `t`, depends on `t`"),
         ({float("nan"): {x: 1}}, "the time of a jump is nan"),
         ({-1: {x: 1}}, "the jump at t = -1 is before the start of time, 0"),
         ({(2, 2.0): {x: 1}}, "two jumps at t = 2"),

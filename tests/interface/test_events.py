@@ -56,8 +56,8 @@ PROBLEMS = {
         {"A": "0.1"},
         {"k": (0.2, 0.4), "lag": (1, 2), "D": (1, 2)},
         6,
-        [{"when": "t - lag", "direction": "rising", "then": {"A": "A + D"}, "name": "dose"}],
-        jumps={3: {"A": "A + 1"}},
+        [],
+        jumps={"lag": {"A": "A + D"}, 3: {"A": "A + 1"}},
     ),
 }
 ENDINGS = {

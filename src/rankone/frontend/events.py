@@ -13,7 +13,13 @@ from rankone.discretization.coordinates import name_of
 from rankone.expressions.admissible import closed
 from rankone.expressions.notation import latex_of, text_of
 from rankone.frontend.equations import Symbols, check_names
-from rankone.frontend.jumps import change_latex, change_texts, check_of_states, check_reset
+from rankone.frontend.jumps import (
+    change_latex,
+    change_texts,
+    check_of_states,
+    check_reset,
+    instants_of,
+)
 from rankone.ir.functions import check_name
 from rankone.support.errors import ProblemError
 from rankone.support.wording import did_you_mean, listing, quote, shown
@@ -86,6 +92,38 @@ def check_events(events: object, symbols: Symbols) -> tuple[Event, ...]:
     states = [(name_of(state), state) for state in symbols.states]
     check_names(states, symbols.parameters, symbols.time[0], owners)
     return checked
+
+
+def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
+    """The jumps at known times, and those whose times depend on parameters, as events.
+
+    A ProblemError if a time depends on something else.
+    """
+    if not isinstance(jumps, Mapping):
+        return jumps, []
+    known: dict[object, object] = {}
+    moving: list[Event] = []
+    for key, reset in jumps.items():
+        instants = instants_of(key)
+        fixed = tuple(at for at in instants if not getattr(at, "free_symbols", None))
+        if len(fixed) == len(instants):
+            known[key] = reset
+            continue
+        if fixed:
+            known[fixed] = reset
+        for at in instants:
+            if at in fixed:
+                continue
+            others = sorted(map(str, at.free_symbols - {*symbols.parameters}))
+            if others:
+                raise ProblemError(
+                    f"the time of a jump, {quote(at)}, depends on {listing(others)}",
+                    term=at,
+                    remedy="it may depend on parameters; for anything else write an Event",
+                )
+            name = f"jump_{len(moving)}"
+            moving.append(Event(symbols.time[0] - at, "rising", reset, name=name))
+    return known, moving
 
 
 def _checked(event: object, position: int, symbols: Symbols) -> Event:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -45,7 +46,7 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     time = symbols.time
     resets: dict[float, dict[sp.Expr, sp.Expr]] = {}
     for key, reset in jumps.items():
-        instants = tuple(key) if isinstance(key, _SEVERAL) else (key,)
+        instants = instants_of(key)
         if not instants:
             raise ProblemError("a jump has no times", term=reset, remedy=_REMEDY)
         for instant in instants:
@@ -71,16 +72,13 @@ def check_jumps(jumps: object, symbols: Symbols) -> Resets:
     return {at: resets[at] for at in sorted(resets)}
 
 
+def instants_of(key: object) -> tuple[Any, ...]:
+    """The times that a key of jumps stands for."""
+    return tuple(key) if isinstance(key, _SEVERAL) else (key,)
+
+
 def _instant(instant: object, time: Time) -> float:
     """The time of a jump as a float."""
-    symbols = instant.free_symbols if isinstance(instant, sp.Basic) else set()
-    if symbols:
-        names = listing(sorted(map(str, symbols)))
-        raise ProblemError(
-            f"the time of a jump, {quote(instant)}, depends on {names}",
-            term=instant,
-            remedy="jumps are at known times; count time from it, or in units of it",
-        )
     at = real_number(instant, "the time of a jump", _REMEDY)
     if at < time[1]:
         raise ProblemError(

@@ -25,7 +25,7 @@ from rankone.frontend.equations import (
     check_unknowns,
     state_expressions,
 )
-from rankone.frontend.events import Event, check_events, event_latex, event_texts
+from rankone.frontend.events import Event, check_events, event_latex, event_texts, moving_jumps
 from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
 from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
 from rankone.frontend.mass import MassForm, check_mass
@@ -77,7 +77,8 @@ class Problem:
         Times at which unknowns are reset, such as doses: ``{8.0: {x: x + dose}}`` gives the values
         right after that time in terms of those right before it. A tuple of times stands for
         several. A ``DiracDelta(t - 8)`` in an equation means the same. At such a time a solution
-        has its value after the jump.
+        has its value after the jump. A time that depends on parameters, ``{lag: {x: x + dose}}``,
+        makes an event of the jump, named ``jump_0``, ``jump_1``, ...
     units : mapping to str, optional
         Units of time, parameters, unknowns and derivatives that are states, by symbols, functions
         or names: ``{x: "m", t: "s", k: "1/s"}``. They are shown with results; nothing is
@@ -163,12 +164,13 @@ class Problem:
         check_symbols(residuals, symbols)
         initial = check_initial(self.initial, symbols)
         initial = {state: closed(start) for state, start in initial.items()}
+        known, moving = moving_jumps(self.jumps, symbols)
         jumps = {
             at: {state: closed(after) for state, after in reset.items()}
-            for at, reset in check_jumps(self.jumps, symbols).items()
+            for at, reset in check_jumps(known, symbols).items()
         }
         after_jumps = [after for reset in jumps.values() for after in reset.values()]
-        events = check_events(self.events, symbols)
+        events = check_events([*self.events, *moving] if moving else self.events, symbols)
         of_events = [expression for event in events for expression in event.expressions]
         check_lengths([*initial.values(), *after_jumps, *of_events], 0)
         expressions = [*residuals, *initial.values(), *after_jumps, *of_events]
@@ -228,7 +230,8 @@ class Problem:
         name : str, optional
             A title.
         jumps : mapping of float to mapping, optional
-            Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``.
+            Times at which unknowns are reset: ``{8.0: {"x": "x + dose"}}``, or
+            ``{"lag": {"x": "x + dose"}}`` where they depend on parameters.
         units : mapping of str to str, optional
             Units by name: ``{"x": "m", "t": "s"}``.
         tail, correlation

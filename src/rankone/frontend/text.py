@@ -24,7 +24,9 @@ def jumps_of_text(jumps: object, names: Names, unknowns: Names) -> Any:
     if not isinstance(jumps, Mapping):
         return jumps
     return {
-        time: _reset_of_text(reset, f"the jump at {shown(time)}", names, unknowns)
+        (
+            formula(time, names, "time of a jump", None) if isinstance(time, str) else time
+        ): _reset_of_text(reset, f"the jump at {shown(time)}", names, unknowns)
         for time, reset in jumps.items()
     }
 
