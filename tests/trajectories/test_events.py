@@ -181,3 +181,24 @@ def test_a_budget_that_ends_tells_a_time(integrator):
         trajectories(ball(6.0), heights, events, integrator)
     assert 1.0 < out.value.reached.time < 6.0
     assert out.value.reached.steps > 0
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_events_within_a_long_step_are_found(integrator):
+    """Nothing but the event varies: the whole horizon is a step or two."""
+    system = system_of({"x": "0*k"}, {"x": "k"}, {"k": (1, 2)}, 30)
+    event = SystemEvent(lambda t, u, p: np.sin(3 * t) - 0.8, 1, lambda t, u, p: u + 1)
+    (each,) = trajectories(system, [[1.5]], [event], integrator)
+    first = np.arcsin(0.8) / 3
+    exact = np.arange(first, 30, 2 * np.pi / 3)
+    np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dip", [1e-2, 1e-4, 1e-5])
+def test_a_surface_that_is_dipped_into(dip):
+    """x = (t - 1.234)**2 - dip is below zero for a short time within a step."""
+    system = system_of({"x": "2*(t - 1.234)"}, {"x": f"1.234**2 - {dip} + 0*k"}, {"k": (1, 2)}, 3)
+    marker = SystemEvent(lambda t, u, p: u[0])
+    (each,) = trajectories(system, [[1.5]], [marker], "single")
+    exact = 1.234 + np.sqrt(dip) * np.array([-1, 1])
+    np.testing.assert_allclose(each.times_of(0), exact, rtol=1e-5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,91 @@ from rankone.trajectories.paths import NODES, Path, step_coefficients
 _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
 _CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
 _LOOK_COST = 10.0  # Operations of an event function for each number that it reads
+_MOST_HALVINGS = 12  # Most halvings of a step in which an event may hide
+_UNRESOLVED = 1e-3  # Error of a polynomial between the nodes, over its size, that may hide a root
+_NEAR = 4.0  # Distance from zero, in such errors, within which there may be one
+_GRAZING = 0.05  # Least distance from zero inside of a step, over its size, that may hide two
+_BETWEEN = 0.5 * (NODES[:-1] + NODES[1:])
+_FINE = np.linspace(0.0, 1.0, 25)
+
+
+def _interpolation(shares: Array) -> Array:
+    """From values at the nodes of a step to those of the polynomial at shares, (shares, nodes)."""
+    powers = np.vander(2.0 * shares - 1.0, NODES.size, increasing=True)
+    return np.asarray(powers @ step_coefficients(np.eye(NODES.size)[None])[:, 0])
+
+
+_TO_BETWEEN, _TO_FINE = _interpolation(_BETWEEN), _interpolation(_FINE)
+_TO_HALVES = _interpolation(0.5 * NODES), _interpolation(0.5 + 0.5 * NODES)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Steps of several paths, in order.
+
+    They ``begin`` and ``end`` at times (S,), with states (S, nodes, n) at the nodes; ``owner`` (S,)
+    is the path of each, and ``parameters`` (d, S) are its own.
+    """
+
+    begin: Array
+    end: Array
+    nodal: Array
+    parameters: Array
+    owner: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, paths: Sequence[Path], points: Array) -> _Steps:
+        """All steps of paths, each at its own point of points (m, d)."""
+        owner = np.repeat(np.arange(len(paths)), [path.steps for path in paths])
+        return cls(
+            np.concatenate([path.breaks[:-1] for path in paths]),
+            np.concatenate([path.breaks[1:] for path in paths]),
+            np.concatenate([path.nodal for path in paths]),
+            np.ascontiguousarray(points.T)[:, owner],
+            owner,
+        )
+
+    def heights(self, event: SystemEvent, shares: Array, nodal: Array) -> Array:
+        """What crosses zero (S, shares), from the states (S, shares, n) there."""
+        times = (self.begin[:, None] + (self.end - self.begin)[:, None] * shares).ravel()
+        parameters = np.repeat(self.parameters, shares.size, axis=1)
+        states = nodal.reshape(times.size, -1).T
+        return _heights(event, times, states, parameters).reshape(-1, shares.size)
+
+    def resolved(self, event: SystemEvent) -> _Steps:
+        """The steps halved until polynomials resolve what crosses zero, where it may do so."""
+        steps = self
+        for _ in range(_MOST_HALVINGS):
+            at_nodes = steps.heights(event, NODES, steps.nodal)
+            between = steps.heights(event, _BETWEEN, np.matmul(_TO_BETWEEN, steps.nodal))
+            missed = np.abs(between - at_nodes @ _TO_BETWEEN.T).max(axis=1)
+            sizes = np.abs(np.concatenate([at_nodes, between], axis=1))
+            hidden = (missed > _UNRESOLVED * sizes.max(axis=1)) & (
+                sizes.min(axis=1) <= _NEAR * missed
+            )
+            fine = at_nodes @ _TO_FINE.T
+            same = (np.sign(at_nodes) == np.sign(at_nodes[:, :1])).all(axis=1)
+            lowest = np.abs(fine).argmin(axis=1)
+            inside = (lowest > 0) & (lowest < fine.shape[1] - 1)
+            near = np.abs(fine).min(axis=1) < _GRAZING * sizes.max(axis=1)
+            halved = np.nan_to_num(hidden | (same & inside & near)).astype(bool)
+            if not halved.any():
+                break
+            steps = steps._halved(halved)
+        return steps
+
+    def _halved(self, chosen: NDArray[np.bool_]) -> _Steps:
+        """The steps with both halves in place of the chosen ones."""
+        middle = 0.5 * (self.begin + self.end)
+        counts = np.where(chosen, 2, 1)
+        source = np.repeat(np.arange(chosen.size), counts)
+        first = np.cumsum(counts) - counts
+        begin, end = self.begin[source], self.end[source]
+        nodal, places = self.nodal[source], first[chosen]
+        end[places], begin[places + 1] = middle[chosen], middle[chosen]
+        nodal[places] = np.matmul(_TO_HALVES[0], self.nodal[chosen])
+        nodal[places + 1] = np.matmul(_TO_HALVES[1], self.nodal[chosen])
+        return _Steps(begin, end, nodal, self.parameters[:, source], self.owner[source])
 
 
 class Crossings:
@@ -35,17 +121,8 @@ class Crossings:
         fired: Sequence[frozenset[int]],
         first: NDArray[np.bool_],
     ) -> None:
-        self.system, self.paths, self.points = system, paths, points
-        self.fired, self.first = fired, first
-        times = [path.breaks[:-1, None] + np.diff(path.breaks)[:, None] * NODES for path in paths]
-        counts = np.array([each.size for each in times])
-        self.times = np.concatenate([each.ravel() for each in times])
-        nodal = np.concatenate([path.nodal for path in paths])
-        self.states = nodal.reshape(self.times.size, -1).T
-        self.nodal = nodal
-        self.owner = np.repeat(np.arange(len(paths)), counts)
-        self.firsts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        self.parameters = np.ascontiguousarray(points.T)[:, self.owner]
+        self.system, self.fired, self.first = system, fired, first
+        self.steps, self.count = _Steps.of(paths, points), len(paths)
 
     def of(self, k: int, event: SystemEvent) -> list[Array]:
         """For each path the times of event ``k``, in order; the first alone if it interrupts.
@@ -54,67 +131,75 @@ class Crossings:
         again at once if it was reset, goes on to the same side as before, and does not cross the
         surface on its way: a ball that comes to rest falls again.
         """
-        heights = _heights(event, self.times, self.states, self.parameters)
-        none = self.times[:0]
-        found = [none] * len(self.paths)
-        began = self.firsts[[k in fired for fired in self.fired]]
+        steps = self.steps.resolved(event)
+        heights = steps.heights(event, NODES, steps.nodal)
+        found = [steps.begin[:0]] * self.count
+        firsts = np.searchsorted(steps.owner, np.arange(self.count))
+        began = firsts[[k in fired for fired in self.fired]]
         if began.size:
-            heights[began] = heights[began + 1]
-            back = began[np.sign(heights[began]) == event.direction]
+            heights[began, 0] = heights[began, 1]
+            back = began[np.sign(heights[began, 0]) == event.direction]
             if event.then is not None and back.size:
-                through = self.first[self.owner[back]] & self._crosses(event, back)
+                through = self.first[steps.owner[back]] & self._crosses(event, steps, back)
                 for start in back[~through]:
-                    found[self.owner[start]] = self.times[start : start + 1]
-        before, after = np.sign(heights[:-1]), np.sign(heights[1:])
+                    found[steps.owner[start]] = steps.begin[start : start + 1]
+        before, after = np.sign(heights[:, :-1]), np.sign(heights[:, 1:])
         # not a number is no side
         crossed = (before != after) & (before != 0.0) & np.isfinite(before) & np.isfinite(after)
-        crossed &= self.owner[:-1] == self.owner[1:]
         if event.direction != BOTH:
             crossed &= before == -event.direction
-        places = np.flatnonzero(crossed)
-        owners = self.owner[places]
+        rows, nodes = np.nonzero(crossed)
+        owners = steps.owner[rows]
         if event.interrupts:
             owners, chosen = np.unique(owners, return_index=True)
-            places = places[chosen]
-        again = np.array([found[owner].size > 0 for owner in owners], dtype=bool)
-        places, owners = places[~again], owners[~again]
-        if not places.size:
+            rows, nodes = rows[chosen], nodes[chosen]
+        fresh = np.array([not found[owner].size for owner in owners], dtype=bool)
+        rows, nodes, owners = rows[fresh], nodes[fresh], owners[fresh]
+        if not rows.size:
             return found
-        times = self._roots(event, places, heights)
+        times = _roots(event, steps, rows, nodes, heights)
         for owner in np.unique(owners):
             found[owner] = times[owners == owner]
         return found
 
-    def _crosses(self, event: SystemEvent, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def _crosses(
+        self, event: SystemEvent, steps: _Steps, starts: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
         """Whether paths cross the surface in the direction of the event where they begin."""
-        t, u, p = self.times[starts], self.states[:, starts], self.parameters[:, starts]
+        t, p = steps.begin[starts], steps.parameters[:, starts]
+        u, next_u = (steps.nodal[starts, node].T for node in (0, 1))
         with np.errstate(all="ignore"):
             rates = np.broadcast_to(self.system.rhs(t, u, p), u.shape)
         charge(function_cost(self.system.rhs, self.system.user_functions)(starts.size))
-        length = self.times[starts + 1] - t
+        length = NODES[1] * (steps.end[starts] - t)
         step = _SLOPE_STEP * np.maximum(length, np.abs(t))
         slope = (_heights(event, t + step, u + step * rates, p) - _heights(event, t, u, p)) / step
-        mean = _heights(event, self.times[starts + 1], self.states[:, starts + 1], p) / length
+        mean = _heights(event, t + length, next_u, p) / length
         return np.asarray(event.direction * slope > _CROSSING * np.abs(mean))
 
-    def _roots(self, event: SystemEvent, places: NDArray[np.intp], heights: Array) -> Array:
-        """The roots between nodes and the next ones."""
-        steps = places // NODES.size
-        a, width = self.times[places], self.times[places + 1] - self.times[places]
-        ends = NODES.size * steps
-        begin, length = self.times[ends], self.times[ends + NODES.size - 1] - self.times[ends]
-        coefficients = step_coefficients(self.nodal[steps])
-        parameters = self.parameters[:, places]
 
-        def height(shares: Array) -> Array:
-            times = a + width * shares
-            x = (2.0 * (times - begin) / length - 1.0)[:, None]
-            states = coefficients[-1]
-            for coefficient in coefficients[-2::-1]:
-                states = states * x + coefficient
-            return _heights(event, times, states.T, parameters)
+def _roots(
+    event: SystemEvent,
+    steps: _Steps,
+    rows: NDArray[np.intp],
+    nodes: NDArray[np.intp],
+    heights: Array,
+) -> Array:
+    """The roots between nodes of steps and the next ones."""
+    begin, length = steps.begin[rows], (steps.end - steps.begin)[rows]
+    a, width = NODES[nodes], NODES[nodes + 1] - NODES[nodes]
+    coefficients, parameters = step_coefficients(steps.nodal[rows]), steps.parameters[:, rows]
 
-        return np.asarray(a + width * roots(height, heights[places], heights[places + 1]))
+    def height(shares: Array) -> Array:
+        places = a + width * shares
+        x = (2.0 * places - 1.0)[:, None]
+        states = coefficients[-1]
+        for coefficient in coefficients[-2::-1]:
+            states = states * x + coefficient
+        return _heights(event, begin + length * places, states.T, parameters)
+
+    found = roots(height, heights[rows, nodes], heights[rows, nodes + 1])
+    return np.asarray(begin + length * (a + width * found))
 
 
 def _heights(event: SystemEvent, times: Array, states: Array, parameters: Array) -> Array:
