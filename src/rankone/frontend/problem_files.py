@@ -40,7 +40,7 @@ y = "y0"
 times = [2, 4]             # or a single time = 2
 x = "x + 1"                # the value right after it
 
-# [[events]]               # where an expression crosses zero; for trajectories, not for solve
+# [[events]]               # where an expression crosses zero; may be left out
 # when = "y - 9"
 # direction = "rising"     # or "falling", or "both"
 # then = { y = "y/2" }     # the values right after it
