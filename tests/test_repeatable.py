@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ import pytest
 import rankone as ro
 from rankone.solvers.cross.trajectories import TrajectoryEnds
 from rankone.support.budget import limited
-from rankone.trajectories.implicit import StackedRadau
-from rankone.trajectories.integrator import Tolerances, jacobians
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.stacks import StackedIntegrator
 from rankone.trajectories.workers import Workers
 from tests.problems import EXAMPLES
 
@@ -101,16 +100,8 @@ def test_large_stacks_are_inverted_in_pieces(monkeypatch):
     monkeypatch.setattr(np.linalg, "inv", lambda some: inverted.append(some.shape) or inv(some))
     points = np.linspace(1, 2, 200)[:, None]
     system = ro.compile(problem).system
-
-    def rates_of_stack(t, y):
-        return system.rhs(t, y.reshape(30, 200), points.T).ravel()
-
-    tolerances, blocks = (
-        Tolerances(1e-3, np.full((30, 1), 1e-6)),
-        partial(jacobians, system, points),
-    )
-    solver = StackedRadau(rates_of_stack, 0.0, np.ones((30, 200)), 1.0, tolerances, None, blocks)
-    solver.step()
+    tolerances = Tolerances(1e-3, np.full((30, 1), 1e-6))
+    StackedIntegrator(stiff=True).run(system, points, (0.0, 1e-3), tolerances)
     assert len(inverted) > 2
     assert max(len(shape) and shape[0] for shape in inverted) < 100
 

@@ -1,19 +1,22 @@
 """Implicit steps of stacked trajectories: Radau IIA, with a Jacobian for each trajectory.
 
-SciPy's Radau has no public way to take a Jacobian of blocks: ``_validate_jac`` is overridden for
-that alone.
+The method, its test of convergence and its estimate of the error are SciPy's (Hairer & Wanner,
+Solving Ordinary Differential Equations II, IV.8). Newton's iterations are made here: the rates at
+the three nodes are one call for all trajectories, and the Newton matrices serve several steps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.integrate
 import scipy.sparse
 from numpy.typing import NDArray
 
+from rankone.discretization.radau import RadauCollocation
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL, Cost, in_pieces, inverse
@@ -25,6 +28,39 @@ _BETWEEN_NODES = (0.4, 0.85)  # Shares of a step at which its interpolant is che
 _MOST_INTERPOLATION_ERROR = 10.0  # Accepted error of the interpolant, in tolerances
 _EXPONENTS = np.arange(1, 4)  # Powers of the rows of a step
 _PRODUCT_COST = Cost(40.0, 0.5)  # Operations of a matrix times a vector: once, and for each entry
+_MOST_ITERATIONS = 6  # Newton's iterations of a step before it is halved
+_MOST_EXCESS = 10  # Iterations that old Newton matrices may cost before they are made anew
+_LENGTH_RATIO = 1.3  # Ratio of the lengths of steps that share Newton matrices
+_LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
+_KEPT_FACTOR = 1.2  # Growth of the step below which its length stays
+_LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
+
+
+def _modes(derivative: Array) -> tuple[Array, Array]:
+    """Columns that take modes to nodes, and the derivative (3, 3) of the modes.
+
+    The first mode has a real eigenvalue, the other two are the real and the imaginary part of one
+    with a complex eigenvalue. At the last node their sum is that of the first two.
+    """
+    eigenvalues, vectors = np.linalg.eig(derivative)
+    real, paired = np.argmin(np.abs(eigenvalues.imag)), np.argmin(eigenvalues.imag)
+    first = (vectors[:, real] / vectors[-1, real]).real
+    second = vectors[:, paired] / vectors[-1, paired]
+    to_nodes = np.stack([first, second.real, -second.imag], axis=1)
+    return to_nodes, np.linalg.solve(to_nodes, derivative @ to_nodes)
+
+
+_COLLOCATION = RadauCollocation.of(3)
+_NODES = _COLLOCATION.nodes
+_TO_NODES, _OF_MODES = _modes(_COLLOCATION.derivative)
+_TO_MODES = np.linalg.inv(_TO_NODES)
+_REAL, _PAIRED = float(_OF_MODES[0, 0]), complex(_OF_MODES[1, 1], _OF_MODES[2, 1])
+# States at the nodes to the powers of the share, and to minus the slope at the start that slopes at
+# the nodes extrapolate to
+_TO_POWERS = np.linalg.inv(_NODES[:, None] ** _EXPONENTS)
+_TO_START = -np.linalg.solve(np.vander(_NODES, increasing=True).T, np.eye(3)[0]) @ (
+    _COLLOCATION.derivative
+)
 
 
 class PowerPiece(Piece):
@@ -35,6 +71,73 @@ class PowerPiece(Piece):
         return shares[:, None] ** _EXPONENTS
 
 
+@dataclass
+class _Newton:
+    """Newton's matrices (m, n, n) of a step, inverted: those of the real and of the paired mode.
+
+    Later steps of a similar length take them as well. They are made at the time ``t`` for steps of
+    the length ``h``; ``fresh`` counts the iterations of the first step, and ``excess`` those that
+    later ones needed beyond.
+    """
+
+    t: float
+    h: float
+    jacobians: Array
+    real: Array
+    paired: Array
+    fresh: int = 0
+    excess: int = 0
+
+    @staticmethod
+    def of(t: float, h: float, jacobians: Array) -> _Newton:
+        real, paired = (_inverses(mode / h, jacobians) for mode in (_REAL, _PAIRED))
+        return _Newton(t, h, jacobians, real, paired)
+
+    def serves(self, h: float) -> bool:
+        """Whether to try them for a step of this length."""
+        similar = 1.0 / _LENGTH_RATIO <= h / self.h <= _LENGTH_RATIO
+        return similar and self.excess < _MOST_EXCESS
+
+    def count(self, iterations: int) -> None:
+        """Count the iterations of a step that converged."""
+        self.fresh = self.fresh or iterations
+        self.excess += max(iterations - self.fresh, 0)
+
+    def error(self, h: float, defect: Array) -> Array:
+        """The error of a step of length h that a defect amounts to.
+
+        Of matrices for a shorter step the errors of slow modes are too small.
+        """
+        return max(1.0, h / self.h) * _product(self.real, defect)
+
+
+def _inverses(shift: complex, jacobians: Array) -> Array:
+    """Inverses of ``shift`` minus the Jacobians; the budget is checked in between."""
+    size = jacobians.shape[-1]
+    cost, diagonal = inverse(size, isinstance(shift, float)), shift * np.eye(size)
+    inverses = np.empty(jacobians.shape, dtype=type(shift))
+    first = 0
+    for some in in_pieces(jacobians, cost):
+        charge(cost * len(some))
+        inverses[first : first + len(some)] = np.linalg.inv(diagonal - some)
+        first += len(some)
+    return inverses
+
+
+def _product(inverses: Array, right: Array) -> Array:
+    """Inverses (m, n, n) times stacked vectors (n m,)."""
+    m, n, _ = inverses.shape
+    charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
+    vectors = np.ascontiguousarray(right.reshape(n, m).T)  # of strided ones BLAS takes no product
+    return np.asarray(np.matmul(inverses, vectors[:, :, None])[:, :, 0].T.ravel())
+
+
+def _mean(scaled: Array) -> float:
+    """The root of the mean square."""
+    flat = scaled.ravel()
+    return math.sqrt(float(np.dot(flat, flat)) / flat.size)
+
+
 class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     """Radau IIA with a Jacobian of one block for each trajectory, inverted all at once.
 
@@ -42,6 +145,11 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     interpolant, divided by the Newton matrix, is its error in between: ``looks_between`` says
     whether to check it. ``blocks`` maps a time and a stacked state to Jacobians (m, n, n).
     """
+
+    t: float
+    y: Array
+    h_abs_old: float | None
+    error_norm_old: float | None
 
     def __init__(
         self,
@@ -56,9 +164,8 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
     ) -> None:
         self._blocks, self._shares = blocks, _BETWEEN_NODES if looks_between else ()
         super().__init__(rates, start, states, end, tolerances, control)
-        self.J = self._jacobians(self.t, self.y)
-        self.I = np.eye(self.J.shape[1])
-        self.lu, self.solve_lu = self._inverses, self._solve
+        h = min(self.h_abs, self.max_step, end - start)
+        self._newton = _Newton.of(start, h, self._jacobians(start, self.y))
 
     def _jacobians(self, t: float, y: Array) -> Array:
         """Jacobians, zero where they are not finite.
@@ -66,29 +173,112 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         The derivative of a root at zero is infinite, and Newton's corrections vanish however wrong
         the state is. Without a Jacobian they converge in short steps.
         """
-        return finite_blocks(self._blocks(t, y))
+        return np.ascontiguousarray(finite_blocks(self._blocks(t, y)))
 
-    def _inverses(self, matrices: Array) -> Array:
-        """Inverses; keeps those of the real Newton matrices for the check of the interpolant."""
-        real = np.isrealobj(matrices)
-        cost = inverse(matrices.shape[-1], real)
-        inverses = np.empty_like(matrices)
-        first = 0
-        for some in in_pieces(matrices, cost):
-            charge(cost * len(some))
-            inverses[first : first + len(some)] = np.linalg.inv(some)
-            first += len(some)
-        if real:
-            self._newton = inverses
-        return inverses
+    def _validate_jac(self, jac: object, sparsity: object) -> tuple[None, object]:
+        """No Jacobian, and an empty matrix that SciPy needs and nothing uses."""
+        return None, scipy.sparse.csc_matrix((self.n, self.n))
 
-    def _compute_dense_output(self) -> PowerPiece:
-        dense = super()._compute_dense_output()
-        return PowerPiece(dense.t_old, dense.t, dense.y_old, dense.Q.T)
+    def _step_impl(self) -> tuple[bool, str | None]:
+        """A step whose error is within the tolerance, shorter than the last one if it must be."""
+        t, y, shortest = self.t, self.y, _LEAST_STEP * float(np.spacing(abs(self.t)))
+        h, before = self.h_abs, (self.h_abs_old, self.error_norm_old)
+        if not shortest <= h <= self.max_step:
+            h, before = min(max(h, shortest), self.max_step), (None, None)
+        refused = False
+        while h >= shortest:
+            end = min(t + h, self.t_bound)
+            h = end - t
+            if (solved := self._collocated(h)) is None:
+                h *= 0.5
+                continue
+            states, iterations = solved
+            error = self._error(h, states, refused)
+            safety = 0.9 * (2 * _MOST_ITERATIONS + 1) / (2 * _MOST_ITERATIONS + iterations)
+            factor = safety * _predicted_factor(h, error, *before)
+            factor = min(_MOST_FACTOR, max(_LEAST_FACTOR, factor))  # the least if not a number
+            if not error <= 1.0:
+                h *= factor
+                refused = True
+                continue
+            if 1.0 <= factor < _KEPT_FACTOR:
+                factor = 1.0
+            self.h_abs_old, self.error_norm_old, self.h_abs = h, error, h * factor
+            self.sol = PowerPiece(t, end, y, _TO_POWERS @ states)
+            self.t_old, self.t, self.y = t, end, y + states[-1]
+            self.f = self.fun(end, self.y)
+            return True, None
+        return False, self.TOO_SMALL_STEP
 
-    def _validate_jac(self, jac: object, sparsity: object) -> tuple[object, object]:
-        """The Jacobian as a function, and an empty matrix that SciPy needs and nothing uses."""
-        return lambda t, y, f=None: self._jacobians(t, y), scipy.sparse.csc_matrix((self.n, self.n))
+    def _collocated(self, h: float) -> tuple[Array, int] | None:
+        """Changes of the states to the nodes (3, n m), and iterations; None without convergence.
+
+        Matrices of earlier steps are tried first.
+        """
+        newton = self._newton
+        if newton.serves(h):
+            changes = self._iterated(h, newton)
+            if changes is not None or (newton.t, newton.h) == (self.t, h):
+                return changes
+        current = newton.t == self.t
+        jacobians = newton.jacobians if current else self._jacobians(self.t, self.y)
+        self._newton = _Newton.of(self.t, h, jacobians)
+        return self._iterated(h, self._newton)
+
+    def _iterated(self, h: float, newton: _Newton) -> tuple[Array, int] | None:
+        """What Newton's iterations with some matrices converge to; see :meth:`_collocated`.
+
+        The corrections of slow modes are too long with matrices for longer steps, and too short
+        with those for shorter ones; those of fast modes are not. The relaxation is in the middle.
+        """
+        y, times, relaxation = self.y, self.t + h * _NODES, 2.0 / (1.0 + newton.h / h)
+        of_slopes, of_modes = relaxation * _TO_MODES, relaxation / h * _OF_MODES
+        scale = self.atol + np.abs(y) * self.rtol
+        modes = self._predicted(times)
+        states = _TO_NODES @ modes
+        corrections, before, rate = np.empty_like(modes), 0.0, 0.0
+        for iteration in range(1, _MOST_ITERATIONS + 1):
+            right = of_slopes @ self.fun.at(times, y + states) - of_modes @ modes
+            corrections[0] = _product(newton.real, right[0])
+            paired = _product(newton.paired, right[1] + 1j * right[2])
+            corrections[1], corrections[2] = paired.real, paired.imag
+            size = _mean(corrections / scale)
+            if not math.isfinite(size):
+                return None
+            if iteration > 1:
+                rate = size / before
+                left = _MOST_ITERATIONS + 1 - iteration
+                if rate >= 1.0 or rate**left / (1.0 - rate) * size > self.newton_tol:
+                    return None
+            modes += corrections
+            states = _TO_NODES @ modes
+            if not size or (iteration > 1 and rate / (1.0 - rate) * size < self.newton_tol):
+                newton.count(iteration)
+                return states, iteration
+            before = size
+        return None
+
+    def _predicted(self, times: Array) -> Array:
+        """The modes (3, n m) that the last step continued to the nodes has there."""
+        if self.sol is None:
+            return np.zeros((3, self.n))
+        weights = PowerPiece.weights((times - self.sol.t_old) / self.sol.h)
+        return (_TO_MODES @ (weights - 1.0)) @ self.sol.rows
+
+    def _error(self, h: float, states: Array, refused: bool) -> float:
+        """The error of a step in tolerances, estimated more closely after a refusal.
+
+        It is that of the slope at the start, seen from the changes to the nodes.
+        """
+        after = np.abs(self.y + states[-1])
+        scale = self.atol + np.maximum(np.abs(self.y), after) * self.rtol
+        slope = _TO_START / h @ states
+        error = self._newton.error(h, self.f + slope)
+        size = _mean(error / scale)
+        if refused and size > 1.0:
+            error = self._newton.error(h, self.fun(self.t, self.y + error) + slope)
+            size = _mean(error / scale)
+        return size
 
     def _shortening(self, y_before: Array) -> float:
         error = max(map(self._interpolation_error, self._shares), default=0.0)
@@ -97,23 +287,20 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
             return float(max(0.1, factor))
         return super()._shortening(y_before)
 
-    def _restart(self, h: float) -> None:
-        self.h_abs, self.LU_real, self.LU_complex = h, None, None
-
     def _interpolation_error(self, share: float) -> float:
         """Largest error of a trajectory at a share of the step, in units of the tolerance."""
         piece: PowerPiece = self.sol
         state = piece.y_old + share**_EXPONENTS @ piece.rows
         slope = (_EXPONENTS * share ** (_EXPONENTS - 1)) @ piece.rows / piece.h
         defect = slope - self.fun(piece.t_old + share * piece.h, state)
-        error = self._solve(self._newton, defect) / (self.atol + np.abs(state) * self.rtol)
+        error = self._newton.error(piece.h, defect) / (self.atol + np.abs(state) * self.rtol)
         square = np.square(error).reshape(self.trajectory_states, -1).mean(axis=0).max()
         return math.sqrt(square) if math.isfinite(square) else math.inf
 
     def error_of(self, defect: Array, columns: NDArray[np.intp]) -> Array:
         """The defect divided by the Newton matrices."""
-        right = defect.T[:, :, None] / self.sol.h
-        return np.asarray(np.matmul(self._newton[columns], right)[:, :, 0].T)
+        right = defect.T[:, :, None] / min(self.sol.h, self._newton.h)
+        return np.asarray(np.matmul(self._newton.real[columns], right)[:, :, 0].T)
 
     def interpolant(self, columns: NDArray[np.intp]) -> Interpolant:  # powers of the share
         n = self.trajectory_states
@@ -127,9 +314,15 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
 
         return evaluate
 
-    @staticmethod
-    def _solve(inverses: Array, right: Array) -> Array:
-        m, n, _ = inverses.shape
-        charge(5.0 * CALL + m * _PRODUCT_COST(n * n))
-        solved = np.matmul(inverses, right.reshape(n, m).T[:, :, None])[:, :, 0]
-        return np.ascontiguousarray(solved.T).ravel()
+
+def _predicted_factor(
+    h: float, error: float, h_old: float | None, error_old: float | None
+) -> float:
+    """The change of the step that brings the error to the tolerance (Gustafsson).
+
+    The trend from the last step to this one counts if the error grows.
+    """
+    if not error:
+        return math.inf
+    trend = h / h_old * (error_old / error) ** 0.25 if h_old and error_old else 1.0
+    return float(min(1.0, trend) * error**-0.25)

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from rankone.discretization.radau import inset
+from rankone.ir.features import OfStates
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
@@ -232,6 +233,32 @@ class _SampleRecord:
 
 
 @dataclass(frozen=True)
+class _SegmentRates:
+    """Stacked rates at times from ``first`` to ``last``; parameters have shape (d, m)."""
+
+    rhs: OfStates
+    parameters: Array
+    first: float
+    last: float
+    cost: Cost
+
+    def __call__(self, t: float, y: Array) -> Array:
+        m = self.parameters.shape[1]
+        charge(self.cost(m) + _STAGE_COST(y.size))
+        time = min(max(t, self.first), self.last)
+        return self.rhs(time, y.reshape(-1, m), self.parameters).ravel()
+
+    def at(self, times: Array, states: Array) -> Array:
+        k, m = len(times), self.parameters.shape[1]
+        charge(self.cost(k * m) + _STAGE_COST(states.size))
+        within = np.minimum(np.maximum(times, self.first), self.last)
+        columns = np.ascontiguousarray(states.reshape(k, -1, m).swapaxes(0, 1))
+        times, points = np.repeat(within, m), np.concatenate([self.parameters] * k, axis=1)
+        rates = self.rhs(times, columns.reshape(-1, k * m), points)
+        return rates.reshape(-1, k, m).swapaxes(0, 1).reshape(k, -1)
+
+
+@dataclass(frozen=True)
 class _Stack:
     """One integration of a system at points (m, d)."""
 
@@ -307,20 +334,11 @@ class _Stack:
                     return state, left
         return state, 0.0
 
-    def _rates(self, a: float, b: float) -> Rates:
+    def _rates(self, a: float, b: float) -> _SegmentRates:
         """The stacked right-hand side on a segment; factors are never taken at its very ends."""
-        rhs, shape, parameters = self.system.rhs, self.shape, self.parameters
         near = inset(a, b) if len(self.edges) > 2 else 0.0
-        first, last = a + near, b - near
-        cost = function_cost(rhs, self.system.user_functions)(shape[1]) + _STAGE_COST(
-            shape[0] * shape[1]
-        )
-
-        def rates(t: float, y: Array) -> Array:
-            charge(cost)
-            return rhs(min(max(t, first), last), y.reshape(shape), parameters).ravel()
-
-        return rates
+        cost = function_cost(self.system.rhs, self.system.user_functions)
+        return _SegmentRates(self.system.rhs, self.parameters, a + near, b - near, cost)
 
     def _explicit_steps_left(self, solver: Stepper, count: int) -> float:
         """The explicit steps left, if stability limits them and they are not bearable; else 0.

@@ -8,8 +8,7 @@ trajectories cross state surfaces, and at random places.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
+from typing import Protocol
 
 import numpy as np
 import scipy.integrate
@@ -20,12 +19,19 @@ from rankone.trajectories.defects import SHORTENING, DefectControl, Interpolant
 from rankone.trajectories.integrator import Tolerances
 
 # What only a step of Radau changes, except its factorisations
-_RADAU_STATE = ("h_abs_old", "error_norm_old", "sol", "Z", "J", "current_jac")
+_RADAU_STATE = ("h_abs_old", "error_norm_old", "sol")
 # What a step changes, and a refused one changes back
 _STEP_STATE = ("t", "t_old", "y", "f", "h_abs", "status", *_RADAU_STATE)
 
-# Stacked rates (n m,) at a time and a stacked state
-Rates: TypeAlias = Callable[[float, Array], Array]
+
+class Rates(Protocol):
+    """The rates of m stacked trajectories."""
+
+    def __call__(self, t: float, y: Array) -> Array:
+        """Rates (n m,) at a time and a stacked state."""
+
+    def at(self, times: Array, states: Array) -> Array:
+        """Rates (k, n m) at times (k,) and stacked states (k, n m)."""
 
 
 class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]

@@ -1,0 +1,66 @@
+"""Implicit steps of stacks: accurate, and their Newton matrices serve several steps."""
+
+import numpy as np
+import pytest
+
+import rankone as ro
+from rankone.trajectories.integrator import Spans, Tolerances
+from rankone.trajectories.stacks import StackedIntegrator
+
+STIFF = StackedIntegrator(stiff=True)
+
+
+def forced(rates=(1.0, 1e5)):
+    """A slow manifold that moves: y = cos(t) + (s - 1) exp(-k t) from any start s."""
+    return ro.compile(
+        ro.Problem.from_strings(
+            {"y": "-k*(y - cos(t)) - sin(t)"}, {"y": "s"}, {"k": rates, "s": (1, 2)}, (0, 3)
+        )
+    ).system
+
+
+def exact(points, times):
+    rates, starts = points.T[:, :, None]
+    return np.cos(times) + (starts - 1) * np.exp(-rates * times)
+
+
+def drawn(rates=(1.0, 1e5)):
+    generator = np.random.default_rng(3)
+    return np.stack([np.geomspace(*rates, 40), 1 + generator.random(40)], axis=1)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_the_nodes_of_a_step_are_taken_at_their_times(tolerance):
+    points, tolerances = drawn(), Tolerances(tolerance, np.full((1, 1), tolerance))
+    trajectories = STIFF.run(forced(), points, (0.0, 1.0, 3.0), tolerances)
+    times = np.array([0.3, 1.0, 2.2, 3.0])
+    assert trajectories.end == 3.0
+    assert np.abs(trajectories(times)[0] - exact(points, times)).max() < 3 * tolerance
+
+
+def test_spans_of_their_own():
+    points, ends = drawn((1.0, 1e3)), np.linspace(1.0, 3.0, 40)
+    spans = Spans(np.zeros(40), points[None, :, 1], ends)
+    tolerances = Tolerances(1e-7, np.full((1, 1), 1e-7))
+    paths = STIFF.paths(forced((1.0, 1e3)), points, spans, tolerances)
+    last = np.array([path.state[0] for path in paths])
+    np.testing.assert_allclose(last, np.diag(exact(points, ends)), atol=1e-6)
+
+
+def test_newton_matrices_serve_several_steps(monkeypatch):
+    inverted = []
+    inv = np.linalg.inv
+    monkeypatch.setattr(np.linalg, "inv", lambda some: inverted.append(some.dtype) or inv(some))
+    problem = ro.Problem.from_strings(
+        {"a": "-k*a + 1e4*b*c", "b": "k*a - 1e4*b*c - 3e7*b**2", "c": "3e7*b**2"},
+        {"a": "1", "b": "0", "c": "0"},
+        {"k": (0.02, 0.06)},
+        (0, 1000),
+    )
+    tolerances = Tolerances(1e-7, np.array([[1e-9], [1e-13], [1e-9]]))
+    points = np.linspace(0.02, 0.06, 30)[:, None]
+    trajectories = STIFF.run(ro.compile(problem).system, points, (0.0, 1000.0), tolerances)
+    assert trajectories.end == 1000.0
+    assert len(inverted) == 2 * inverted.count(np.dtype(complex))
+    assert len(inverted) < trajectories.steps
+    np.testing.assert_allclose(trajectories.state.sum(axis=0), 1.0, atol=1e-9)
