@@ -269,3 +269,24 @@ def test_another_box_and_another_end():
     np.testing.assert_allclose(
         solution(2.4, point), PROBLEMS["dose"].trajectory(2.4, point).values, rtol=2 * RTOL
     )
+
+
+def test_an_event_that_few_trajectories_meet_before_the_end():
+    """The third spike comes before the end in a part of the box that no first trajectory sees."""
+    rate = "2.5 - ((p - 0.37)/0.63)**2/2 - ((q - 0.59)/0.59)**2/2 - ((r - 0.41)/0.59)**2/2"
+    spike = {"when": "x - 1", "direction": "rising", "then": {"x": 0}, "name": "spike"}
+    box = dict.fromkeys("pqr", (0, 1))
+    solution = ro.solve(problem({"x": rate}, {"x": 0}, box, 1.2121, [spike]), 1e-3)
+    assert solution.success
+    point = {"p": 0.37, "q": 0.59, "r": 0.41}
+    times = solution.event_times("spike", point)
+    np.testing.assert_allclose(times[np.isfinite(times)], [0.4, 0.8, 1.2], atol=1e-3)
+    np.testing.assert_allclose(solution(1.21, point), 0.025, atol=2e-3)
+
+
+def test_a_jump_that_triggers_a_marker():
+    mark = {"when": "x - 0.8", "direction": "rising", "name": "mark"}
+    dosed = problem({"x": "-p*x"}, {"x": 1}, {"p": (0.5, 1)}, 2, [mark], jumps={1: {"x": "x + 1"}})
+    solution = ro.solve(dosed, RTOL)
+    assert solution.success
+    np.testing.assert_allclose(solution.event_times("mark", p=[0.6, 0.9]), [[1.0, 1.0]], rtol=1e-6)

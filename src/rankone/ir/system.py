@@ -190,6 +190,12 @@ class Clock:
     cuts: tuple[float, ...] = ()
 
     @property
+    def terminal(self) -> bool:
+        """Whether the last event ends the trajectories."""
+        last = self.order.instants[-1:]
+        return any(self.system.events[k].terminal for instant in last for k in instant)
+
+    @property
     def length(self) -> float:
         """Length of the horizon."""
         return self.horizon[1] - self.horizon[0]

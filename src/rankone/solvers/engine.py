@@ -19,6 +19,7 @@ from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
+from rankone.trajectories.stretches import MoreEventsError, OrderError
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
 
@@ -29,6 +30,8 @@ _TRAIN_OPERATIONS = 2e9
 _TRAIN_SHARE = 0.4  # Largest share of the budget for train if cross follows
 # Share of the budget for cross if train follows: most systems need no second engine
 _CROSS_SHARE = 0.7
+# Most events before the end that some trajectories meet, beyond those that the first ones met
+_MOST_MORE_EVENTS = 2
 _AS_WRITTEN = Remedy("method='cross', the default, takes the system as it was written")
 
 
@@ -48,22 +51,33 @@ class Engine:
 
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance."""
+        if not system.events:
+            return self._solve(system, request, report)
+        first: OrderError | None = None
+        for more in range(1 + _MOST_MORE_EVENTS):
+            stages = Stages()
+            try:
+                with stages.of("reference"):
+                    clock = clock_of(system, request, more)
+                outcome = self._solve(*over_stretches(clock, request), report)
+                return replace(outcome, timeline=Timeline.of(clock))
+            except OutOfBudgetError as out:
+                return out_at_reference(out, system, stages)
+            except MoreEventsError as error:
+                first = first or error
+            except OrderError as error:
+                raise first or error from None
+        assert first is not None
+        raise first
+
+    def _solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         options = request.options_of(self.options)
-        stages = Stages()
-        try:
-            with stages.of("reference"):
-                clock = clock_of(system, request)
-        except OutOfBudgetError as out:
-            return out_at_reference(out, system, stages)
-        if clock is not None:
-            system, request = over_stretches(clock, request)
         with open_workers(system, options.executor) as workers:
 
             def marcher(reference_set: ReferenceSet) -> Marcher:
                 return self.marcher(request, reference_set, workers)
 
-            outcome = solve_in_attempts(marcher, options, system, request, report)
-        return outcome if clock is None else replace(outcome, timeline=Timeline.of(clock))
+            return solve_in_attempts(marcher, options, system, request, report)
 
     def run(
         self,

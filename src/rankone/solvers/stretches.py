@@ -19,16 +19,16 @@ _PILOT_RTOL = 1e-6  # Their relative tolerance
 _PILOT_FLOOR = 1e-6  # Size of a state, over that at the start, below which accuracy is absolute
 
 
-def clock_of(system: System, request: SolveRequest) -> Clock | None:
-    """The clock of a system with events, after some trajectories; None where it has none.
+def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
+    """The clock of a system with events, after some trajectories.
+
+    Other trajectories may meet so many ``more`` events before the end of the horizon.
 
     Raises
     ------
     OrderError
         If the trajectories do not meet the same events in the same order.
     """
-    if not system.events:
-        return None
     domain = request.domain
     in_time, *_ = system_cuts(system, domain)
     cuts = tuple(cut for cut in in_time.points if domain.horizon[0] < cut < domain.horizon[1])
@@ -38,7 +38,7 @@ def clock_of(system: System, request: SolveRequest) -> Clock | None:
     sizes = np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
     tolerances = Tolerances(_PILOT_RTOL, _PILOT_RTOL * _PILOT_FLOOR * sizes)
     chosen = integrator_for(timed, request.integrator, accuracy=_PILOT_RTOL)
-    order = event_order(timed, points, domain.horizon, chosen, tolerances)
+    order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
 
 

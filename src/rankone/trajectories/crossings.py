@@ -18,6 +18,7 @@ from rankone.trajectories.paths import NODES, Path, step_coefficients
 
 _SLOPE_STEP = 1e-7  # Step of a difference in time, relative to times and steps
 _CROSSING = 1e-3  # Slope where a path begins, over the mean one, from which it crosses a surface
+_ON_SURFACE = 0.1  # Height where a path begins, over its change to the next node: rounding
 _LOOK_COST = 10.0  # Operations of an event function for each number that it reads
 _MOST_HALVINGS = 12  # Most halvings of a step in which an event may hide
 _UNRESOLVED = 1e-3  # Error of a polynomial between the nodes, over its size, that may hide a root
@@ -136,6 +137,9 @@ class Crossings:
         found = [steps.begin[:0]] * self.count
         firsts = np.searchsorted(steps.owner, np.arange(self.count))
         began = firsts[[k in fired for fired in self.fired]]
+        # a reset may have moved the state away from the surface
+        moved = np.abs(heights[began, 1] - heights[began, 0])
+        began = began[np.abs(heights[began, 0]) <= _ON_SURFACE * moved]
         if began.size:
             heights[began, 0] = heights[began, 1]
             back = began[np.sign(heights[began, 0]) == event.direction]

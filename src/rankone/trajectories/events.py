@@ -44,7 +44,8 @@ class Occurrence:
 @dataclass
 class EventTrajectory:
     """A trajectory from event to event. It ``ends`` early at a terminal event, or where it cannot
-    go on; it is ``stuck`` where events accumulate at one instant. It was ``interrupted`` last at a
+    go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
+    them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
     time, and goes on for a ``stretch`` at once.
     """
 
@@ -55,6 +56,7 @@ class EventTrajectory:
     ends: bool = False
     stuck: bool = False
     rounds: int = 0
+    returned: bool = False
 
     @property
     def end(self) -> float:
@@ -193,7 +195,7 @@ class _Search:
         if not moved:
             return
         fired = [trajectories[k].fired for k in moved]
-        first = np.array([trajectories[k].rounds <= 1 for k in moved])
+        first = np.array([not trajectories[k].returned for k in moved])
         moving = [paths[k] for k in moved]
         crossings = Crossings(self.system, moving, points[moved], fired, first)
         of_events = [crossings.of(k, event) for k, event in enumerate(self.events)]
@@ -224,12 +226,15 @@ class _Search:
         cut = path.until(time, before)
         if cut.steps:
             trajectory.paths.append(cut)
-        trajectory.rounds = trajectory.rounds if self._at_once(cut) else 0
+        trajectory.returned = self._at_once(cut)
+        trajectory.rounds = trajectory.rounds if trajectory.returned else 0
         here, all_fired = trajectory.end, [*fired]
         while True:
             after = self._reset(fired, time, before, point)
             trajectory.occurrences += [Occurrence(k, here, before, after) for k in fired]
             trajectory.rounds += 1
+            if any(self.events[k].terminal for k in fired):
+                break
             fired = self._triggered(fired, time, (before, after), point)
             if not fired or trajectory.rounds >= MOST_ROUNDS:
                 break

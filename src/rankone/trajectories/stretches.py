@@ -50,6 +50,10 @@ class OrderError(ConvergenceError):
     """A trajectory does not meet the events of the others, or not in their order."""
 
 
+class MoreEventsError(OrderError):
+    """A trajectory meets more events before the end than those that told their order."""
+
+
 def timed_events(system: System, cuts: Sequence[float]) -> System:
     """The system with its jumps, and with cuts of its time that may move, as events."""
     jumps = system.jumps
@@ -83,8 +87,11 @@ def event_order(
     horizon: tuple[float, float],
     integrator: Integrator,
     tolerances: Tolerances,
+    more: int = 0,
 ) -> EventOrder:
     """The order of the events of trajectories at points (m, d).
+
+    Others may meet so many ``more`` before the end of the horizon.
 
     Raises
     ------
@@ -99,19 +106,22 @@ def event_order(
     instants = tuple(_ids(_instants(followed[longest], length)))
     some = Clock(system, EventOrder(instants, Ending.EVENT), horizon)
     terminal = bool(instants) and any(events[k].terminal for k in instants[-1])
-    if not terminal and min(counts) == max(counts):
+    if not terminal and min(counts) == max(counts) and not more:
         order = EventOrder(instants, Ending.HORIZON)
         for each, point in zip(followed, points, strict=True):
             _check_order(Clock(system, order, horizon), each, point)
         return order
     if not terminal:
+        count = len(instants) + 1 + more
         try:
-            further = _followed(some, integrator, points, tolerances, len(instants) + 1)
-            beyond = {tuple(_ids(_instants(each, length))[: len(instants) + 1]) for each in further}
-            if len(beyond) == 1 and len(next(iter(beyond))) > len(instants):
+            further = _followed(some, integrator, points, tolerances, count)
+            beyond = {tuple(_ids(_instants(each, length))[:count]) for each in further}
+            if len(beyond) == 1 and len(next(iter(beyond))) == count:
                 return EventOrder(beyond.pop(), Ending.EVENT)
         except ConvergenceError:
             pass
+    if more:
+        raise MoreEventsError("trajectories meet different numbers of events", remedy=_REMEDY)
     reached = _followed(some, integrator, points, tolerances, len(instants))
     for each, point in zip(reached, points, strict=True):
         _check_order(some, each, point)
@@ -368,6 +378,13 @@ class StretchIntegrator:
             row[1 : 1 + least] = [instant[0].time for instant in instants]
         if order.ending is Ending.HORIZON:
             borders[:, -1] = clock.horizon[1]
+        if order.ending is Ending.EVENT and not clock.terminal:
+            for early in np.flatnonzero(borders[:, -1] < clock.horizon[1])[:1]:
+                raise MoreEventsError(
+                    "a trajectory meets more events before the end than those that told their "
+                    f"order{_at(clock, points[early])}",
+                    remedy=_REMEDY,
+                )
         if order.ending is Ending.LENGTH:
             borders[:, -1] = borders[:, -2] + order.length
             self._finish(clock, followed, points, borders[:, -1], tolerances)
@@ -423,11 +440,9 @@ def _followed(
 ) -> list[EventTrajectory]:
     """Trajectories to the end of the horizon and to so many instants of events."""
     (start, end), length = clock.horizon, clock.length
-    ends_at_event = clock.order.ending is Ending.EVENT
 
     def enough(trajectory: EventTrajectory, edge: float) -> bool:
-        beyond = edge > end or ends_at_event
-        return beyond and len(_instants(trajectory, length)) >= count
+        return edge > end and len(_instants(trajectory, length)) >= count
 
     edges = [start, end, end + _FAR * length]
     if clock.order.ending is Ending.HORIZON:
@@ -473,15 +488,17 @@ def _check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> Non
     for number, (here, there) in enumerate(itertools.zip_longest(found, order.instants), 1):
         if here == there:
             continue
+        kind = OrderError
         if here is None:
             what = f"{named(there)}, event {number} elsewhere, does not come"
         elif there is None:
             if not exact or number > before:
                 return
             what = f"{named(here)} comes after the last event elsewhere"
+            kind = MoreEventsError
         else:
             what = f"event {number} is {named(here)}, elsewhere {named(there)}"
-        raise OrderError(
+        raise kind(
             f"events do not come in the same order everywhere: {what}{_at(clock, point)}",
             remedy=_REMEDY,
         )
