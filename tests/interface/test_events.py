@@ -234,6 +234,7 @@ def test_orders_that_differ_are_refused():
         ro.solve(crossing, 1e-3)
 
 
+@pytest.mark.slow
 def test_events_that_accumulate_are_refused():
     ball = problem({"y": "v", "v": "-9.81"}, {"y": 1, "v": 0}, {"e": (0.4, 0.5)}, 2, [BOUNCE])
     with pytest.raises(ro.ConvergenceError, match="events accumulate"):
@@ -253,6 +254,7 @@ def test_a_budget_ends_a_solve_with_events():
     assert not solution.success
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["stack", "single"])
 def test_integrators_agree(integrator):
     solution = ro.solve(PROBLEMS["relay"], RTOL, integrator=integrator)
@@ -271,6 +273,7 @@ def test_another_box_and_another_end():
     )
 
 
+@pytest.mark.slow
 def test_an_event_that_few_trajectories_meet_before_the_end():
     """The third spike comes before the end in a part of the box that no first trajectory sees."""
     rate = "2.5 - ((p - 0.37)/0.63)**2/2 - ((q - 0.59)/0.59)**2/2 - ((r - 0.41)/0.59)**2/2"
