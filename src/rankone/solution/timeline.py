@@ -53,7 +53,8 @@ class EventTimes(SolutionCore):
         Returns
         -------
         ndarray (largest count over the box, *broadcast shape of the values)
-            The times in order, NaN for those that are not reached by the end.
+            The times in order, NaN for those that are not reached by the end. Several at one
+            instant count as one.
 
         Raises
         ------
