@@ -293,3 +293,8 @@ def test_a_jump_that_triggers_a_marker():
     solution = ro.solve(dosed, RTOL)
     assert solution.success
     np.testing.assert_allclose(solution.event_times("mark", p=[0.6, 0.9]), [[1.0, 1.0]], rtol=1e-6)
+
+
+def test_the_first_order_system_prints_its_events():
+    text = repr(ro.compile(PROBLEMS["ball"]).first_order)
+    assert text.splitlines()[-1] == "  bounce: where y falls through 0: y -> 0, v -> -e*v"

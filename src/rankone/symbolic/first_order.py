@@ -15,7 +15,7 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
-from rankone.frontend.events import Event
+from rankone.frontend.events import Event, event_latex, event_texts
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.problem import Problem
 from rankone.ir.events import BOTH, FALLING, RISING
@@ -24,6 +24,8 @@ from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import Role
 from rankone.support.errors import check_kind
 from rankone.support.wording import aligned_equations, count, number, quote
+
+_DIRECTIONS = {"rising": RISING, "falling": FALLING, "both": BOTH}
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,11 +127,23 @@ class FirstOrderSystem(Stage):
         lines = [f"First-order system: {states}, {count(len(self.coordinates) - 1, 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._equations()]
         lines.append("  " + ", ".join(self._initial_texts()))
-        return "\n".join([*lines, *(f"  {text}" for text in self._jump_texts())])
+        texts = [*self._jump_texts(), *event_texts(self._events())]
+        return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
     def _repr_latex_(self) -> str:
         lines = [latex_of(equation) for equation in self._equations()]
-        return aligned_equations([*lines, *self._conditions_latex()])
+        events = event_latex(self._events())
+        return aligned_equations([*lines, *self._conditions_latex(), *events])
+
+    def _events(self) -> Iterator[Event]:
+        """The events in the states, with what they change."""
+        words = {direction: word for word, direction in _DIRECTIONS.items()}
+        for form in self.events:
+            then = None
+            if form.then is not None:
+                pairs = zip(self.functions, form.then, strict=True)
+                then = {state: after for state, after in pairs if state != after}
+            yield Event(form.when, words[form.direction], then, form.terminal, form.name)
 
 
 def first_order(problem: Problem) -> FirstOrderSystem:
@@ -185,8 +199,7 @@ def _event(event: Event, functions: Mapping[sp.Expr, sp.Expr]) -> EventForm:
     if event.then is not None:
         after = {states[u]: value.xreplace(states) for u, value in event.then.items()}
         then = tuple(after.get(u, u) for u in states.values())
-    direction = {"rising": RISING, "falling": FALLING, "both": BOTH}[event.direction]
-    when = event.when.xreplace(states)
+    when, direction = event.when.xreplace(states), _DIRECTIONS[event.direction]
     return EventForm(str(event.name), when, direction, then, event.terminal)
 
 
