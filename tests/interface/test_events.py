@@ -298,3 +298,10 @@ def test_a_jump_that_triggers_a_marker():
 def test_the_first_order_system_prints_its_events():
     text = repr(ro.compile(PROBLEMS["ball"]).first_order)
     assert text.splitlines()[-1] == "  bounce: where y falls through 0: y -> 0, v -> -e*v"
+
+
+def test_a_trajectory_that_blows_up_after_its_last_event_is_refused():
+    start = {"when": "t - 0.5", "direction": "rising", "then": {"s": 1}, "name": "start"}
+    runaway = problem({"x": "s*x**2", "s": "0"}, {"x": "k", "s": 0}, {"k": (0.5, 2)}, 1.2, [start])
+    with pytest.raises(ro.ConvergenceError, match=r"a trajectory ends at t = .* at k = 2"):
+        ro.solve(runaway, 1e-3)

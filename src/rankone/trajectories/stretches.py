@@ -28,6 +28,7 @@ from rankone.support.budget import charge
 from rankone.support.costs import function_cost
 from rankone.support.errors import ConvergenceError
 from rankone.support.wording import quote
+from rankone.trajectories.diagnosis import first_to_end
 from rankone.trajectories.events import EventTrajectory, Occurrence, integrate_to_events
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
@@ -451,11 +452,18 @@ def _followed(
     followed = integrate_to_events(
         integrator, clock.system, points, edges, tolerances, events, enough
     )
-    for each, point in zip(followed, points, strict=True):
+    early: list[int] = []
+    for k, each in enumerate(followed):
         terminal = bool(each.occurrences) and events[each.occurrences[-1].event].terminal
-        reached = len(_instants(each, length)) >= count
-        if (each.stuck and not reached) or (each.end < end and not (terminal or reached)):
-            raise _ends(clock, point, each.end, each.stuck)
+        if each.stuck and not terminal and len(_instants(each, length)) < count:
+            raise _ends(clock, points[k], each.end, stuck=True)
+        if not terminal and each.end < end - _SAME_INSTANT * length:
+            early.append(k)
+    if early:  # a stack ends where the first of its trajectories does
+        states = np.stack([followed[k].state for k in early], axis=1)
+        time = min(followed[k].end for k in early)
+        first = first_to_end(clock.system, time, states, points[early], tolerances.absolute)
+        raise _ends(clock, points[early[first]], time)
     return followed
 
 
