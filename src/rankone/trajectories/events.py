@@ -18,7 +18,7 @@ import numpy as np
 from rankone.ir.events import BOTH, SystemEvent
 from rankone.ir.system import System
 from rankone.support.arrays import Array
-from rankone.support.budget import OutOfBudgetError, Reached
+from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.trajectories.crossings import Crossings
 from rankone.trajectories.integrator import Integrator, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, joined
@@ -26,6 +26,7 @@ from rankone.trajectories.paths import NODES, Path, joined
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
 _INSTANT = 1e-12  # Part of the horizon within which times are the same instant
+_EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
 _STRETCH = 1.5  # Length of what is integrated after a reset, over the time since the last one
 _LEAST_STRETCH = 1e-3  # The same at least, in horizons
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
@@ -188,7 +189,12 @@ class _Search:
         points: Array,
         ends: Sequence[float],
     ) -> None:
-        """Follow each path to the first event that interrupts it, or to its end."""
+        """Follow each path to the first event that interrupts it, or to its end.
+
+        A stack ends early where one of its trajectories leaves where rates are finite. If an event
+        interrupted some of them before that, the others may go on without those.
+        """
+        charge(_EVENT_COST * len(paths))
         moved = [k for k, path in enumerate(paths) if path.steps]
         for each, path in zip(trajectories, paths, strict=True):
             each.ends |= not path.steps
@@ -199,9 +205,14 @@ class _Search:
         moving = [paths[k] for k in moved]
         crossings = Crossings(self.system, moving, points[moved], fired, first)
         of_events = [crossings.of(k, event) for k, event in enumerate(self.events)]
+        whole = []
         for place, k in enumerate(moved):
             crossed = [times[place] for times in of_events]
-            self._advance(trajectories[k], paths[k], points[k], ends[k], crossed)
+            if not self._advance(trajectories[k], paths[k], points[k], ends[k], crossed):
+                whole.append(trajectories[k])
+        if len(whole) < len(moved):
+            for each in whole:
+                each.ends = False
 
     def _advance(
         self,
@@ -210,8 +221,8 @@ class _Search:
         point: Array,
         end: float,
         crossings: Sequence[Array],
-    ) -> None:
-        """Follow a path with the times at which it crosses each event."""
+    ) -> bool:
+        """Follow a path, by the times at which it crosses each event; whether one interrupts it."""
         pairs = zip(self.events, crossings, strict=True)
         time = min((x for event, xs in pairs if event.interrupts for x in xs), default=math.inf)
         first, last = (time + sign * _INSTANT * self.horizon for sign in (-1.0, 1.0))
@@ -220,7 +231,7 @@ class _Search:
             trajectory.paths.append(path)
             trajectory.ends = path.end < end - _INSTANT * self.horizon
             trajectory.stretch, trajectory.rounds = _LONGER * trajectory.stretch, 0
-            return
+            return False
         fired = [k for k, xs in enumerate(crossings) if any(first <= x <= last for x in xs)]
         before = path(np.array([time]))[:, 0]
         cut = path.until(time, before)
@@ -244,6 +255,7 @@ class _Search:
         trajectory.stretch = max(_STRETCH * gap, _LEAST_STRETCH * self.horizon)
         terminal = any(self.events[k].terminal for k in all_fired)
         trajectory.ends = terminal or trajectory.stuck or not np.isfinite(after).all()
+        return True
 
     def _reset(self, fired: Sequence[int], time: float, state: Array, point: Array) -> Array:
         """The state after events at one instant, applied in their order."""

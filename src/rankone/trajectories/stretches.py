@@ -455,9 +455,10 @@ def _followed(
     early: list[int] = []
     for k, each in enumerate(followed):
         terminal = bool(each.occurrences) and events[each.occurrences[-1].event].terminal
-        if each.stuck and not terminal and len(_instants(each, length)) < count:
+        short = each.end < end - _SAME_INSTANT * length
+        if each.stuck and not terminal and (short or len(_instants(each, length)) < count):
             raise _ends(clock, points[k], each.end, stuck=True)
-        if not terminal and each.end < end - _SAME_INSTANT * length:
+        if not terminal and short:
             early.append(k)
     if early:  # a stack ends where the first of its trajectories does
         states = np.stack([followed[k].state for k in early], axis=1)
