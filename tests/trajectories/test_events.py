@@ -6,7 +6,7 @@ import pytest
 import rankone as ro
 from rankone.ir.events import SystemEvent
 from rankone.support.budget import OutOfWorkError, limited
-from rankone.trajectories.choice import integrator_for
+from rankone.trajectories.choice import span_integrator_for
 from rankone.trajectories.events import MOST_ROUNDS, integrate_to_events
 from rankone.trajectories.integrator import Tolerances
 
@@ -20,7 +20,7 @@ def system_of(rates, initial, box, end, **further):
 def trajectories(system, points, events, integrator, edges=None, rtol=1e-10):
     n = system.n_differential
     tolerances = Tolerances(rtol, np.full((n, 1), 1e-2 * rtol))
-    chosen = integrator_for(system, integrator, accuracy=rtol)
+    chosen = span_integrator_for(system, integrator, accuracy=rtol)
     edges = edges or list(system.horizon)
     return integrate_to_events(chosen, system, np.array(points), edges, tolerances, events)
 

@@ -37,9 +37,7 @@ from rankone.support.arrays import Array
 Numbers = Callable[[float, Array, Array], Array]
 """Maps time, states (n,) and parameters (d,) to as many numbers as there are expressions."""
 _SIDES = {"rising": 1, "falling": -1, "both": 0}  # To which side an event goes
-_SAMPLES = (
-    4097  # Times between which a function of time that is not linear is looked at for switches
-)
+_SAMPLES = 4097  # Times at which functions of time that are not linear are looked at for switches
 _ROUNDING = 64.0 * np.finfo(float).eps  # Relative error of what is computed from rounded numbers
 _ROOT_ACCURACY = 4.0 * np.finfo(float).eps  # Relative accuracy of times: a few roundings
 

@@ -19,7 +19,7 @@ from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
-from rankone.trajectories.stretches import MoreEventsError, OrderError
+from rankone.trajectories.event_order import MoreEventsError, OrderError
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from rankone.ir.request import Domain, SolveRequest
 from rankone.ir.system import Clock, System
-from rankone.trajectories.choice import integrator_for
+from rankone.trajectories.choice import span_integrator_for
+from rankone.trajectories.event_order import event_order
 from rankone.trajectories.integrator import Tolerances
-from rankone.trajectories.stretches import event_order, in_stretches, timed_events
+from rankone.trajectories.stretches import in_stretches, timed_events
 from rankone.verification.cuts import system_cuts
 from rankone.verification.points import check_points
 
@@ -37,7 +38,7 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
     largest = np.abs(system.initial(np.ascontiguousarray(points.T))).max(axis=1, keepdims=True)
     sizes = np.where(largest > 0.0, largest, largest.max(initial=0.0) or 1.0)
     tolerances = Tolerances(_PILOT_RTOL, _PILOT_RTOL * _PILOT_FLOOR * sizes)
-    chosen = integrator_for(timed, request.integrator, accuracy=_PILOT_RTOL)
+    chosen = span_integrator_for(timed, request.integrator, accuracy=_PILOT_RTOL)
     order = event_order(timed, points, domain.horizon, chosen, tolerances, more)
     return Clock(timed, order, domain.horizon, cuts)
 

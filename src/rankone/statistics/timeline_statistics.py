@@ -81,9 +81,9 @@ class TimelineStatistics(Statistics):
         table = np.empty((len(self.rows), points.size, times.size))
         spread = self.parameters.even_points(_EFFECT_POINTS)
         for k, place in enumerate(points):
-            given = spread.copy()
-            given[j] = place
-            table[:, k] = self.over_points(times, given, lambda states: states.mean(axis=1))
+            on_face = spread.copy()
+            on_face[j] = place
+            table[:, k] = self.over_points(times, on_face, lambda states: states.mean(axis=1))
         return table
 
     def higher(self, times: Array, central: bool, tolerance: float) -> Array:

@@ -76,9 +76,9 @@ class TimelineEvaluator:
             if i and slab.shares_parameters(self.slabs[i - 1]):
                 products.append(products[-1])
             else:
-                made = slab.with_slopes(points, free).reshape(-1, count, width)
+                columns = slab.with_slopes(points, free).reshape(-1, count, width)
                 # the value, then the derivatives in the order of the parameters
-                products.append(np.concatenate([made[:, :, :1], made[:, :, :0:-1]], axis=2))
+                products.append(np.concatenate([columns[:, :, :1], columns[:, :, :0:-1]], axis=2))
         borders = self._borders_with_slopes(products)
         pseudo, outside = self._pseudo_times(times, borders[..., 0])
         stretch = np.minimum(np.floor(pseudo), self._begins[-1]).astype(np.intp)
@@ -99,9 +99,9 @@ class TimelineEvaluator:
             slopes = np.einsum(
                 "ner,re->ne", for_states.derivative().in_time(pseudo[here]), at[:, :, 0]
             )
-            found = np.einsum("ner,rek->nek", in_time, at)
-            found[..., 1:] += slopes[..., None] * moved[here]
-            states[:, here] = found
+            changes = np.einsum("ner,rek->nek", in_time, at)
+            changes[..., 1:] += slopes[..., None] * moved[here]
+            states[:, here] = changes
         states[:, outside] = math.nan
         return states[..., 0], states[..., 1:]
 

@@ -18,6 +18,7 @@ from rankone.trajectories.integrator import (
     Integrator,
     SampledTrajectories,
     SeparateTrajectories,
+    SpanIntegrator,
     Spans,
     Tolerances,
 )
@@ -26,7 +27,7 @@ from rankone.trajectories.series import charge_compilation, has_series, is_insta
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks import StackedIntegrator
-from rankone.trajectories.stretches import StretchIntegrator
+from rankone.trajectories.stretch_integrator import StretchIntegrator
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
 _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
@@ -36,7 +37,7 @@ _LSODA_STEPS = 10.0  # Steps of LSODA at its tighter tolerances, for each one of
 _NEXT_LOOK = 1.25  # Factor on the work of a stack from one look at it to the next
 
 
-def integrator_for(
+def span_integrator_for(
     system: System,
     integrator: str = "auto",
     *,
@@ -44,23 +45,13 @@ def integrator_for(
     stiff: bool = False,
     bearable_steps: int = 0,
     looks_anywhere: bool = False,
-) -> Integrator:
+) -> SpanIntegrator:
     """The integrator for a system, the one place that chooses it.
 
     ``integrator`` is the option of a solve, and ``accuracy`` the relative tolerance of its
     reference. The others are those of :class:`StackedIntegrator`; stacks look anywhere only in
     systems that do not separate.
     """
-    if system.clock is not None:
-        inner = integrator_for(
-            system.clock.system,
-            integrator,
-            accuracy=accuracy,
-            stiff=stiff,
-            bearable_steps=bearable_steps,
-            looks_anywhere=looks_anywhere,
-        )
-        return StretchIntegrator(inner, integrator)
     single = SingleIntegrator(looks_anywhere)
     if integrator == "single":
         return single
@@ -72,6 +63,28 @@ def integrator_for(
         charge_compilation(system, order_of(accuracy))
         return CompiledIntegrator(watched, accuracy)
     return watched
+
+
+def integrator_for(
+    system: System,
+    integrator: str = "auto",
+    *,
+    accuracy: float,
+    stiff: bool = False,
+    bearable_steps: int = 0,
+    looks_anywhere: bool = False,
+) -> Integrator:
+    """The integrator for a system, also for one in stretches; see :func:`span_integrator_for`."""
+    clock = system.clock
+    chosen = span_integrator_for(
+        system if clock is None else clock.system,
+        integrator,
+        accuracy=accuracy,
+        stiff=stiff,
+        bearable_steps=bearable_steps,
+        looks_anywhere=looks_anywhere,
+    )
+    return chosen if clock is None else StretchIntegrator(chosen, integrator)
 
 
 def tell_fallback(system: System, integrator: str) -> None:
@@ -181,7 +194,7 @@ class WatchedStack:
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> Sequence[Path]:
-        """Trajectories of spans of their own; see :meth:`Integrator.paths`."""
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
         return paths_over_shares(self.run, system, points, spans, tolerances)
 
     def _watched(

@@ -25,8 +25,8 @@ from rankone.support.costs import CALL, Cost, function_cost
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     DenseTrajectories,
-    Integrator,
     SampledTrajectories,
+    SpanIntegrator,
     Spans,
     Tolerances,
 )
@@ -101,7 +101,7 @@ class CompiledIntegrator:
     integrated in this way is left to the integrator ``otherwise``, from the start.
     """
 
-    otherwise: Integrator
+    otherwise: SpanIntegrator
     accuracy: float
 
     def run(
@@ -139,7 +139,7 @@ class CompiledIntegrator:
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> Sequence[Path]:
-        """Paths, which are not compiled; see :meth:`Integrator.paths`."""
+        """Paths, which are not compiled; see :meth:`SpanIntegrator.paths`."""
         return self.otherwise.paths(system, points, spans, tolerances)
 
 

@@ -134,7 +134,7 @@ class Crossings:
         """
         steps = self.steps.resolved(event)
         heights = steps.heights(event, NODES, steps.nodal)
-        found = [steps.begin[:0]] * self.count
+        instants = [steps.begin[:0]] * self.count
         firsts = np.searchsorted(steps.owner, np.arange(self.count))
         began = firsts[[k in fired for fired in self.fired]]
         # a reset may have moved the state away from the surface
@@ -146,7 +146,7 @@ class Crossings:
             if event.then is not None and back.size:
                 through = self.first[steps.owner[back]] & self._crosses(event, steps, back)
                 for start in back[~through]:
-                    found[steps.owner[start]] = steps.begin[start : start + 1]
+                    instants[steps.owner[start]] = steps.begin[start : start + 1]
         before, after = np.sign(heights[:, :-1]), np.sign(heights[:, 1:])
         # not a number is no side
         crossed = (before != after) & (before != 0.0) & np.isfinite(before) & np.isfinite(after)
@@ -157,14 +157,14 @@ class Crossings:
         if event.interrupts:
             owners, chosen = np.unique(owners, return_index=True)
             rows, nodes = rows[chosen], nodes[chosen]
-        fresh = np.array([not found[owner].size for owner in owners], dtype=bool)
+        fresh = np.array([not instants[owner].size for owner in owners], dtype=bool)
         rows, nodes, owners = rows[fresh], nodes[fresh], owners[fresh]
         if not rows.size:
-            return found
+            return instants
         times = _roots(event, steps, rows, nodes, heights)
         for owner in np.unique(owners):
-            found[owner] = times[owners == owner]
-        return found
+            instants[owner] = times[owners == owner]
+        return instants
 
     def _crosses(
         self, event: SystemEvent, steps: _Steps, starts: NDArray[np.intp]
@@ -202,8 +202,8 @@ def _roots(
             states = states * x + coefficient
         return _heights(event, begin + length * places, states.T, parameters)
 
-    found = roots(height, heights[rows, nodes], heights[rows, nodes + 1])
-    return np.asarray(begin + length * (a + width * found))
+    shares = roots(height, heights[rows, nodes], heights[rows, nodes + 1])
+    return np.asarray(begin + length * (a + width * shares))
 
 
 def _heights(event: SystemEvent, times: Array, states: Array, parameters: Array) -> Array:

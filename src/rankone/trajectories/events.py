@@ -20,7 +20,7 @@ from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.trajectories.crossings import Crossings
-from rankone.trajectories.integrator import Integrator, Spans, Tolerances
+from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
 from rankone.trajectories.paths import NODES, Path, joined
 
 MOST_ROUNDS = 100
@@ -97,7 +97,7 @@ class EventTrajectory:
 
 
 def integrate_to_events(
-    integrator: Integrator,
+    integrator: SpanIntegrator,
     system: System,
     points: Array,
     edges: Sequence[float],
@@ -171,7 +171,7 @@ class _Search:
 
     def paths(
         self,
-        integrator: Integrator,
+        integrator: SpanIntegrator,
         trajectories: Sequence[EventTrajectory],
         points: Array,
         ends: Array,

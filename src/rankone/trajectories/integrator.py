@@ -132,6 +132,10 @@ class Integrator(Protocol):
     ) -> SampledTrajectories:
         """Trajectories at ascending times (T,) alone."""
 
+
+class SpanIntegrator(Integrator, Protocol):
+    """An integrator that can give each trajectory a span of its own."""
+
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> Sequence[Path]:

@@ -26,7 +26,7 @@ _Run: TypeAlias = Callable[[System, Array, Sequence[float], Tolerances], Separat
 def paths_over_shares(
     run: _Run, system: System, points: Array, spans: Spans, tolerances: Tolerances
 ) -> list[Path]:
-    """The paths of spans; see :meth:`Integrator.paths`."""
+    """The paths of spans; see :meth:`SpanIntegrator.paths`."""
     lengths = spans.ends - spans.starts
     n = len(spans.states)
     moved = np.column_stack([points, spans.states.T, spans.starts, lengths])

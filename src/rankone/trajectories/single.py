@@ -113,7 +113,7 @@ class SingleIntegrator:
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> list[Path]:
-        """Trajectories of spans of their own; see :meth:`Integrator.paths`."""
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
         system, paths = replace(system, jumps=Jumps()), list[Path]()
         each = zip(points, spans.starts.tolist(), spans.states.T, spans.ends.tolist(), strict=True)
         for point, a, state, b in each:

@@ -99,7 +99,7 @@ class StackedIntegrator:
     def paths(
         self, system: System, points: Array, spans: Spans, tolerances: Tolerances
     ) -> Sequence[Path]:
-        """Trajectories of spans of their own; see :meth:`Integrator.paths`."""
+        """Trajectories of spans of their own; see :meth:`SpanIntegrator.paths`."""
         return paths_over_shares(self.run, system, points, spans, tolerances)
 
 

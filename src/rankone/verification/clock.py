@@ -12,7 +12,7 @@ from rankone.ir.system import Clock
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.timeline import TimelineEvaluator
-from rankone.trajectories.stretches import StretchTrajectories
+from rankone.trajectories.stretch_integrator import StretchTrajectories
 from rankone.verification.reference import Reference
 
 _TIMES = 41  # Evenly spaced times of the horizon at which values are compared
@@ -39,13 +39,13 @@ def clock_errors(
     for k, (point, (batch, at)) in enumerate(zip(reference.points, _each(reference), strict=True)):
         times = _compared(clock, batch, at, rtol)
         exact = batch.at(at, times)
-        found = evaluator.curves(times[:, None], point[:, None], rows)[:, :, 0]
+        solution = evaluator.curves(times[:, None], point[:, None], rows)[:, :, 0]
         missing = np.isnan(exact)
         if missing.any() and not clock.terminal:
             errors[:, k] = np.inf
             continue
-        defects = np.abs(found - exact)
-        defects = np.where(missing & np.isnan(found), 0.0, np.nan_to_num(defects, nan=np.inf))
+        defects = np.abs(solution - exact)
+        defects = np.where(missing & np.isnan(solution), 0.0, np.nan_to_num(defects, nan=np.inf))
         errors[:, k] = defects.max(axis=1, initial=0.0)
         exact_borders = batch.borders[at]
         inside = exact_borders <= clock.horizon[1]

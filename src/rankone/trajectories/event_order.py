@@ -1,0 +1,202 @@
+"""The order in which the trajectories of a box meet their events, and what does not follow it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from rankone.ir.events import Ending, EventOrder
+from rankone.ir.system import Clock, System
+from rankone.support.arrays import Array
+from rankone.support.errors import ConvergenceError
+from rankone.support.wording import quote
+from rankone.trajectories.diagnosis import first_to_end
+from rankone.trajectories.events import EventTrajectory, Occurrence, integrate_to_events
+from rankone.trajectories.integrator import SpanIntegrator, Tolerances
+
+_FAR = 4.0  # Horizons beyond the horizon up to which events are waited for
+_SPARE = 0.05  # Length of a last stretch beyond what all known trajectories need, over that
+SAME_INSTANT = 1e-11
+"""Part of the horizon within which events are at one instant."""
+_REMEDY = "narrow the box to where all trajectories meet the same events in the same order"
+
+
+class OrderError(ConvergenceError):
+    """A trajectory does not meet the events of the others, or not in their order."""
+
+
+class MoreEventsError(OrderError):
+    """A trajectory meets more events before the end than those that told their order."""
+
+
+def event_order(
+    system: System,
+    points: Array,
+    horizon: tuple[float, float],
+    integrator: SpanIntegrator,
+    tolerances: Tolerances,
+    more: int = 0,
+) -> EventOrder:
+    """The order of the events of trajectories at points (m, d).
+
+    Others may meet so many ``more`` before the end of the horizon.
+
+    Raises
+    ------
+    OrderError
+        If it is not the same at all of them, except for what comes after the horizon.
+    """
+    events, end = system.events, horizon[1]
+    followed = integrate_to_events(integrator, system, points, horizon, tolerances, events)
+    length = end - horizon[0]
+    counts = [len(instants_of(each, length)) for each in followed]
+    longest = int(np.argmax(counts))
+    instants = tuple(_ids(instants_of(followed[longest], length)))
+    some = Clock(system, EventOrder(instants, Ending.EVENT), horizon)
+    terminal = bool(instants) and any(events[k].terminal for k in instants[-1])
+    if not terminal and min(counts) == max(counts) and not more:
+        order = EventOrder(instants, Ending.HORIZON)
+        for each, point in zip(followed, points, strict=True):
+            check_order(Clock(system, order, horizon), each, point)
+        return order
+    if not terminal:
+        count = len(instants) + 1 + more
+        try:
+            further = follow(some, integrator, points, tolerances, count)
+            beyond = {tuple(_ids(instants_of(each, length))[:count]) for each in further}
+            if len(beyond) == 1 and len(next(iter(beyond))) == count:
+                return EventOrder(beyond.pop(), Ending.EVENT)
+        except ConvergenceError:
+            pass
+    if more:
+        raise MoreEventsError("trajectories meet different numbers of events", remedy=_REMEDY)
+    reached = follow(some, integrator, points, tolerances, len(instants))
+    for each, point in zip(reached, points, strict=True):
+        check_order(some, each, point)
+    if terminal:
+        return some.order
+    last = min(instants_of(each, length)[len(instants) - 1][0].time for each in reached)
+    return EventOrder(instants, Ending.LENGTH, (1.0 + _SPARE) * (end - last))
+
+
+def follow(
+    clock: Clock, integrator: SpanIntegrator, points: Array, tolerances: Tolerances, count: int
+) -> list[EventTrajectory]:
+    """Trajectories to the end of the horizon and to so many instants of events."""
+    (start, end), length = clock.horizon, clock.length
+
+    def enough(trajectory: EventTrajectory, edge: float) -> bool:
+        return edge > end and len(instants_of(trajectory, length)) >= count
+
+    edges = [start, end, end + _FAR * length]
+    if clock.order.ending is Ending.HORIZON:
+        edges = edges[:2]
+    events = clock.system.events
+    followed = integrate_to_events(
+        integrator, clock.system, points, edges, tolerances, events, enough
+    )
+    early: list[int] = []
+    for k, each in enumerate(followed):
+        terminal = bool(each.occurrences) and events[each.occurrences[-1].event].terminal
+        short = each.end < end - SAME_INSTANT * length
+        if each.stuck and not terminal and (short or len(instants_of(each, length)) < count):
+            raise end_error(clock, points[k], each.end, stuck=True)
+        if not terminal and short:
+            early.append(k)
+    if early:  # a stack ends where the first of its trajectories does
+        states = np.stack([followed[k].state for k in early], axis=1)
+        time = min(followed[k].end for k in early)
+        first = first_to_end(clock.system, time, states, points[early], tolerances.absolute)
+        raise end_error(clock, points[early[first]], time)
+    return followed
+
+
+def instants_of(trajectory: EventTrajectory, length: float) -> list[list[Occurrence]]:
+    """The events of a trajectory, those at one instant together."""
+    instants: list[list[Occurrence]] = []
+    for each in trajectory.occurrences:
+        if instants and each.time - instants[-1][0].time <= SAME_INSTANT * length:
+            instants[-1].append(each)
+        else:
+            instants.append([each])
+    return instants
+
+
+def _ids(instants: Sequence[Sequence[Occurrence]]) -> list[tuple[int, ...]]:
+    return [tuple(sorted(each.event for each in instant)) for instant in instants]
+
+
+def check_order(clock: Clock, trajectory: EventTrajectory, point: Array) -> None:
+    """Raise an OrderError if a trajectory does not meet the events in their order."""
+    events, order = clock.system.events, clock.order
+    instants = instants_of(trajectory, clock.length)
+    met = _ids(instants)
+    before = sum(instant[0].time < clock.horizon[1] for instant in instants)
+    exact = order.ending is not Ending.EVENT
+
+    def named(ids: Sequence[int]) -> str:
+        return " with ".join(quote(events[k].name) for k in ids)
+
+    for number, (here, there) in enumerate(itertools.zip_longest(met, order.instants), 1):
+        if here == there:
+            continue
+        kind = OrderError
+        if here is None:
+            what = f"{named(there)}, event {number} elsewhere, does not come"
+        elif there is None:
+            if not exact or number > before:
+                return
+            what = f"{named(here)} comes after the last event elsewhere"
+            kind = MoreEventsError
+        else:
+            what = f"event {number} is {named(here)}, elsewhere {named(there)}"
+        raise kind(
+            f"events do not come in the same order everywhere: {what}{at_point(clock, point)}",
+            remedy=_REMEDY,
+        )
+
+
+def end_error(clock: Clock, point: Array, time: float, stuck: bool = False) -> OrderError:
+    """The error for a trajectory that ends at a time."""
+    why = "events accumulate" if stuck else "it cannot be integrated further"
+    return OrderError(
+        f"a trajectory ends at t = {time:.6g}{at_point(clock, point)}: {why}",
+        remedy="shorten the horizon or narrow the box",
+    )
+
+
+def at_point(clock: Clock, point: Array) -> str:
+    names = clock.system.parameters
+    named = ", ".join(f"{name} = {x:.6g}" for name, x in zip(names, point, strict=True))
+    return f" at {named}" if named else ""
+
+
+def stretch_borders(clock: Clock, trajectories: Sequence[EventTrajectory], points: Array) -> Array:
+    """Clock times (m, stretches + 1) at which the stretches of trajectories begin and end.
+
+    Raises
+    ------
+    OrderError
+        If a trajectory does not meet the events in their order, or more of them before the end.
+    """
+    order, (start, end) = clock.order, clock.horizon
+    count = len(order.instants)
+    borders = np.empty((len(points), order.stretches + 1))
+    borders[:, 0] = start
+    for each, point, row in zip(trajectories, points, borders, strict=True):
+        check_order(clock, each, point)
+        row[1 : 1 + count] = [i[0].time for i in instants_of(each, clock.length)[:count]]
+    if order.ending is Ending.HORIZON:
+        borders[:, -1] = end
+    elif order.ending is Ending.LENGTH:
+        borders[:, -1] = borders[:, -2] + order.length
+    elif not clock.terminal and (borders[:, -1] < end).any():
+        early = int(np.argmin(borders[:, -1]))
+        raise MoreEventsError(
+            "a trajectory meets more events before the end than those that told their order"
+            f"{at_point(clock, points[early])}",
+            remedy=_REMEDY,
+        )
+    return borders

@@ -1,0 +1,202 @@
+"""Trajectories over the pseudo-time of stretches, integrated over clock time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rankone.ir.events import Ending, SystemEvent
+from rankone.ir.system import Clock, System
+from rankone.ir.timeline import CLOCK_STATES
+from rankone.support.arrays import Array
+from rankone.trajectories.event_order import SAME_INSTANT, end_error, follow, stretch_borders
+from rankone.trajectories.events import EventTrajectory
+from rankone.trajectories.integrator import (
+    EARLY_STEPS,
+    SampledTrajectories,
+    SpanIntegrator,
+    Spans,
+    Tolerances,
+)
+from rankone.trajectories.paths import Path, joined
+
+
+@dataclass(frozen=True)
+class StretchTrajectories:
+    """Trajectories over the pseudo-time of stretches. Fulfils :class:`DenseTrajectories`.
+
+    ``borders`` (m, stretches + 1) are the clock times at which stretches begin and end.
+    """
+
+    trajectories: Sequence[EventTrajectory]
+    clock: Clock
+    borders: Array
+    integrator: str
+    method: str
+    avoided: float = 0.0
+
+    @property
+    def start(self) -> float:
+        return 0.0
+
+    @property
+    def end(self) -> float:
+        return float(self.clock.order.stretches)
+
+    @property
+    def steps(self) -> int:
+        return max(each.steps for each in self.trajectories)
+
+    @property
+    def has_begun(self) -> bool:
+        return True
+
+    @property
+    def state(self) -> Array:
+        return self(np.array([self.end]))[:, :, 0]
+
+    @property
+    def last(self) -> Array:
+        return self.state
+
+    @property
+    def largest(self) -> Array:
+        return self._largest(None)
+
+    @property
+    def early(self) -> Array:
+        return self._largest(EARLY_STEPS)
+
+    def _largest(self, steps: int | None) -> Array:
+        """Largest absolute values after any of the first steps of a stretch, (n + 2, m)."""
+        lengths = np.diff(self.borders, axis=1)
+        clock = np.stack([np.abs(self.borders).max(axis=1), np.abs(lengths).max(axis=1)])
+        states = [
+            np.max([path.largest(steps) for path in each.paths], axis=0)
+            for each in self.trajectories
+        ]
+        return np.concatenate([np.stack(states, axis=1), clock])
+
+    def __call__(self, times: Array) -> Array:
+        """States, clock and length of the stretch (n + 2, m, T) at pseudo-times (T,)."""
+        stretch = np.clip(np.floor(times).astype(int), 0, self.clock.order.stretches - 1)
+        n = self.clock.system.n_differential
+        lengths = np.diff(self.borders, axis=1)[:, stretch]
+        at = self.borders[:, stretch] + (times - stretch) * lengths
+        states = np.empty((n + CLOCK_STATES, len(self.trajectories), times.size))
+        states[n], states[n + 1] = at, lengths
+        for k, paths in enumerate(self._paths):
+            for i in np.unique(stretch):
+                here = stretch == i
+                states[:n, k, here] = paths[i](at[k, here])
+        return states
+
+    def at(self, k: int, times: Array) -> Array:
+        """States (n, T) of one trajectory at clock times (T,), NaN after its end."""
+        return self.trajectories[k](times)
+
+    def samples(self, count: int) -> list[tuple[float, Array]]:
+        s = np.linspace(0.0, self.end, count + 2)[1:]
+        return list(zip(s.tolist(), np.moveaxis(self(s), 2, 0), strict=True))
+
+    @cached_property
+    def _paths(self) -> list[list[Callable[[Array], Array]]]:
+        """For each trajectory its states over clock time on each stretch."""
+        events = self.clock.system.events
+        each = zip(self.trajectories, self.borders, strict=True)
+        return [_paths(trajectory, events, borders) for trajectory, borders in each]
+
+
+def _paths(
+    trajectory: EventTrajectory, events: Sequence[SystemEvent], borders: Array
+) -> list[Callable[[Array], Array]]:
+    """The states of a trajectory over each stretch: a path between two resets serves several."""
+    resets = [o for o in trajectory.occurrences if events[o.event].interrupts]
+    times = np.unique([o.time for o in resets])
+    pieces: dict[int, list[Path]] = {}
+    for path in trajectory.paths:
+        if path.steps:
+            piece = int(np.searchsorted(times, path.breaks[0], side="right"))
+            pieces.setdefault(piece, []).append(path)
+    whole = {piece: joined(paths) for piece, paths in pieces.items()}
+    after = {int(np.searchsorted(times, o.time, side="right")): o.after for o in resets}
+
+    def resting(state: Array) -> Callable[[Array], Array]:
+        return lambda t: np.repeat(state[:, None], t.size, axis=1)
+
+    over: list[Callable[[Array], Array]] = []
+    for begin in borders[:-1]:
+        piece = int(np.searchsorted(times, begin, side="right"))
+        over.append(whole[piece] if piece in whole else resting(after[piece]))
+    return over
+
+
+@dataclass(frozen=True)
+class StretchIntegrator:
+    """An :class:`Integrator` of systems in stretches: integrates over clock time, by another one.
+
+    An OrderError says where a trajectory does not meet the events of the others.
+    """
+
+    integrator: SpanIntegrator
+    name: str
+
+    def run(
+        self, system: System, points: Array, edges: Sequence[float], tolerances: Tolerances
+    ) -> StretchTrajectories:
+        """Trajectories at all pseudo-times, always to their end; see :meth:`Integrator.run`."""
+        clock = system.clock
+        assert clock is not None
+        assert tuple(edges[:: len(edges) - 1]) == system.horizon
+        n, order = clock.system.n_differential, clock.order
+        per_stretch = clock.length / order.stretches
+        tolerances = replace(
+            tolerances,
+            absolute=np.broadcast_to(tolerances.absolute, (n + CLOCK_STATES, 1))[:n],
+            longest_step=tolerances.longest_step * per_stretch,
+        )
+        trajectories = follow(clock, self.integrator, points, tolerances, len(order.instants))
+        borders = stretch_borders(clock, trajectories, points)
+        if order.ending is Ending.LENGTH:
+            self._finish(clock, trajectories, points, borders[:, -1], tolerances)
+        single = self.name == "single"
+        method = "LSODA" if single else "DOP853"
+        name = "single" if single else "stack"
+        return StretchTrajectories(trajectories, clock, borders, name, method)
+
+    def sample(
+        self,
+        system: System,
+        points: Array,
+        edges: Sequence[float],
+        tolerances: Tolerances,
+        times: Array,
+    ) -> SampledTrajectories:
+        """Trajectories at ascending pseudo-times; see :meth:`Integrator.sample`."""
+        dense = self.run(system, points, edges, tolerances)
+        states = np.moveaxis(dense(times), 2, 0)
+        return SampledTrajectories(states, times.size, dense.end, states[-1], dense.integrator)
+
+    def _finish(
+        self,
+        clock: Clock,
+        trajectories: Sequence[EventTrajectory],
+        points: Array,
+        ends: Array,
+        tolerances: Tolerances,
+    ) -> None:
+        """Go on to the ends, beyond the horizon without events."""
+        short = [k for k, each in enumerate(trajectories) if each.end < ends[k]]
+        if not short:
+            return
+        starts = np.array([trajectories[k].end for k in short])
+        states = np.stack([trajectories[k].state for k in short], axis=1)
+        spans = Spans(starts, states, ends[short])
+        paths = self.integrator.paths(clock.system, points[short], spans, tolerances)
+        for k, path in zip(short, paths, strict=True):
+            if path.end < ends[k] - SAME_INSTANT * clock.length:
+                raise end_error(clock, points[k], path.end)
+            trajectories[k].paths.append(path)
