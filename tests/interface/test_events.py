@@ -219,6 +219,9 @@ def test_what_does_not_take_events_says_so(call, what, tmp_path):
 def test_events_of_another_name():
     with pytest.raises(ro.EvaluationError, match=r"no event `bounc` \(did you mean `bounce`"):
         solved("ball").event_times("bounc", h=1.0, c=0.05, e=0.8)
+    for call in (lambda s: s.end(0.5, h=1.0), lambda s: s.end(t=0.5, h=1.0, c=0.05, e=0.8)):
+        with pytest.raises(ro.EvaluationError, match="depend on the parameters alone"):
+            call(solved("ball"))
     decay = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
     with pytest.raises(ro.EvaluationError, match="no events"):
         ro.solve(decay, 1e-3).event_times("bounce", k=1)
@@ -252,6 +255,8 @@ def test_a_budget_ends_a_solve_with_events():
     with limited(1e6):
         solution = ro.solve(PROBLEMS["relay"], 1e-6)
     assert not solution.success
+    with pytest.raises(ro.EvaluationError, match="nothing was solved"):
+        solution.event_times("on", k=1, m=4)
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from rankone.discretization.coordinates import name_of
@@ -23,9 +25,11 @@ class EventTimes(SolutionCore):
         Raises
         ------
         EvaluationError
-            If the problem has no events.
+            If the problem has no events, or nothing was solved.
         """
         timeline = self.outcome.timeline
+        if not self.outcome.slabs:
+            raise EvaluationError(f"nothing was solved: {self.message}")
         if timeline is None:
             raise EvaluationError("the problem has no events, and the solution no timeline")
         return timeline
@@ -103,8 +107,14 @@ class EventTimes(SolutionCore):
 
     def _parameters(self, at: tuple[object, ...], named: dict[str, object]) -> list[Array]:
         """The values of the parameters; times are no coordinate here."""
-        start = {self.metadata.time: self.time[0]}
-        if at and not isinstance(at[0], dict):
-            raise EvaluationError("the times of events depend on the parameters alone", term=at[0])
-        gathered = self._coordinates.gather(at, {**start, **named})
+        clock = self.metadata.time
+        timed = [one for one in at if not isinstance(one, Mapping)]
+        timed += [keys for keys in (*at, named) if isinstance(keys, Mapping) and clock in keys]
+        if timed:
+            raise EvaluationError(
+                "the times of events depend on the parameters alone",
+                term=timed[0],
+                remedy="leave the time out",
+            )
+        gathered = self._coordinates.gather(at, {clock: self.time[0], **named})
         return self._coordinates.arrays(gathered)[1:]
