@@ -193,6 +193,26 @@ def test_statistics_are_those_of_samples():
     assert indices.total.sum() >= 0.95
 
 
+def test_statistics_are_those_without_events():
+    """A marker changes nothing; statistics are from points then."""
+    rhs = {"x": "p", "y": "q", "p": "-c*p", "q": "-9.81 - c*q"}
+    initial = {"x": 0, "y": 0, "p": "w*cos(a)", "q": "w*sin(a)"}
+    box = {"w": (15, 25), "a": (0.6, 0.9), "c": (0.05, 0.1)}
+    marker = {"when": "t - 0.5", "direction": "rising", "name": "marker"}
+    exact, marked = (
+        ro.solve(problem(rhs, initial, box, 1.2, events), 1e-6) for events in ([], [marker])
+    )
+    spread = exact.std(1.0)
+    np.testing.assert_allclose(marked.mean(1.0), exact.mean(1.0), atol=2e-3 * spread.min())
+    np.testing.assert_allclose(marked.std(1.0), spread, rtol=2e-3)
+    for order in ("skewness", "kurtosis"):
+        theirs, ours = (getattr(solution, order)(1.0) for solution in (exact, marked))
+        np.testing.assert_allclose(ours, theirs, atol=2e-2)
+    theirs, ours = exact.sobol([1.0]), marked.sobol([1.0])
+    for order in ("first", "total", "second"):
+        np.testing.assert_allclose(getattr(ours, order), getattr(theirs, order), atol=2e-2)
+
+
 def test_statistics_are_over_what_still_runs():
     with pytest.warns(ro.RankoneWarning, match="still running: .* % of the box"):
         mean = solved("projectile").mean(2.2)

@@ -17,8 +17,8 @@ from rankone.support.errors import warn
 from rankone.tensors.timeline import TimelineEvaluator
 
 POINTS = 2**15
-"""Evenly spread points of a statistic: means are good to about 1e-4 of the spread."""
-_SOBOL_POINTS = 2**13  # Random points of each sample of Sobol indices: good to about 1e-2
+"""Evenly spread points of a statistic: means and spreads are good to 2e-3 of the spread."""
+_SOBOL_POINTS = 2**13  # Random points of each sample of Sobol indices: good to 2e-2
 _EFFECT_POINTS = 2**11  # Points over the other parameters for each value of one parameter
 _TIMES_AT_ONCE = 32  # Times, and points, at which states are held together
 _POINTS_AT_ONCE = 1024
