@@ -64,7 +64,7 @@ def event_order(
     if not terminal:
         count = len(instants) + 1 + more
         try:
-            further = follow(some, integrator, points, tolerances, count)
+            further = follow(some, integrator, points, tolerances, count, followed)
             beyond = {tuple(_ids(instants_of(each, length))[:count]) for each in further}
             if len(beyond) == 1 and len(next(iter(beyond))) == count:
                 return EventOrder(beyond.pop(), Ending.EVENT)
@@ -72,7 +72,7 @@ def event_order(
             pass
     if more:
         raise MoreEventsError("trajectories meet different numbers of events", remedy=_REMEDY)
-    reached = follow(some, integrator, points, tolerances, len(instants))
+    reached = follow(some, integrator, points, tolerances, len(instants), followed)
     for each, point in zip(reached, points, strict=True):
         check_order(some, each, point)
     if terminal:
@@ -82,9 +82,17 @@ def event_order(
 
 
 def follow(
-    clock: Clock, integrator: SpanIntegrator, points: Array, tolerances: Tolerances, count: int
+    clock: Clock,
+    integrator: SpanIntegrator,
+    points: Array,
+    tolerances: Tolerances,
+    count: int,
+    begun: Sequence[EventTrajectory] = (),
 ) -> list[EventTrajectory]:
-    """Trajectories to the end of the horizon and to so many instants of events."""
+    """Trajectories to the end of the horizon and to so many instants of events.
+
+    They go on from those that have ``begun``, which have reached the end of the horizon.
+    """
     (start, end), length = clock.horizon, clock.length
 
     def enough(trajectory: EventTrajectory, edge: float) -> bool:
@@ -93,9 +101,11 @@ def follow(
     edges = [start, end, end + _FAR * length]
     if clock.order.ending is Ending.HORIZON:
         edges = edges[:2]
+    if begun:
+        edges = edges[1:]
     events = clock.system.events
     followed = integrate_to_events(
-        integrator, clock.system, points, edges, tolerances, events, enough
+        integrator, clock.system, points, edges, tolerances, events, enough, begun
     )
     early: list[int] = []
     for k, each in enumerate(followed):

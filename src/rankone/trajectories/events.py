@@ -21,7 +21,7 @@ from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.trajectories.crossings import Crossings
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import NODES, Path, joined
+from rankone.trajectories.paths import NODES, Path, Paths, joined
 
 MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
@@ -83,6 +83,17 @@ class EventTrajectory:
         """The events where it is now."""
         return frozenset(each.event for each in self.occurrences if each.time == self.end)
 
+    def copy(self) -> EventTrajectory:
+        """One that may go on by itself."""
+        return replace(self, paths=[*self.paths], occurrences=[*self.occurrences])
+
+    def reach(self, path: Path, returned: bool) -> None:
+        """Follow a path up to an event, and whether it was there at once."""
+        if path.steps:
+            self.paths.append(path)
+        self.returned = returned
+        self.rounds = self.rounds if returned else 0
+
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""
         return np.array([each.time for each in self.occurrences if each.event == event])
@@ -104,17 +115,16 @@ def integrate_to_events(
     tolerances: Tolerances,
     events: Sequence[SystemEvent],
     enough: Callable[[EventTrajectory, float], bool] | None = None,
+    begun: Sequence[EventTrajectory] = (),
 ) -> list[EventTrajectory]:
     """The trajectories at points (m, d), with events.
 
-    States are reset at the edges where the system jumps, and after that by events. A trajectory is
-    followed no further once it is ``enough`` on the way to the next edge. An OutOfBudgetError says
-    which time all trajectories have reached.
+    They go on from those that have ``begun``, if any. States are reset at the edges where the
+    system jumps, and after that by events. A trajectory is followed no further once it is
+    ``enough`` on the way to the next edge. An OutOfBudgetError says which time all trajectories
+    have reached.
     """
-    states = system.initial(np.ascontiguousarray(points.T)).T
-    nothing = np.zeros((0, NODES.size, states.shape[1]))
-    start = np.array([edges[0]])
-    trajectories = [EventTrajectory([Path(start, nothing, each)], edges[0]) for each in states]
+    trajectories = [each.copy() for each in begun] or _begin(system, points, edges[0])
     search = _Search(system, tuple(events), edges[-1] - edges[0], tolerances)
     for a, b in itertools.pairwise(edges):
         search.jump(trajectories, points, a)
@@ -131,6 +141,13 @@ def integrate_to_events(
             except OutOfBudgetError as out:
                 raise type(out)(_reached(some, out.reached)) from out
     return trajectories
+
+
+def _begin(system: System, points: Array, time: float) -> list[EventTrajectory]:
+    """Trajectories at their first time."""
+    states = system.initial(np.ascontiguousarray(points.T)).T
+    nothing = np.zeros((0, NODES.size, states.shape[1]))
+    return [EventTrajectory([Path(np.array([time]), nothing, each)], time) for each in states]
 
 
 def _reached(trajectories: Sequence[EventTrajectory], further: Reached | None) -> Reached:
@@ -195,102 +212,134 @@ class _Search:
         interrupted some of them before that, the others may go on without those.
         """
         charge(_EVENT_COST * len(paths))
-        moved = [k for k, path in enumerate(paths) if path.steps]
         for each, path in zip(trajectories, paths, strict=True):
             each.ends |= not path.steps
+        moved = [k for k, path in enumerate(paths) if path.steps]
         if not moved:
             return
-        fired = [trajectories[k].fired for k in moved]
-        first = np.array([not trajectories[k].returned for k in moved])
-        moving = [paths[k] for k in moved]
-        crossings = Crossings(self.system, moving, points[moved], fired, first)
+        some = [trajectories[k] for k in moved]
+        moving = Paths.of([paths[k] for k in moved])
+        fired = [each.fired for each in some]
+        first = np.array([not each.returned for each in some])
+        crossings = Crossings(self.system, [paths[k] for k in moved], points[moved], fired, first)
         of_events = [crossings.of(k, event) for k, event in enumerate(self.events)]
-        whole = []
+        crossed = [[times[place] for times in of_events] for place in range(len(moved))]
+        next_times = np.array([self._next(each) for each in crossed])
         for place, k in enumerate(moved):
-            crossed = [times[place] for times in of_events]
-            if not self._advance(trajectories[k], paths[k], points[k], ends[k], crossed):
-                whole.append(trajectories[k])
-        if len(whole) < len(moved):
-            for each in whole:
-                each.ends = False
+            self._record(some[place], paths[k], crossed[place], next_times[place])
+        interrupted = np.flatnonzero(next_times < math.inf)
+        for place in np.flatnonzero(next_times == math.inf):
+            each, k = some[place], moved[place]
+            each.paths.append(paths[k])
+            each.stretch, each.rounds = _LONGER * each.stretch, 0
+            each.ends = not interrupted.size and each.end < ends[k] - _INSTANT * self.horizon
+        if interrupted.size:
+            at = next_times[interrupted]
+            met = moving.chosen(interrupted)
+            before = met(at[:, None])[:, :, 0]
+            cuts = met.until(at, before)
+            for place, cut in zip(interrupted, cuts, strict=True):
+                some[place].reach(cut, self._at_once(cut))
+            fired_now = [self._fired(crossed[place], next_times[place]) for place in interrupted]
+            at_points = np.ascontiguousarray(points[moved][interrupted].T)
+            self._apply([some[place] for place in interrupted], fired_now, at, before, at_points)
 
-    def _advance(
-        self,
-        trajectory: EventTrajectory,
-        path: Path,
-        point: Array,
-        end: float,
-        crossings: Sequence[Array],
-    ) -> bool:
-        """Follow a path, by the times at which it crosses each event; whether one interrupts it."""
+    def _next(self, crossings: Sequence[Array]) -> float:
+        """The time of the first event that interrupts, infinite if none does."""
         pairs = zip(self.events, crossings, strict=True)
-        time = min((x for event, xs in pairs if event.interrupts for x in xs), default=math.inf)
-        first, last = (time + sign * _INSTANT * self.horizon for sign in (-1.0, 1.0))
-        self._record(trajectory, path, crossings, first)
-        if time == math.inf:
-            trajectory.paths.append(path)
-            trajectory.ends = path.end < end - _INSTANT * self.horizon
-            trajectory.stretch, trajectory.rounds = _LONGER * trajectory.stretch, 0
-            return False
-        fired = [k for k, xs in enumerate(crossings) if any(first <= x <= last for x in xs)]
-        before = path(np.array([time]))[:, 0]
-        cut = path.until(time, before)
-        if cut.steps:
-            trajectory.paths.append(cut)
-        trajectory.returned = self._at_once(cut)
-        trajectory.rounds = trajectory.rounds if trajectory.returned else 0
-        here, all_fired = trajectory.end, [*fired]
-        while True:
-            after = self._reset(fired, time, before, point)
-            trajectory.occurrences += [Occurrence(k, here, before, after) for k in fired]
-            trajectory.rounds += 1
-            if any(self.events[k].terminal for k in fired):
-                break
-            fired = self._triggered(fired, time, (before, after), point)
-            if not fired or trajectory.rounds >= MOST_ROUNDS:
-                break
-            before, all_fired = after, all_fired + fired
-        trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
-        gap, trajectory.interrupted = time - trajectory.interrupted, time
-        trajectory.stretch = max(_STRETCH * gap, _LEAST_STRETCH * self.horizon)
-        terminal = any(self.events[k].terminal for k in all_fired)
-        trajectory.ends = terminal or trajectory.stuck or not np.isfinite(after).all()
-        return True
+        return min((x for event, xs in pairs if event.interrupts for x in xs), default=math.inf)
 
-    def _reset(self, fired: Sequence[int], time: float, state: Array, point: Array) -> Array:
-        """The state after events at one instant, applied in their order."""
-        for k in fired:
-            reset = self.events[k].then
-            if reset is not None:
-                now = reset(np.array([time]), state[:, None], point[:, None])
-                state = np.asarray(now, dtype=float).reshape(-1)
-        return state
+    def _fired(self, crossings: Sequence[Array], time: float) -> list[int]:
+        """The events at a time."""
+        first, last = (time + sign * _INSTANT * self.horizon for sign in (-1.0, 1.0))
+        return [k for k, xs in enumerate(crossings) if any(first <= x <= last for x in xs)]
+
+    def _apply(
+        self,
+        trajectories: Sequence[EventTrajectory],
+        fired: list[list[int]],
+        times: Array,
+        states: Array,
+        points: Array,
+    ) -> None:
+        """Apply the events that each trajectory has met at its time, and what they trigger.
+
+        Times are (m,), states (n, m) and points (d, m).
+        """
+        active, all_fired = np.arange(len(trajectories)), [[*each] for each in fired]
+        before, last = states, states.copy()
+        while active.size:
+            after = self._reset(fired, times[active], before, points[:, active])
+            last[:, active] = after
+            for place, each, *pair in zip(active, fired, before.T, after.T, strict=True):
+                trajectory = trajectories[place]
+                here = trajectory.end
+                trajectory.occurrences += [Occurrence(k, here, *pair) for k in each]
+                trajectory.rounds += 1
+            triggered = self._triggered(fired, times[active], (before, after), points[:, active])
+            goes_on = np.array(
+                [
+                    bool(further)
+                    and not any(self.events[k].terminal for k in each)
+                    and trajectories[place].rounds < MOST_ROUNDS
+                    for place, each, further in zip(active, fired, triggered, strict=True)
+                ]
+            )
+            fired = [each for each, on in zip(triggered, goes_on, strict=True) if on]
+            active, before = active[goes_on], after[:, goes_on]
+            for place, each in zip(active, fired, strict=True):
+                all_fired[place] += each
+        pairs = zip(trajectories, times.tolist(), last.T, all_fired, strict=True)
+        for trajectory, time, state, each in pairs:
+            trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
+            gap, trajectory.interrupted = time - trajectory.interrupted, time
+            trajectory.stretch = max(_STRETCH * gap, _LEAST_STRETCH * self.horizon)
+            terminal = any(self.events[k].terminal for k in each)
+            trajectory.ends = terminal or trajectory.stuck or not np.isfinite(state).all()
+
+    def _reset(
+        self, fired: Sequence[Sequence[int]], times: Array, states: Array, points: Array
+    ) -> Array:
+        """The states (n, m) after events at times (m,), applied in their order."""
+        states = states.copy()
+        for k, event in enumerate(self.events):
+            met = np.array([k in each for each in fired], dtype=bool)
+            if event.then is not None and met.any():
+                now = event.then(times[met], states[:, met], points[:, met])
+                states[:, met] = np.asarray(now, dtype=float).reshape(len(states), -1)
+        return states
 
     def _triggered(
-        self, fired: Sequence[int], time: float, states: tuple[Array, Array], point: Array
-    ) -> list[int]:
-        """The events whose surface a reset, from one state to another, jumps across."""
-        if np.array_equal(*states):
-            return []
-        columns = np.stack(states, axis=1)
-        times, points = np.full(2, time), np.repeat(point[:, None], 2, axis=1)
-        triggered = []
+        self,
+        fired: Sequence[Sequence[int]],
+        times: Array,
+        states: tuple[Array, Array],
+        points: Array,
+    ) -> list[list[int]]:
+        """The events whose surface a reset, from some states (n, m) to others, jumps across."""
+        triggered: list[list[int]] = [[] for _ in fired]
         for k, event in enumerate(self.events):
-            if k in fired:
-                continue
             with np.errstate(all="ignore"):
-                before, after = np.sign(np.broadcast_to(event.when(times, columns, points), 2))
-            if before * after < 0.0 and event.direction in (BOTH, after):
-                triggered.append(k)
+                before, after = (
+                    np.broadcast_to(np.sign(event.when(times, each, points)), times.shape)
+                    for each in states
+                )
+            crossed = before * after < 0.0
+            if event.direction != BOTH:
+                crossed &= after == event.direction
+            for place in np.flatnonzero(crossed):
+                if k not in fired[place]:
+                    triggered[place].append(k)
         return triggered
 
     def _at_once(self, path: Path) -> bool:
         return bool(path.end - path.breaks[0] <= _INSTANT * self.horizon)
 
     def _record(
-        self, trajectory: EventTrajectory, path: Path, crossings: Sequence[Array], end: float
+        self, trajectory: EventTrajectory, path: Path, crossings: Sequence[Array], time: float
     ) -> None:
-        """Record the events on a path that change nothing, up to an end."""
+        """Record the events on a path that change nothing, before those at a time."""
+        end = time - _INSTANT * self.horizon
         passed = sorted((x, k) for k, xs in enumerate(crossings) for x in xs.tolist() if x < end)
         if passed:
             states = path(np.array([time for time, _ in passed])).T

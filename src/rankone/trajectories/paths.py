@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
@@ -30,6 +31,12 @@ class Path:
     breaks: Array
     nodal: Array
     state: Array
+
+    @classmethod
+    def resting(cls, time: float, state: Array) -> Path:
+        """One that rests in a state (n,) from a time."""
+        breaks = np.array([time, 2.0 * abs(time) + 1.0])
+        return cls(breaks, np.repeat(state[None, None], NODES.size, axis=1), state)
 
     @property
     def end(self) -> float:
@@ -60,17 +67,6 @@ class Path:
         """Largest absolute values after any of the first steps, (n,)."""
         return np.asarray(np.abs(self.nodal[:steps, -1]).max(axis=0, initial=0.0))
 
-    def until(self, time: float, state: Array) -> Path:
-        """The path up to a time, where it has a state (n,)."""
-        steps = int(np.searchsorted(self.breaks, time, side="left"))
-        breaks = np.append(self.breaks[:steps], time)
-        if steps == 0:
-            return Path(breaks[-1:], self.nodal[:0], state)
-        nodal = self.nodal[:steps].copy()
-        times = breaks[-2] + (time - breaks[-2]) * NODES
-        nodal[-1] = self(times).T
-        return Path(breaks, nodal, state)
-
     def over_times(self, start: float, end: float) -> Path:
         """A path over the share of the way as one over times.
 
@@ -78,6 +74,60 @@ class Path:
         """
         breaks = start + (end - start) * self.breaks
         return replace(self, breaks=np.where(self.breaks == 1.0, end, breaks))
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Several paths, which are read together.
+
+    ``breaks`` (m, S + 1) are padded with infinity, ``first`` (m,) is the first step of each path,
+    and ``nodal`` (steps of all, nodes, n) are the states at the nodes of the steps.
+    """
+
+    breaks: Array
+    first: NDArray[np.intp]
+    nodal: Array
+
+    @classmethod
+    def of(cls, paths: Sequence[Path]) -> Paths:
+        """Paths that have each made a step."""
+        counts = np.array([path.steps for path in paths], dtype=np.intp)
+        breaks = np.full((len(paths), counts.max() + 1), np.inf)
+        for row, path in zip(breaks, paths, strict=True):
+            row[: path.steps + 1] = path.breaks
+        nodal = np.concatenate([path.nodal for path in paths])
+        return cls(breaks, np.cumsum(counts) - counts, nodal)
+
+    def __call__(self, times: Array) -> Array:
+        """States (n, m, T) at times (m, T) of each path, after a jump at its time."""
+        charge(_READ_COST(times.size * self.nodal.shape[2]))
+        steps = np.isfinite(self.breaks).sum(axis=1) - 1
+        place = (self.breaks[:, None, :] <= times[:, :, None]).sum(axis=2) - 1
+        place = np.clip(place, 0, steps[:, None] - 1)
+        begin, end = (np.take_along_axis(self.breaks, place + k, axis=1) for k in (0, 1))
+        powers = np.vander((2.0 * (times - begin) / (end - begin) - 1.0).ravel(), NODES.size, True)
+        weights = (powers @ _TO_POWERS)[:, None, :]
+        chosen = (self.first[:, None] + place).ravel()
+        states = np.matmul(weights, self.nodal[chosen])
+        return np.moveaxis(states.reshape(*times.shape, -1), 2, 0)
+
+    def chosen(self, places: NDArray[np.intp]) -> Paths:
+        """Some of them."""
+        return replace(self, breaks=self.breaks[places], first=self.first[places])
+
+    def until(self, times: Array, states: Array) -> list[Path]:
+        """Each path up to a time (m,), where it has a state (n, m)."""
+        counts = (self.breaks < times[:, None]).sum(axis=1)
+        begin = np.take_along_axis(self.breaks, np.maximum(counts - 1, 0)[:, None], axis=1)
+        last = self(begin + (times[:, None] - begin) * NODES)
+        cut = []
+        for k, (count, first) in enumerate(zip(counts, self.first, strict=True)):
+            breaks = np.append(self.breaks[k, :count], times[k])
+            nodal = self.nodal[first : first + count].copy()
+            if count:
+                nodal[-1] = last[:, k].T
+            cut.append(Path(breaks, nodal, states[:, k]))
+        return cut
 
 
 def step_coefficients(nodal: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +21,7 @@ from rankone.trajectories.integrator import (
     Spans,
     Tolerances,
 )
-from rankone.trajectories.paths import Path, joined
+from rankone.trajectories.paths import Path, Paths, joined
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,9 @@ class StretchTrajectories:
         at = self.borders[:, stretch] + (times - stretch) * lengths
         states = np.empty((n + CLOCK_STATES, len(self.trajectories), times.size))
         states[n], states[n + 1] = at, lengths
-        for k, paths in enumerate(self._paths):
-            for i in np.unique(stretch):
-                here = stretch == i
-                states[:n, k, here] = paths[i](at[k, here])
+        for i in np.unique(stretch):
+            here = stretch == i
+            states[:n, :, here] = self._paths[i](at[:, here])
         return states
 
     def at(self, k: int, times: Array) -> Array:
@@ -103,17 +102,18 @@ class StretchTrajectories:
         return list(zip(s.tolist(), np.moveaxis(self(s), 2, 0), strict=True))
 
     @cached_property
-    def _paths(self) -> list[list[Callable[[Array], Array]]]:
-        """For each trajectory its states over clock time on each stretch."""
+    def _paths(self) -> list[Paths]:
+        """The trajectories over clock time on each stretch."""
         events = self.clock.system.events
         each = zip(self.trajectories, self.borders, strict=True)
-        return [_paths(trajectory, events, borders) for trajectory, borders in each]
+        paths = [_paths(trajectory, events, borders) for trajectory, borders in each]
+        return [Paths.of(stretch) for stretch in zip(*paths, strict=True)]
 
 
 def _paths(
     trajectory: EventTrajectory, events: Sequence[SystemEvent], borders: Array
-) -> list[Callable[[Array], Array]]:
-    """The states of a trajectory over each stretch: a path between two resets serves several."""
+) -> list[Path]:
+    """A trajectory over each stretch: a path between two resets serves several."""
     resets = [o for o in trajectory.occurrences if events[o.event].interrupts]
     times = np.unique([o.time for o in resets])
     pieces: dict[int, list[Path]] = {}
@@ -122,16 +122,11 @@ def _paths(
             piece = int(np.searchsorted(times, path.breaks[0], side="right"))
             pieces.setdefault(piece, []).append(path)
     whole = {piece: joined(paths) for piece, paths in pieces.items()}
-    after = {int(np.searchsorted(times, o.time, side="right")): o.after for o in resets}
-
-    def resting(state: Array) -> Callable[[Array], Array]:
-        return lambda t: np.repeat(state[:, None], t.size, axis=1)
-
-    over: list[Callable[[Array], Array]] = []
-    for begin in borders[:-1]:
-        piece = int(np.searchsorted(times, begin, side="right"))
-        over.append(whole[piece] if piece in whole else resting(after[piece]))
-    return over
+    for o in resets:  # where the next one is at once, the trajectory rests
+        piece = int(np.searchsorted(times, o.time, side="right"))
+        if piece not in pieces:
+            whole[piece] = Path.resting(o.time, o.after)
+    return [whole[int(np.searchsorted(times, t, side="right"))] for t in borders[:-1]]
 
 
 @dataclass(frozen=True)
