@@ -2,8 +2,9 @@
 
 Trajectories are integrated from reset to reset, so that no step straddles one; events that change
 nothing are recorded along the way. After a reset each trajectory has a start of its own, and goes
-on for about as long as the last reset came after the one before it, and then for longer. A stack
-integrates over the share of such a stretch, in which all trajectories begin and end together.
+on for about as long as it took from the same events to the next ones before, and then for longer.
+A stack integrates over the share of such a stretch, in which all trajectories begin and end
+together.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ MOST_ROUNDS = 100
 """Events of a trajectory at one instant, after which it ends."""
 _INSTANT = 1e-12  # Part of the horizon within which times are the same instant
 _EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
-_STRETCH = 1.5  # Length of what is integrated after a reset, over the time since the last one
+_STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
 _LEAST_STRETCH = 1e-3  # The same at least, in horizons
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
 
@@ -47,12 +48,15 @@ class EventTrajectory:
     """A trajectory from event to event. It ``ends`` early at a terminal event, or where it cannot
     go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
     them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
-    time, and goes on for a ``stretch`` at once.
+    time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
+    such events to the next ones.
     """
 
     paths: list[Path]
     interrupted: float
     stretch: float = math.inf
+    met: tuple[int, ...] = ()
+    gaps: dict[tuple[int, ...], float] = field(default_factory=dict)
     occurrences: list[Occurrence] = field(default_factory=list)
     ends: bool = False
     stuck: bool = False
@@ -85,7 +89,8 @@ class EventTrajectory:
 
     def copy(self) -> EventTrajectory:
         """One that may go on by itself."""
-        return replace(self, paths=[*self.paths], occurrences=[*self.occurrences])
+        occurrences, gaps = [*self.occurrences], {**self.gaps}
+        return replace(self, paths=[*self.paths], occurrences=occurrences, gaps=gaps)
 
     def reach(self, path: Path, returned: bool) -> None:
         """Follow a path up to an event, and whether it was there at once."""
@@ -93,6 +98,12 @@ class EventTrajectory:
             self.paths.append(path)
         self.returned = returned
         self.rounds = self.rounds if returned else 0
+
+    def leave(self, time: float, met: tuple[int, ...], least: float) -> None:
+        """Go on after events: as long as after the same ones before, or as after the last ones."""
+        gap, self.interrupted = time - self.interrupted, time
+        self.gaps[self.met], self.met = gap, met
+        self.stretch = max(_STRETCH * self.gaps.get(met, gap), least)
 
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""
@@ -228,7 +239,7 @@ class _Search:
         for place, k in enumerate(moved):
             self._record(some[place], paths[k], crossed[place], next_times[place])
         interrupted = np.flatnonzero(next_times < math.inf)
-        for place in np.flatnonzero(next_times == math.inf):
+        for place in np.flatnonzero(next_times == math.inf).tolist():
             each, k = some[place], moved[place]
             each.paths.append(paths[k])
             each.stretch, each.rounds = _LONGER * each.stretch, 0
@@ -238,11 +249,11 @@ class _Search:
             met = moving.chosen(interrupted)
             before = met(at[:, None])[:, :, 0]
             cuts = met.until(at, before)
-            for place, cut in zip(interrupted, cuts, strict=True):
+            for place, cut in zip(interrupted.tolist(), cuts, strict=True):
                 some[place].reach(cut, self._at_once(cut))
-            fired_now = [self._fired(crossed[place], next_times[place]) for place in interrupted]
+            fired_now = [self._fired(crossed[k], next_times[k]) for k in interrupted.tolist()]
             at_points = np.ascontiguousarray(points[moved][interrupted].T)
-            self._apply([some[place] for place in interrupted], fired_now, at, before, at_points)
+            self._apply([some[k] for k in interrupted.tolist()], fired_now, at, before, at_points)
 
     def _next(self, crossings: Sequence[Array]) -> float:
         """The time of the first event that interrupts, infinite if none does."""
@@ -271,7 +282,7 @@ class _Search:
         while active.size:
             after = self._reset(fired, times[active], before, points[:, active])
             last[:, active] = after
-            for place, each, *pair in zip(active, fired, before.T, after.T, strict=True):
+            for place, each, *pair in zip(active.tolist(), fired, before.T, after.T, strict=True):
                 trajectory = trajectories[place]
                 here = trajectory.end
                 trajectory.occurrences += [Occurrence(k, here, *pair) for k in each]
@@ -282,18 +293,17 @@ class _Search:
                     bool(further)
                     and not any(self.events[k].terminal for k in each)
                     and trajectories[place].rounds < MOST_ROUNDS
-                    for place, each, further in zip(active, fired, triggered, strict=True)
+                    for place, each, further in zip(active.tolist(), fired, triggered, strict=True)
                 ]
             )
             fired = [each for each, on in zip(triggered, goes_on, strict=True) if on]
             active, before = active[goes_on], after[:, goes_on]
-            for place, each in zip(active, fired, strict=True):
+            for place, each in zip(active.tolist(), fired, strict=True):
                 all_fired[place] += each
         pairs = zip(trajectories, times.tolist(), last.T, all_fired, strict=True)
         for trajectory, time, state, each in pairs:
             trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
-            gap, trajectory.interrupted = time - trajectory.interrupted, time
-            trajectory.stretch = max(_STRETCH * gap, _LEAST_STRETCH * self.horizon)
+            trajectory.leave(time, tuple(each), _LEAST_STRETCH * self.horizon)
             terminal = any(self.events[k].terminal for k in each)
             trajectory.ends = terminal or trajectory.stuck or not np.isfinite(state).all()
 
@@ -327,7 +337,7 @@ class _Search:
             crossed = before * after < 0.0
             if event.direction != BOTH:
                 crossed &= after == event.direction
-            for place in np.flatnonzero(crossed):
+            for place in np.flatnonzero(crossed).tolist():
                 if k not in fired[place]:
                     triggered[place].append(k)
         return triggered
