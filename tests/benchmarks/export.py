@@ -1,11 +1,12 @@
 """Wall clock of the exported targets: ``python tests/benchmarks/export.py``.
 
 Import time and length of the standalone solver, and the time of one evaluation of the C model
-against the Python call, on one core.
+against the Python call, on one core. With ``--events`` the latter alone, for systems with events.
 """
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import shutil
 import statistics
@@ -21,6 +22,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[2] / "src")]
 
 import rankone as ro  # noqa: E402
+from tests.benchmarks.events import SYSTEMS  # noqa: E402
 from tests.problems import EXAMPLES  # noqa: E402
 
 REPEATS = 7
@@ -97,7 +99,35 @@ def python_time(solution: ro.Solution) -> float:
     return best(run, len(calls))
 
 
+def print_calls(solution: ro.Solution, folder: Path) -> None:
+    """Print the times of one call from Python and in C."""
+    solution.export(folder / "model.c")
+    python = python_time(solution)
+    print(f"  Python call {python * 1e6:.1f} us")
+    for flags, real in (
+        (["-O2"], np.float64),
+        (["-O3", "-march=native"], np.float64),
+        (["-O3", "-march=native", "-DMODEL_FLOAT"], np.float32),
+    ):
+        c = c_times(solution, folder, flags, real)
+        print(f"  C {c * 1e6:6.2f} us, {python / c:5.1f} x, {1 / c:.2g} points/s: {flags}")
+
+
+def with_events() -> None:
+    for name, (system, rtol) in SYSTEMS.items():
+        with tempfile.TemporaryDirectory() as place:
+            solution = ro.solve(system, rtol=rtol)
+            parameters = len(solution.parameters)
+            print(f"{name}: {solution.timeline.stretches} stretches, {parameters} parameters")
+            print_calls(solution, Path(place))
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--events", action="store_true")
+    if parser.parse_args().events:
+        with_events()
+        return
     for name, example in EXAMPLES.items():
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
@@ -108,17 +138,7 @@ def main() -> None:
             lines = path.read_text().count("\n")
             print(f"{name}: solver {lines} lines, written in {seconds:.2f} s", end=", ")
             print(f"imported in {import_time(folder):.3f} s beyond NumPy and SciPy")
-            solution = compiled.solve(rtol=example.RTOL)
-            solution.export(folder / "model.c")
-            python = python_time(solution)
-            print(f"  Python call {python * 1e6:.1f} us")
-            for flags, real in (
-                (["-O2"], np.float64),
-                (["-O3", "-march=native"], np.float64),
-                (["-O3", "-march=native", "-DMODEL_FLOAT"], np.float32),
-            ):
-                c = c_times(solution, folder, flags, real)
-                print(f"  C {c * 1e6:6.2f} us, {python / c:5.1f} x, {1 / c:.2g} points/s: {flags}")
+            print_calls(compiled.solve(rtol=example.RTOL), folder)
 
 
 if __name__ == "__main__":

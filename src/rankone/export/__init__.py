@@ -6,8 +6,10 @@ module              subject
 ``standalone``      the standalone solver in Python
 ``bundler``         whole modules of the library inside one file
 ``program``         solving, loading and the command line of the standalone solver
-``packing``         a solution as plain tables, made smaller if it may differ
+``packing``         a solution as plain tables
+``rounding``        smaller tables, if a model may differ from its solution
 ``model_program``   evaluation of the solved model in Python
+``model_stretches`` the same over the stretches between events
 ``model_python``    the solved model in Python
 ``model_c``         the solved model in C99
 ``model_js``        the solved model in JavaScript
@@ -129,6 +131,8 @@ def export_model(
         ".mjs": javascript_model,
         ".fmu": partial(fmu_model, fmi=version, timeless=solution.metadata.timeless),
     }
+    if target.suffix not in (".py", ".c"):
+        solution.outcome.slabs_over_clock_time(f"a {MODELS[target.suffix]}")
     if target.suffix == ".html":
         check_states(states)
         return export_page(

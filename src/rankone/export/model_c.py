@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.export.packing import PackedModel
+from rankone.export.packing import PackedModel, PackedTimeline
 from rankone.export.scales import scale_expressions
 from rankone.export.templates import TERMS, c_comment, c_string, comment, filled, wrapped
 from rankone.support import __version__
@@ -60,7 +60,10 @@ def c_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "time_upper": _number(model.intervals[0][1]),
         **_tables(model),
         **_scales(model),
+        **_timeline(model, prefix.upper()),
     }
+    evaluation = "model_stretches.c.in" if model.timeline else "model_slabs.c.in"
+    fields["evaluation"] = filled(evaluation, fields)
     return {
         path: filled("model.c.in", fields),
         path.with_suffix(".h"): filled("model.h.in", fields),
@@ -91,13 +94,53 @@ def _indices(model: PackedModel, prefix: str) -> str:
     """Positions of parameters and unknowns by name."""
     lines = []
     for group, names in (("P", model.coordinates[1:]), ("U", model.unknowns)):
-        words = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
-        for name in (name for name in names if name not in words):
-            word = c_identifier(name)
-            while word in words.values():
-                word += "_"
-            words[name] = word
+        words = _words(names)
         lines += [f"#define {prefix}_{group}_{words[name]} {k}" for k, name in enumerate(names)]
+    return "\n".join(lines)
+
+
+def _words(names: Sequence[str]) -> dict[str, str]:
+    """Identifiers of names, of which those that need no change keep their own."""
+    words = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
+    for name in (name for name in names if name not in words):
+        word = c_identifier(name)
+        while word in words.values():
+            word += "_"
+        words[name] = word
+    return words
+
+
+def _timeline(model: PackedModel, prefix: str) -> dict[str, str]:
+    """The tables of the stretches between events, or nothing."""
+    timeline = model.timeline
+    if timeline is None:
+        return {"events": "", "in_pseudo": ""}
+    names = [c_string(" and ".join(instant)) for instant in timeline.instants]
+    return {
+        "events": "yes",
+        "in_pseudo": ", in pseudo-time",
+        "stretches": str(timeline.stretches),
+        "run_count": str(len(timeline.borders)),
+        "border_room": str(_padded(timeline.stretches + 1, _BLOCK) + _BLOCK),
+        "ends_there": str(int(timeline.ends_there)),
+        "terminal": str(int(timeline.terminal)),
+        "first_slabs": wrapped(map(str, timeline.first_slabs)),
+        "runs_of_slabs": wrapped(map(str, timeline.runs)),
+        "first_of_runs": ", ".join(map(str, timeline.first_of_runs)),
+        "instants": str(len(timeline.instants)),
+        "instant_room": str(max(len(names), 1)),
+        "instant_names": ", ".join(names or ['""']),
+        "instant_indices": _instant_indices(timeline, prefix),
+    }
+
+
+def _instant_indices(timeline: PackedTimeline, prefix: str) -> str:
+    """Positions of the times of events by name and occurrence."""
+    names = list(dict.fromkeys(name for instant in timeline.instants for name in instant))
+    lines: list[str] = []
+    for name, word in _words(names).items():
+        for count, i in enumerate(timeline.occurrences(name)):
+            lines.append(f"#define {prefix}_T_{word}_{count} {i}")
     return "\n".join(lines)
 
 
@@ -133,6 +176,7 @@ def _tables(model: PackedModel) -> dict[str, str]:
         "slabs": str(len(model.slabs)),
         "starts": wrapped(map(_number, model.starts)),
         "cores": "\n".join(f"    {{{rows[k]}}}," for slab in positions for k in slab),
+        "border_cores": "\n".join(f"    {{{rows[k]}}}," for k in model.borders),
         "equal": "" if unequal else "yes",
         "unequal": "yes" if unequal else "",
         "places": wrapped(f"{{{place}}}" for place in places),

@@ -40,7 +40,7 @@ class Model:
     ) -> None:
         self.unknowns, self.coordinates, self.intervals = unknowns, coordinates, intervals
         self._names = dict(zip(keywords, coordinates, strict=True))
-        self._breaks = np.array(starts[1:])
+        self._starts = np.array(starts)
         self._scales = scales or ["linear"] * len(coordinates)
         tensors: list[tuple[Array, Array, Array]] = []
         offset = 0
@@ -49,6 +49,7 @@ class Model:
             tensor = coefficients[offset:end].reshape(shape)
             tensors.append((np.array(lower), np.array(scale), tensor))
             offset = end
+        self._cores = tensors
         self._slabs = [[tensors[position] for position in slab] for slab in slabs]
 
     def value(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
@@ -66,22 +67,29 @@ class Model:
         slopes = self._evaluate(points, derivatives=True)[:, 1:]
         return slopes.reshape(*slopes.shape[:2], *shape)
 
-    def _points(self, at: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
-        """Points (coordinates, N) inside of the intervals, and the shape they stand for."""
+    def _points(self, at: Mapping[str, Any], first: int = 0) -> tuple[Array, tuple[int, ...]]:
+        """Points (coordinates, N) inside of the intervals, and the shape they stand for.
+
+        The coordinates are those from the ``first`` on.
+        """
+        coordinates = self.coordinates[first:]
         named = {self._names.get(name, name): array for name, array in at.items()}
-        if named.keys() != set(self.coordinates) or len(named) != len(at):
-            expected = ", ".join(self.coordinates)
+        if named.keys() != set(coordinates) or len(named) != len(at):
+            expected = ", ".join(coordinates) or "nothing"
             raise ValueError(f"values of {', '.join(at) or 'nothing'} were given, not {expected}")
         arrays = []
-        for name, (lower, upper) in zip(self.coordinates, self.intervals, strict=True):
+        for name, (lower, upper) in zip(coordinates, self.intervals[first:], strict=True):
             array = np.asarray(named[name], dtype=float)
             slack = round_off(lower, upper)
             outside = array[~((array >= lower - slack) & (array <= upper + slack))]
             if outside.size:
                 raise ValueError(f"{name} is {outside[0]:.12g}, not in [{lower!r}, {upper!r}]")
             arrays.append(np.clip(array, lower, upper))
-        points = np.array(np.broadcast_arrays(*arrays))
-        return points.reshape(len(points), -1), points.shape[1:]
+        shape = np.broadcast_shapes(*(array.shape for array in arrays))
+        points = np.empty((len(arrays), *shape))
+        for j, array in enumerate(arrays):
+            points[j] = array
+        return points.reshape(len(points), int(np.prod(shape))), shape
 
     def _evaluate(self, points: Array, derivatives: bool) -> Array:
         """Values, and derivatives if asked for, at points (coordinates, N) of all slabs.
@@ -90,7 +98,7 @@ class Model:
         """
         columns = 1 + len(points) if derivatives else 1
         states = np.empty((len(self.unknowns), columns, points.shape[1]))
-        owner = np.searchsorted(self._breaks, points[0], side="right")
+        owner = np.searchsorted(self._starts[1:], points[0], side="right")
         for index in np.unique(owner):
             here = np.flatnonzero(owner == index)
             for begin in range(0, here.size, _CHUNK):
@@ -105,9 +113,13 @@ def _train(
     scales: Sequence[str],
     points: Array,
     derivatives: bool,
+    product: Sequence[Array] = (),
 ) -> Array:
-    """Values and derivatives of one slab at points (coordinates, N)."""
-    columns = [np.ones((1, points.shape[1]))]
+    """Values and derivatives of one slab at points (coordinates, N).
+
+    The ``product`` is that of all further cores, a value and derivatives (right, N) each.
+    """
+    columns = [*product] or [np.ones((1, points.shape[1]))]
     coordinates = zip(cores[::-1], scales[::-1], points[::-1], strict=True)
     for (lower, scale, tensor), kind, coordinate in coordinates:
         _, left, degree, _ = tensor.shape

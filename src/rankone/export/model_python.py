@@ -21,7 +21,7 @@ from rankone.codegen.text import (
 )
 from rankone.discretization.coordinates import round_off
 from rankone.export.bundler import banner, source_text
-from rankone.export.packing import PackedModel
+from rankone.export.packing import PackedModel, PackedTimeline
 from rankone.export.templates import TERMS
 from rankone.support import __version__
 from rankone.support.files import Content, npz
@@ -34,7 +34,7 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
     coefficients = np.concatenate([core.tensor.ravel() for core in model.distinct[0]])
     text = base64.b64encode(coefficients.astype("<f8").tobytes()).decode()
     files: dict[Path, Content] = {}
-    end = [_SCALED_MODEL if model.is_scaled else _MODEL, *_END]
+    end = [*_construction(model), *_END, *(_EVENT_END if model.timeline else [])]
     if len(text) <= _LONGEST_DATA:
         imports = _IMPORTS.format("import base64\n", "")
         rows = textwrap.wrap(text, WIDTH)
@@ -47,7 +47,10 @@ def python_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         "\n".join([*docstring(_head(model, path), indent=""), imports, *_tables(model)]),
         f"{banner('Evaluation')}\n\nArray = NDArray[np.float64]",
         getsource(round_off).strip(),
-        source_text("rankone.export.model_program").partition("import Array\n")[2].strip(),
+        *(
+            source_text(f"rankone.export.{name}").partition("import Array\n")[2].strip()
+            for name in ("model_program", *(["model_stretches"] if model.timeline else []))
+        ),
         "\n".join([banner("Coefficients"), "", *data, "", *end]),
     ]
     return {path: "\n\n\n".join(blocks) + "\n", **files}
@@ -67,16 +70,26 @@ _LOAD_FILE = [
     'with np.load(Path(__file__).with_suffix(".npz"), allow_pickle=False) as file:',
     '    COEFFICIENTS = file["coefficients"]',
 ]
-_MODEL = (
-    "MODEL = Model(UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, CORES, SLABS, COEFFICIENTS)"
-)
-_SCALED_MODEL = """MODEL = Model(
-    UNKNOWNS, COORDINATES, KEYWORDS, INTERVALS, STARTS, CORES, SLABS, COEFFICIENTS, SCALES
-)"""
 _END = [
     "value = MODEL.value",
     "gradient = MODEL.gradient",
 ]
+_EVENT_END = ["event_times = MODEL.event_times", "end = MODEL.end"]
+_MODEL_TABLES = (
+    *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "STARTS", "CORES", "SLABS"),
+    "COEFFICIENTS",
+)
+_TIMELINE = ("STRETCHES", "RUNS", "BORDERS", "ENDS_THERE", "TERMINAL", "INSTANTS", "EVENTS")
+
+
+def _construction(model: PackedModel) -> list[str]:
+    """Lines that make the model of its tables."""
+    tables = [*_MODEL_TABLES, *(["SCALES"] if model.is_scaled else [])]
+    if model.timeline is not None:
+        named = [f"    {name.lower()}={name}," for name in _TIMELINE]
+        return ["MODEL = EventModel(", *(f"    {name}," for name in tables), *named, ")"]
+    line = f"MODEL = Model({', '.join(tables)})"
+    return [line] if len(line) <= WIDTH else ["MODEL = Model(", f"    {', '.join(tables)}", ")"]
 
 
 def keywords(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -110,8 +123,23 @@ def _head(model: PackedModel, path: Path) -> list[str]:
         statement = f"    model = importlib.import_module({quoted(stem)})"
         stem, lines = "model", [*lines, "    import importlib", "", statement]
     lines += [f"    {stem}.value({call})", "", f"    {stem}.gradient({call})", ""]
+    if model.timeline is not None:
+        lines += _event_lines(model.timeline, stem, call.partition(", ")[2])
     lines += [f"The gradient is with respect to {', '.join(model.coordinates)}, in this order."]
     return [wrapped for line in lines for wrapped in paragraph(line)]
+
+
+def _event_lines(timeline: PackedTimeline, stem: str, parameters: str) -> list[str]:
+    """Lines of the docstring that say how to ask when events are."""
+    name = next(iter(timeline.events), None)
+    if name is None:
+        return []
+    arguments = ", ".join(filter(None, (quoted(name), parameters)))
+    return [
+        f"    {stem}.event_times({arguments})",
+        "",
+        "Its rows are the occurrences; NaN is one that the horizon ends before.",
+    ]
 
 
 def _tables(model: PackedModel) -> list[str]:
@@ -136,11 +164,12 @@ def _tables(model: PackedModel) -> list[str]:
         "# left rank, polynomials, right rank) of its coefficients",
         *(unequal_note if unequal else []),
         *table("CORES", nested(layout)),
-        "# where each time slab begins",
+        f"# where each time slab begins{', in pseudo-time' if model.timeline else ''}",
         *table("STARTS", nested(model.starts)),
         "# for each slab which cores it has, for time and for each parameter",
         *table("SLABS", nested(slabs)),
         *(_scales(model) if model.is_scaled else []),
+        *(_timeline(model.timeline, model.borders) if model.timeline else []),
     ]
 
 
@@ -148,3 +177,23 @@ def _scales(model: PackedModel) -> list[str]:
     """The table of the scales of all coordinates."""
     names = [quoted(scale.kind) for scale in model.scales]
     return ["# the scale of each coordinate, in which its elements lie", *table("SCALES", names)]
+
+
+def _timeline(timeline: PackedTimeline, borders: tuple[int, ...]) -> list[str]:
+    """The tables of the stretches between events."""
+    names = [[quoted(name) for name in instant] for instant in timeline.instants]
+    tuples = [f"({', '.join(each)}{',' if len(each) == 1 else ''})" for each in names]
+    return [
+        "# the first slab of each stretch between events, and the number of slabs",
+        *table("STRETCHES", nested(timeline.first_slabs)),
+        "# the run of each slab, of those with the same cores for all parameters; and for each run",
+        "# the core that makes the times of the borders of stretches",
+        *table("RUNS", nested(timeline.runs)),
+        *table("BORDERS", nested(borders)),
+        "# whether the last stretch ends with the horizon, or with an event that ends it all",
+        f"ENDS_THERE = {timeline.ends_there}",
+        f"TERMINAL = {timeline.terminal}",
+        "# the events at the end of each stretch that is met",
+        *table("INSTANTS", tuples),
+        *table("EVENTS", [quoted(name) for name in timeline.events]),
+    ]

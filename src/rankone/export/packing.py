@@ -3,16 +3,15 @@
 Every core of every slab is kept as Chebyshev coefficients on its elements, whatever the basis of
 the solve was, so that a model needs one recurrence and one contraction.
 
-A model that may differ from its solution is made smaller: ranks are cut first, then entries that do
-not matter. Both bound a root mean square, so the largest difference is measured at points, and the
-tolerance of the cut is adapted until that difference is small enough.
+With events the slabs are over the stretches between them, each of a length of one. Of the clock a
+model needs no more than its times at the borders of stretches: for each run of slabs that share the
+cores of the parameters these are one matrix.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
@@ -20,29 +19,22 @@ from typing import Literal
 import numpy as np
 
 from rankone.discretization import IDENTITY, Scale
+from rankone.export.rounding import rounded_slabs
+from rankone.ir.events import Ending
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
+from rankone.ir.timeline import CLOCK_STATES, Timeline
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError, OptionError
 from rankone.support.options import checked_number
 from rankone.tensors.evaluator import TrainEvaluator
-from rankone.tensors.slab import SlabTrain, sharing
-from rankone.verification.search import Climb, climbed
+from rankone.tensors.slab import SlabTrain, sharing, slab_positions
 
 States = Literal["unknowns", "all"]  # What a model evaluates
 
 _SMALLEST_RTOL = 1e-12  # Smallest difference that can be asked for: above rounding errors
 _LARGEST_RTOL = 0.1  # Largest difference that can be asked for: beyond it a model says little
-_RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six
-_SHARES_AT_ENDS = (0.0, 0.5, 1.0)  # Parameters at ends of their intervals, by thirds
-_MEASURED_MARGIN = 0.7  # Largest measured difference, over ``rtol``: points miss the largest one
-_GOOD_ENOUGH = 0.45  # Measured difference over ``rtol`` above which no larger tolerance is tried
-_MAX_LOOSENING = 4.0  # Largest tolerance of the cut over ``rtol``: it bounds a mean square
-_MAX_ATTEMPTS = 9  # Cuts that are tried: doubling or reducing the tolerance, then bisecting
-_CLIMBERS = 24  # Points from which larger differences are looked for
-# How a point climbs to larger differences
-_DIFFERENCE_CLIMB = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, seed=1)
 
 
 @dataclass(frozen=True)
@@ -71,6 +63,45 @@ class PackedCore:
 
 
 @dataclass(frozen=True)
+class PackedTimeline:
+    """The stretches between events in plain data: stretch i is [i, i + 1] in pseudo-time.
+
+    ``first_slabs`` has the first slab of each stretch, and at the end the number of slabs;
+    ``runs`` has the run that each slab belongs to, of those that share the cores of their
+    parameters. ``borders`` has for each run a core without polynomials, whose product with the
+    cores of the parameters is the clock at the beginnings of its stretches, and for the last run
+    also at the end. The first border is the start of the horizon, the last one its end where
+    ``ends_there``.
+
+    ``instants`` are the names of the events at each border but the first, up to the last one that
+    some trajectory meets; ``resets`` says which of them reset states. ``events`` are all names.
+    """
+
+    first_slabs: tuple[int, ...]
+    runs: tuple[int, ...]
+    borders: tuple[PackedCore, ...]
+    ends_there: bool
+    terminal: bool
+    instants: tuple[tuple[str, ...], ...]
+    resets: tuple[bool, ...]
+    events: tuple[str, ...]
+
+    @property
+    def stretches(self) -> int:
+        """Number of stretches."""
+        return len(self.first_slabs) - 1
+
+    @property
+    def first_of_runs(self) -> tuple[int, ...]:
+        """The first slab of each run."""
+        return tuple(self.runs.index(k) for k in range(len(self.borders)))
+
+    def occurrences(self, event: str) -> tuple[int, ...]:
+        """The instants of an event."""
+        return tuple(i for i, names in enumerate(self.instants) if event in names)
+
+
+@dataclass(frozen=True)
 class PackedModel:
     """A model in plain data; coordinates and cores of a slab are time, then the parameters.
 
@@ -79,7 +110,8 @@ class PackedModel:
     solution; else this is None. ``errors`` are the measured ones of the unknowns relative to their
     sizes, and the differences from the solution where the model was made smaller; NaN if
     unchecked. ``units`` belong to names of unknowns and coordinates. ``scales`` has for each
-    coordinate the one in which its cores are polynomials and their elements lie.
+    coordinate the one in which its cores are polynomials and their elements lie. With events
+    there is a ``timeline``, and slabs and ``starts`` are over pseudo-time.
     """
 
     unknowns: tuple[str, ...]
@@ -92,20 +124,33 @@ class PackedModel:
     errors: tuple[float, ...]
     units: tuple[tuple[str, str], ...]
     scales: tuple[Scale, ...]
+    timeline: PackedTimeline | None = None
 
     @cached_property
     def distinct(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
         """The different cores, and for each slab the positions of its cores among them."""
+        cores, positions = self._layout
+        return cores, positions[: len(self.slabs)]
+
+    @property
+    def borders(self) -> tuple[int, ...]:
+        """Positions of the cores of the borders of a timeline among the different cores."""
+        return tuple(place for (place,) in self._layout[1][len(self.slabs) :])
+
+    @cached_property
+    def _layout(self) -> tuple[tuple[PackedCore, ...], tuple[tuple[int, ...], ...]]:
+        """The different cores, and the positions of those of each slab and of each border."""
         cores: dict[Hashable, PackedCore] = {}
         keys: list[list[Hashable]] = []
-        for slab in self.slabs:
+        borders = () if self.timeline is None else self.timeline.borders
+        for group in (*self.slabs, *((core,) for core in borders)):
             keys.append(
-                [(c.lower, c.scale, c.edges, c.tensor.shape, c.tensor.tobytes()) for c in slab]
+                [(c.lower, c.scale, c.edges, c.tensor.shape, c.tensor.tobytes()) for c in group]
             )
-            for key, core in zip(keys[-1], slab, strict=True):
+            for key, core in zip(keys[-1], group, strict=True):
                 cores.setdefault(key, core)
         position = {key: k for k, key in enumerate(cores)}
-        return (*cores.values(),), tuple(tuple(position[key] for key in slab) for slab in keys)
+        return (*cores.values(),), tuple(tuple(position[key] for key in group) for group in keys)
 
     @property
     def is_scaled(self) -> bool:
@@ -139,41 +184,78 @@ def pack(
             f"the solution is not a success: {solution.message}",
             remedy="solve again, or pass allow_failed=True to export it as it is",
         )
-    solution.outcome.slabs_over_clock_time("an exported model")
-    metadata = solution.metadata
+    metadata, timeline = solution.metadata, solution.outcome.timeline
     rows = range(len(solution.states)) if states == "all" else metadata.unknown_rows
     names = tuple(solution.states[row] for row in rows)
     intervals = tuple((float(a), float(b)) for a, b in (solution.time, *metadata.box))
-    slabs = [slab.with_first(slab.cores[0][list(rows)]) for slab in solution.outcome.slabs]
+    packed_rows = list(rows) if timeline is None else [*rows, -CLOCK_STATES]
+    slabs = [slab.with_first(slab.cores[0][packed_rows]) for slab in solution.outcome.slabs]
     errors = [solution.errors[solution.states[row]] for row in rows]
     summary, reduction = _summary(solution, names), None
     if rtol is not None:
-        rounding = rounded_slabs(slabs, intervals, rtol)
+        rounding = rounded_slabs(slabs, intervals, rtol, timeline)
         slabs = list(rounding.slabs)
-        errors = [a + b for a, b in zip(errors, rounding.differences, strict=True)]
+        differences = rounding.differences[: len(errors)]
+        errors = [a + b for a, b in zip(errors, differences, strict=True)]
+        apart = "" if timeline is None else f", away from events by {rtol:g} of the horizon"
         reduction = (
-            f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown; "
-            f"measured {max(rounding.differences):.1e} at {rounding.points} random points and by "
-            "climbing from the worst of them."
+            f"Made smaller: within {rtol:g} of the solution, relative to the size of each unknown"
+            f"{apart}; measured {max(rounding.differences):.1e} at {rounding.points} random points "
+            "and by climbing from the worst of them."
         )
         summary += (reduction,)
+    packed_timeline = None
+    if timeline is not None:
+        packed_timeline = _timeline(timeline, slabs)
+        slabs = [slab.with_first(slab.cores[0][: len(names)]) for slab in slabs]
     return PackedModel(
         unknowns=names,
         coordinates=(metadata.time, *metadata.parameters),
         intervals=intervals,
-        starts=tuple(float(slab.start) for slab in solution.outcome.slabs),
-        slabs=tuple(
-            tuple(
-                PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges)
-                for d in TrainEvaluator([slab]).trains[0].dimensions
-            )
-            for slab in slabs
-        ),
+        starts=tuple(float(slab.start) for slab in slabs),
+        slabs=tuple(map(_packed, slabs)),
         summary=summary,
         reduction=reduction,
         errors=tuple(map(float, errors)),
         units=tuple(metadata.units),
         scales=_scales(slabs),
+        timeline=packed_timeline,
+    )
+
+
+def _packed(slab: SlabTrain) -> tuple[PackedCore, ...]:
+    """The cores of a slab."""
+    dimensions = TrainEvaluator([slab]).trains[0].dimensions
+    return tuple(PackedCore(float(d.lower), float(d.scale), d.tensor, d.edges) for d in dimensions)
+
+
+def _timeline(timeline: Timeline, slabs: Sequence[SlabTrain]) -> PackedTimeline:
+    """The stretches of slabs whose last state is the clock."""
+    first_slabs = slab_positions(slabs, np.arange(float(timeline.stretches))).tolist()
+    runs: list[int] = []
+    borders: list[PackedCore] = []
+    for k, run in enumerate(sharing(slabs)):
+        runs += [k] * len(run)
+        rows = [
+            slab.in_time(np.array([slab.start]))[-1]
+            for position, slab in enumerate(run, len(runs) - len(run))
+            if position in first_slabs
+        ]
+        if len(runs) == len(slabs):
+            rows.append(run[-1].in_time(np.array([run[-1].end]))[-1])
+        rank = run[0].cores[0].shape[2]
+        matrix = np.concatenate(rows) if rows else np.empty((0, rank))
+        borders.append(PackedCore(0.0, 1.0, matrix[None, :, None, :]))
+    met = timeline.met
+    return PackedTimeline(
+        first_slabs=(*first_slabs, len(slabs)),
+        runs=tuple(runs),
+        borders=tuple(borders),
+        ends_there=timeline.ending is Ending.HORIZON,
+        terminal=timeline.terminal,
+        instants=met,
+        resets=timeline.resets[: len(met)],
+        events=timeline.events,
     )
 
 
@@ -216,115 +298,13 @@ def _summary(solution: SolutionCore, unknowns: tuple[str, ...]) -> tuple[str, ..
         *(f"{name} in {units[name]}" for name in unknowns if name in units),
         "",
         f"Relative tolerance asked for: {solution.rtol:g}; {solution.message}.",
+        *_stretches(solution.outcome.timeline),
     )
 
 
-@dataclass(frozen=True)
-class Rounding:
-    """Rounded trains; slabs that shared the cores of their parameters go on sharing them.
-
-    ``differences`` are the largest ones of each state at ``points`` random points and by climbing
-    from the worst of them, relative to its largest value at the points.
-    """
-
-    slabs: tuple[SlabTrain, ...]
-    differences: tuple[float, ...]
-    points: int = _RANDOM_POINTS
-
-
-def rounded_slabs(
-    slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]], rtol: float
-) -> Rounding:
-    """Trains with fewer coefficients that differ by at most ``rtol`` of each state's size.
-
-    ``slabs`` are consecutive and of the same states, ``intervals`` those of time and of each
-    parameter. The slabs stay as they are if no smaller ones are within ``rtol``.
-    """
-    points = _points(slabs, intervals)
-    rows = slice(0, len(slabs[0].cores[0]))
-    states = TrainEvaluator(slabs).many(points, rows)
-    sizes = np.abs(states).max(axis=1)
-    sizes[sizes == 0.0] = 1.0
-    best = Rounding(tuple(slabs), (0.0,) * len(sizes))
-    low, high, tolerance = 0.0, 0.0, rtol
-    for _ in range(_MAX_ATTEMPTS):
-        smaller = tuple(slab for run in sharing(slabs) for slab in _smaller(run, sizes, tolerance))
-        differences = _differences(slabs, smaller, points, states, sizes, intervals)
-        largest = float(differences.max())
-        if largest <= _MEASURED_MARGIN * rtol:
-            best, low = Rounding(smaller, tuple(differences.tolist())), tolerance
-        else:
-            high = tolerance
-        loose = largest >= _GOOD_ENOUGH * rtol or tolerance >= _MAX_LOOSENING * rtol
-        if low == tolerance and loose:
-            break
-        tolerance = 2.0 * low if low else 0.3 * high
-        if low and high:
-            tolerance = math.sqrt(low * high)
-    return best
-
-
-def _differences(
-    slabs: Sequence[SlabTrain],
-    smaller: Sequence[SlabTrain],
-    points: Array,
-    states: Array,
-    sizes: Array,
-    intervals: Sequence[tuple[float, float]],
-) -> Array:
-    """Largest difference of each state over its size: at points, and climbing from the worst."""
-    before, after = TrainEvaluator(slabs), TrainEvaluator(smaller)
-    rows = slice(0, len(sizes))
-    at_points = np.abs(after.many(points, rows) - states) / sizes[:, None]
-    largest = at_points.max(axis=1)
-
-    def difference(tried: Array) -> Array:
-        nonlocal largest
-        changes = np.abs(after.many(tried.T, rows) - before.many(tried.T, rows)) / sizes[:, None]
-        largest = np.maximum(largest, changes.max(axis=1))
-        return np.asarray(changes.max(axis=0))
-
-    worst = np.argsort(-at_points.max(axis=0))[:_CLIMBERS]
-    heights = at_points[:, worst].max(axis=0)
-    climbed(difference, points[:, worst].T, heights, np.array(intervals), _DIFFERENCE_CLIMB)
-    return np.asarray(largest)
-
-
-def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]) -> Array:
-    """Random points (coordinates, N), with many where trains differ most.
-
-    A third lies anywhere, a third on faces and edges of the box, a third at its corners; half of
-    all are at ends of slabs.
-    """
-    rng = np.random.default_rng(0)
-    ends = np.array(intervals)
-    shares = rng.random((len(ends), _RANDOM_POINTS))
-    at_ends = rng.random(shares.shape) < np.repeat(
-        _SHARES_AT_ENDS, _RANDOM_POINTS // len(_SHARES_AT_ENDS)
-    )
-    shares = np.where(at_ends, np.round(shares), shares)
-    points = ends[:, :1] + shares * np.diff(ends)
-    for j, basis in enumerate(slabs[0].bases, start=1):
-        if not basis.scale.is_identity:
-            start, end = basis.scale.to_scale(ends[j])
-            points[j] = basis.scale.from_scale(start + shares[j] * (end - start))
-    points = np.clip(points, ends[:, :1], ends[:, 1:])
-    edges = np.clip([edge for slab in slabs for edge in (slab.start, slab.end)], *ends[0])
-    points[0, ::2] = rng.choice(edges, _RANDOM_POINTS // 2)
-    return points
-
-
-def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[SlabTrain]:
-    """Smaller slabs that share the cores of their parameters, within a tolerance in mean square.
-
-    They are one train, whose first core has the polynomials of all of them.
-    """
-    first = np.concatenate([slab.cores[0] for slab in run], axis=1) / sizes[:, None, None]
-    share = np.sqrt(0.5) * tolerance
-    train = run[0].train.with_first(first).rounded(share).thinned(share)
-    counts = np.cumsum([slab.cores[0].shape[1] for slab in run])
-    firsts = np.split(train.first * sizes[:, None, None], counts[:-1], axis=1)
-    return [
-        replace(slab, train=train.with_first(first))
-        for slab, first in zip(run, firsts, strict=True)
-    ]
+def _stretches(timeline: Timeline | None) -> tuple[str, ...]:
+    """Lines that say what ends the stretches between events, if there are any."""
+    if timeline is None:
+        return ()
+    title, *ends = str(timeline).splitlines()
+    return ("", f"{title}:", *(f"    {end.strip()}" for end in ends))

@@ -1,0 +1,127 @@
+"""Evaluation of the solved model with events: its slabs are over the stretches between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rankone.export.model_program import _CHUNK, Model, _train
+from rankone.support.arrays import Array
+
+_ROUNDING = 1e-12  # Part of the horizon by which its end may lie behind the last stretch
+
+
+class EventModel(Model):
+    """A model with events; values at the time of an event are those after it.
+
+    Stretch i has the pseudo-time [i, i + 1]; the clock times of its ends depend on the parameters.
+    After a terminal event values are NaN.
+    """
+
+    def __init__(
+        self,
+        *tables: Any,
+        stretches: Sequence[int],
+        runs: Sequence[int],
+        borders: Sequence[int],
+        ends_there: bool,
+        terminal: bool,
+        instants: Sequence[Sequence[str]],
+        events: Sequence[str],
+    ) -> None:
+        super().__init__(*tables)
+        self._first = np.array(stretches)
+        self._runs, self._ends_there, self._terminal = runs, ends_there, terminal
+        self._borders = [self._cores[core][2][0, :, 0] for core in borders]
+        self._instants, self.events = instants, events
+
+    def event_times(
+        self, event: str, values: Mapping[str, Any] | None = None, /, **named: Any
+    ) -> Array:
+        """Times of an event: shape (occurrences, *broadcast shape of the parameters).
+
+        NaN where it is not reached by the end of the horizon.
+        """
+        if event not in self.events:
+            raise ValueError(f"there is no event {event}, only {', '.join(self.events)}")
+        borders, shape = self._at_parameters({**(values or {}), **named})
+        times = borders[[i for i, names in enumerate(self._instants, 1) if event in names]]
+        times[times > self.intervals[0][1]] = np.nan
+        return times.reshape(len(times), *shape)
+
+    def end(self, values: Mapping[str, Any] | None = None, /, **named: Any) -> Array:
+        """When the solution ends: at a terminal event, or with the horizon."""
+        borders, shape = self._at_parameters({**(values or {}), **named})
+        last = self.intervals[0][1]
+        ends = np.minimum(borders[-1], last) if self._terminal else np.full_like(borders[-1], last)
+        return np.asarray(ends.reshape(shape))
+
+    def _at_parameters(self, at: Mapping[str, Any]) -> tuple[Array, tuple[int, ...]]:
+        """The borders (1 + stretches, N) at parameters, and the shape of N."""
+        points, shape = self._points(at, first=1)
+        return _ascending(self._over_parameters(points, derivatives=False)[1]), shape
+
+    def _over_parameters(self, points: Array, derivatives: bool) -> tuple[list[Array], Array]:
+        """What depends on the parameters (d, N) alone, with derivatives if asked for.
+
+        The products of the cores of each run of slabs (right, 1 or 1 + d, N), and the clock times
+        of the borders of stretches (1 + stretches, 1 or 1 + d, N).
+        """
+        products, borders = [], []
+        for run, matrix in enumerate(self._borders):
+            cores = self._slabs[self._runs.index(run)][1:]
+            product = _train(cores, self._scales[1:], points, derivatives)
+            products.append(product)
+            clock = matrix @ product.reshape(len(product), -1)
+            borders.append(clock.reshape(len(matrix), *product.shape[1:]))
+        clock = np.concatenate(borders)
+        for border, time in zip((0, -1), self.intervals[0], strict=True):
+            if border == 0 or self._ends_there:
+                clock[border] = 0.0
+                clock[border, 0] = time
+        return products, clock
+
+    def _evaluate(self, points: Array, derivatives: bool) -> Array:
+        """Values, and derivatives if asked for, as for a model without events."""
+        columns = 1 + len(points) if derivatives else 1
+        states = np.empty((len(self.unknowns), columns, points.shape[1]))
+        for begin in range(0, points.shape[1], _CHUNK):
+            chunk = slice(begin, begin + _CHUNK)
+            states[:, :, chunk] = self._at_clock_times(points[:, chunk], derivatives)
+        return states
+
+    def _at_clock_times(self, points: Array, derivatives: bool) -> Array:
+        """The same at a few points (coordinates, N): the stretch of each first, then its slab."""
+        products, clock = self._over_parameters(points[1:], derivatives)
+        borders, times, each = _ascending(clock), points[0], np.arange(points.shape[1])
+        stretch = (times >= borders[1:-1]).sum(axis=0)
+        begin = borders[stretch, each]
+        length = borders[stretch + 1, each] - begin
+        share = np.clip((times - begin) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+        pseudo = stretch + share
+        latest = np.searchsorted(self._starts, pseudo, side="right") - 1
+        owner = np.clip(latest, self._first[stretch], self._first[stretch + 1] - 1)
+        columns = 2 + len(points) - 1 if derivatives else 1  # value, by pseudo-time, by parameters
+        states = np.empty((len(self.unknowns), columns, times.size))
+        for index in np.unique(owner):
+            here = np.flatnonzero(owner == index)
+            product = products[self._runs[index]][:, :, here].swapaxes(0, 1)
+            first = self._slabs[index][:1]
+            states[:, :, here] = _train(first, ["linear"], pseudo[None, here], derivatives, product)
+        if derivatives:
+            # at a fixed clock time the pseudo-time moves with the borders of the stretch
+            speed = np.where(length > 0.0, 1.0, 0.0) / np.where(length > 0.0, length, 1.0)
+            of_begin, of_end = clock[stretch, 1:, each].T, clock[stretch + 1, 1:, each].T
+            moved = (of_begin + share * (of_end - of_begin)) * speed
+            states[:, 2:] -= states[:, 1:2] * moved
+            states[:, 1] *= speed
+        start, end = self.intervals[0]
+        states[:, :, times > borders[-1] + _ROUNDING * (end - start)] = np.nan
+        return states
+
+
+def _ascending(clock: Array) -> Array:
+    """Borders (1 + stretches, N) that ascend, of those with their derivatives."""
+    return np.asarray(np.maximum.accumulate(clock[:, 0], axis=0))

@@ -1,0 +1,216 @@
+"""Smaller slabs of a model that may differ from its solution.
+
+Ranks are cut first, then entries that do not matter. Both bound a root mean square, so the largest
+difference is measured at points, and the tolerance of the cut is adapted until that difference is
+small enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rankone.ir.timeline import Timeline
+from rankone.solution.core import timeline_evaluator
+from rankone.support.arrays import Array
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import SlabTrain, sharing
+from rankone.verification.search import Climb, climbed
+
+_RANDOM_POINTS = 4200  # Points at which a smaller model is compared, a multiple of six
+_SHARES_AT_ENDS = (0.0, 0.5, 1.0)  # Parameters at ends of their intervals, by thirds
+_MEASURED_MARGIN = 0.7  # Largest measured difference, over ``rtol``: points miss the largest one
+_GOOD_ENOUGH = 0.45  # Measured difference over ``rtol`` above which no larger tolerance is tried
+_MAX_LOOSENING = 4.0  # Largest tolerance of the cut over ``rtol``: it bounds a mean square
+_MAX_ATTEMPTS = 9  # Cuts that are tried: doubling or reducing the tolerance, then bisecting
+_CLIMBERS = 24  # Points from which larger differences are looked for
+# How a point climbs to larger differences
+_DIFFERENCE_CLIMB = Climb(rounds=15, tries=6, first_step=0.2, shrinkage=0.8, seed=1)
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Rounded trains; slabs that shared the cores of their parameters go on sharing them.
+
+    ``differences`` are the largest ones of each state at ``points`` random points and by climbing
+    from the worst of them, relative to its largest value at the points.
+    """
+
+    slabs: tuple[SlabTrain, ...]
+    differences: tuple[float, ...]
+    points: int = _RANDOM_POINTS
+
+
+def rounded_slabs(
+    slabs: Sequence[SlabTrain],
+    intervals: Sequence[tuple[float, float]],
+    rtol: float,
+    timeline: Timeline | None = None,
+) -> Rounding:
+    """Trains with fewer coefficients that differ by at most ``rtol`` of each state's size.
+
+    ``slabs`` are consecutive and of the same states, ``intervals`` those of time and of each
+    parameter. The slabs stay as they are if no smaller ones are within ``rtol``. With a
+    ``timeline`` the last state is the clock, and the others differ by at most ``rtol`` at clock
+    times that are ``rtol`` horizons away from events that reset states or end them.
+    """
+    comparison = _Comparison(slabs, intervals, rtol, timeline)
+    best = Rounding(tuple(slabs), (0.0,) * len(comparison.sizes))
+    low, high, tolerance = 0.0, 0.0, rtol
+    for _ in range(_MAX_ATTEMPTS):
+        smaller = tuple(
+            slab for run in sharing(slabs) for slab in _smaller(run, comparison.sizes, tolerance)
+        )
+        differences = comparison.differences(smaller)
+        largest = float(differences.max())
+        if largest <= _MEASURED_MARGIN * rtol:
+            best, low = Rounding(smaller, tuple(differences.tolist())), tolerance
+        else:
+            high = tolerance
+        loose = largest >= _GOOD_ENOUGH * rtol or tolerance >= _MAX_LOOSENING * rtol
+        if low == tolerance and loose:
+            break
+        tolerance = 2.0 * low if low else 0.3 * high
+        if low and high:
+            tolerance = math.sqrt(low * high)
+    return best
+
+
+class _Comparison:
+    """Slabs, and points at which smaller ones are compared with them; ``sizes`` of the states."""
+
+    def __init__(
+        self,
+        slabs: Sequence[SlabTrain],
+        intervals: Sequence[tuple[float, float]],
+        rtol: float,
+        timeline: Timeline | None,
+    ) -> None:
+        self._intervals, self._timeline = intervals, timeline
+        self._before = _evaluation(slabs, timeline)
+        self._apart = rtol * (intervals[0][1] - intervals[0][0])
+        self._points = _points(slabs, intervals)
+        if timeline is not None:
+            self._move_to_events()
+        self._states = self._before(self._points)
+        self.sizes = np.nanmax(np.abs(self._states), axis=1)
+        if timeline is not None:
+            self.sizes = self.sizes[: len(slabs[0].cores[0])]
+            self.sizes[-1] = intervals[0][1] - intervals[0][0]
+        self.sizes[self.sizes == 0.0] = 1.0
+
+    def differences(self, smaller: Sequence[SlabTrain]) -> Array:
+        """Largest difference of each state over its size: at points, and climbing from the worst.
+
+        That of the clock is the one of the times of events.
+        """
+        after = _evaluation(smaller, self._timeline)
+        at_points = self._changes(self._points, self._states, after(self._points))
+        largest = at_points.max(axis=1)
+
+        def difference(tried: Array) -> Array:
+            nonlocal largest
+            changes = self._changes(tried.T, self._before(tried.T), after(tried.T))
+            largest = np.maximum(largest, changes.max(axis=1))
+            return np.asarray(changes.max(axis=0))
+
+        worst = np.argsort(-at_points.max(axis=0))[:_CLIMBERS]
+        heights = at_points[:, worst].max(axis=0)
+        starts = self._points[:, worst].T
+        climbed(difference, starts, heights, np.array(self._intervals), _DIFFERENCE_CLIMB)
+        return np.asarray(largest)
+
+    def _changes(self, points: Array, before: Array, after: Array) -> Array:
+        """Differences (states, N) over the sizes at points (coordinates, N)."""
+        if self._timeline is None:
+            return np.asarray(np.abs(after - before) / self.sizes[:, None])
+        n = len(self.sizes) - 1
+        changes = np.abs(after - before)
+        ended = np.isnan(before[:n]) & np.isnan(after[:n])
+        changes[:n] = np.where(ended, 0.0, np.nan_to_num(changes[:n], nan=np.inf))
+        left_out = np.abs(points[0] - before[n:][self._interruptions]) <= self._apart
+        changes[:n, left_out.any(axis=0)] = 0.0
+        of_clock = changes[n:].max(axis=0, keepdims=True)
+        return np.asarray(np.concatenate([changes[:n], of_clock]) / self.sizes[:, None])
+
+    @property
+    def _interruptions(self) -> list[int]:
+        """The borders at which states are reset or end."""
+        assert self._timeline is not None
+        last = len(self._timeline.instants)
+        ends = self._timeline.terminal
+        resets = enumerate(self._timeline.resets, 1)
+        return [i for i, reset in resets if reset or (ends and i == last)]
+
+    def _move_to_events(self) -> None:
+        """Every other point to a time just before or after an event."""
+        assert self._timeline is not None
+        rng = np.random.default_rng(1)
+        half = self._points[:, ::2]
+        borders = self._before(half)[-1 - self._timeline.stretches :]
+        border = rng.integers(0, len(borders), half.shape[1])
+        times = borders[border, np.arange(half.shape[1])]
+        times += 1.001 * self._apart * rng.choice([-1.0, 1.0], half.shape[1])
+        self._points[0, ::2] = np.clip(times, *self._intervals[0])
+
+
+def _evaluation(slabs: Sequence[SlabTrain], timeline: Timeline | None) -> Callable[[Array], Array]:
+    """States at points (1 + d, N), shape (states, N).
+
+    With a timeline the last state of the slabs is the clock, and in its place come the clock times
+    of the borders of stretches.
+    """
+    rows = slice(0, len(slabs[0].cores[0]))
+    if timeline is None:
+        evaluator = TrainEvaluator(slabs)
+        return lambda points: evaluator.many(points, rows)
+    # behind the clock stands the length of the stretch, which is not read
+    padded = [slab.with_first(np.concatenate([c := slab.cores[0], c[-1:]])) for slab in slabs]
+    over_clock = timeline_evaluator(padded, timeline)
+    states = slice(0, rows.stop - 1)
+    return lambda points: np.concatenate(
+        [over_clock.many(points, states), over_clock.borders(points[1:])]
+    )
+
+
+def _points(slabs: Sequence[SlabTrain], intervals: Sequence[tuple[float, float]]) -> Array:
+    """Random points (coordinates, N), with many where trains differ most.
+
+    A third lies anywhere, a third on faces and edges of the box, a third at its corners; half of
+    all are at ends of slabs.
+    """
+    rng = np.random.default_rng(0)
+    ends = np.array(intervals)
+    shares = rng.random((len(ends), _RANDOM_POINTS))
+    at_ends = rng.random(shares.shape) < np.repeat(
+        _SHARES_AT_ENDS, _RANDOM_POINTS // len(_SHARES_AT_ENDS)
+    )
+    shares = np.where(at_ends, np.round(shares), shares)
+    points = ends[:, :1] + shares * np.diff(ends)
+    for j, basis in enumerate(slabs[0].bases, start=1):
+        if not basis.scale.is_identity:
+            start, end = basis.scale.to_scale(ends[j])
+            points[j] = basis.scale.from_scale(start + shares[j] * (end - start))
+    points = np.clip(points, ends[:, :1], ends[:, 1:])
+    edges = np.clip([edge for slab in slabs for edge in (slab.start, slab.end)], *ends[0])
+    points[0, ::2] = rng.choice(edges, _RANDOM_POINTS // 2)
+    return points
+
+
+def _smaller(run: Sequence[SlabTrain], sizes: Array, tolerance: float) -> list[SlabTrain]:
+    """Smaller slabs that share the cores of their parameters, within a tolerance in mean square.
+
+    They are one train, whose first core has the polynomials of all of them.
+    """
+    first = np.concatenate([slab.cores[0] for slab in run], axis=1) / sizes[:, None, None]
+    share = np.sqrt(0.5) * tolerance
+    train = run[0].train.with_first(first).rounded(share).thinned(share)
+    counts = np.cumsum([slab.cores[0].shape[1] for slab in run])
+    firsts = np.split(train.first * sizes[:, None, None], counts[:-1], axis=1)
+    return [
+        replace(slab, train=train.with_first(first))
+        for slab, first in zip(run, firsts, strict=True)
+    ]
