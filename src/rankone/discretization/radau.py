@@ -10,7 +10,7 @@ from numpy.polynomial import legendre as npl
 from rankone.discretization.basis import legendre_values
 from rankone.support.arrays import Array
 
-__all__ = ["RadauCollocation", "inset"]
+__all__ = ["RadauCollocation", "inset", "insets"]
 
 _INSET = 1e-9
 """Distance of times from the ends of a slab or segment, relative to its length."""
@@ -20,8 +20,14 @@ _INSET_SPACINGS = 8.0
 
 def inset(start: float, end: float) -> float:
     """How far times stay inside a slab or segment: factors may jump at its ends."""
-    rounding = _INSET_SPACINGS * float(np.spacing(max(abs(start), abs(end))))
-    return min(max(_INSET * (end - start), rounding), 0.25 * (end - start))
+    return float(insets(np.asarray(start), np.asarray(end)))
+
+
+def insets(starts: Array, ends: Array) -> Array:
+    """The same of several slabs or segments."""
+    lengths = ends - starts
+    rounding = _INSET_SPACINGS * np.spacing(np.maximum(np.abs(starts), np.abs(ends)))
+    return np.asarray(np.minimum(np.maximum(_INSET * lengths, rounding), 0.25 * lengths))
 
 
 class RadauCollocation:

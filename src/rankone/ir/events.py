@@ -20,7 +20,8 @@ class SystemEvent:
     """A root of ``when``, rising (1), falling (-1) or both (0).
 
     ``then`` maps the states before it to those after it; it ends the trajectory if ``terminal``.
-    It is ``timed`` if it is at a known time, and no event of the user.
+    ``at`` maps parameters (d, N) to its times (N,) where they are known; then it happens once,
+    unless that is before the start. It is ``timed`` if it is no event of the user.
     """
 
     when: OfTrajectory
@@ -28,6 +29,7 @@ class SystemEvent:
     then: OfTrajectory | None = None
     terminal: bool = False
     name: str = ""
+    at: Callable[[Array], Array] | None = None
     timed: bool = False
 
     @property

@@ -49,11 +49,13 @@ class EventTrajectory:
     go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
     them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
     time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
-    such events to the next ones.
+    such events to the next ones. ``ahead`` (events,) are known times that it has not reached,
+    infinite for other events.
     """
 
     paths: list[Path]
     interrupted: float
+    ahead: Array
     stretch: float = math.inf
     met: tuple[int, ...] = ()
     gaps: dict[tuple[int, ...], float] = field(default_factory=dict)
@@ -78,7 +80,8 @@ class EventTrajectory:
         return sum(path.steps for path in self.paths)
 
     def next_end(self, edge: float) -> float:
-        """The end of what is integrated next, on the way to an edge."""
+        """The end of what is integrated next, on the way to an edge: no known time is within."""
+        edge = min(edge, self.ahead.min(initial=math.inf))
         far = edge - self.end > _STRETCH * self.stretch
         return self.end + self.stretch if far else edge
 
@@ -89,8 +92,14 @@ class EventTrajectory:
 
     def copy(self) -> EventTrajectory:
         """One that may go on by itself."""
-        occurrences, gaps = [*self.occurrences], {**self.gaps}
-        return replace(self, paths=[*self.paths], occurrences=occurrences, gaps=gaps)
+        own = replace(self, paths=[*self.paths], occurrences=[*self.occurrences])
+        own.gaps, own.ahead = {**self.gaps}, self.ahead.copy()
+        return own
+
+    def happen(self, event: int, time: float, before: Array, after: Array) -> None:
+        """Keep an event at a time."""
+        self.occurrences.append(Occurrence(event, time, before, after))
+        self.ahead[event] = math.inf
 
     def reach(self, path: Path, returned: bool) -> None:
         """Follow a path up to an event, and whether it was there at once."""
@@ -135,8 +144,8 @@ def integrate_to_events(
     ``enough`` on the way to the next edge. An OutOfBudgetError says which time all trajectories
     have reached.
     """
-    trajectories = [each.copy() for each in begun] or _begin(system, points, edges[0])
     search = _Search(system, tuple(events), edges[-1] - edges[0], tolerances)
+    trajectories = [each.copy() for each in begun] or search.begin(points, edges[0])
     for a, b in itertools.pairwise(edges):
         search.jump(trajectories, points, a)
         while running := [
@@ -152,13 +161,6 @@ def integrate_to_events(
             except OutOfBudgetError as out:
                 raise type(out)(_reached(some, out.reached)) from out
     return trajectories
-
-
-def _begin(system: System, points: Array, time: float) -> list[EventTrajectory]:
-    """Trajectories at their first time."""
-    states = system.initial(np.ascontiguousarray(points.T)).T
-    nothing = np.zeros((0, NODES.size, states.shape[1]))
-    return [EventTrajectory([Path(np.array([time]), nothing, each)], time) for each in states]
 
 
 def _reached(trajectories: Sequence[EventTrajectory], further: Reached | None) -> Reached:
@@ -182,6 +184,31 @@ class _Search:
     events: tuple[SystemEvent, ...]
     horizon: float
     tolerances: Tolerances
+
+    def begin(self, points: Array, time: float) -> list[EventTrajectory]:
+        """Trajectories at their first time, after the known events there."""
+        columns = np.ascontiguousarray(points.T)
+        states = self.system.initial(columns)
+        ahead = np.full((len(self.events), len(points)), math.inf)
+        for k, event in enumerate(self.events):
+            if event.at is not None:
+                ahead[k] = event.at(columns)
+        instant = _INSTANT * self.horizon
+        ahead[~(ahead >= time - instant)] = math.inf
+        nothing = np.zeros((0, NODES.size, len(states)))
+        trajectories = [
+            EventTrajectory([Path(np.array([time]), nothing, state)], time, known)
+            for state, known in zip(states.T, ahead.T.copy(), strict=True)
+        ]
+        at_once = np.flatnonzero((ahead <= time + instant).any(axis=0))
+        if at_once.size:
+            some = [trajectories[k] for k in at_once.tolist()]
+            fired = [np.flatnonzero(each.ahead <= time + instant).tolist() for each in some]
+            times = np.full(at_once.size, time)
+            self._apply(some, fired, times, states[:, at_once], columns[:, at_once])
+            for each in some:
+                each.stretch = math.inf
+        return trajectories
 
     def jump(self, trajectories: Sequence[EventTrajectory], points: Array, time: float) -> None:
         """Reset the states where the system jumps."""
@@ -233,7 +260,10 @@ class _Search:
         fired = [each.fired for each in some]
         first = np.array([not each.returned for each in some])
         crossings = Crossings(self.system, [paths[k] for k in moved], points[moved], fired, first)
-        of_events = [crossings.of(k, event) for k, event in enumerate(self.events)]
+        of_events = [
+            crossings.of(k, event) if event.at is None else self._known(k, some, moving)
+            for k, event in enumerate(self.events)
+        ]
         crossed = [[times[place] for times in of_events] for place in range(len(moved))]
         next_times = np.array([self._next(each) for each in crossed])
         for place, k in enumerate(moved):
@@ -254,6 +284,15 @@ class _Search:
             fired_now = [self._fired(crossed[k], next_times[k]) for k in interrupted.tolist()]
             at_points = np.ascontiguousarray(points[moved][interrupted].T)
             self._apply([some[k] for k in interrupted.tolist()], fired_now, at, before, at_points)
+
+    def _known(self, k: int, trajectories: Sequence[EventTrajectory], paths: Paths) -> list[Array]:
+        """For each path the known time of event ``k``, if the path reaches it."""
+        reach = paths.ends + _INSTANT * self.horizon
+        pairs = zip(trajectories, paths.ends, reach, strict=True)
+        return [
+            np.minimum(each.ahead[k : k + 1], end)[each.ahead[k : k + 1] <= far]
+            for each, end, far in pairs
+        ]
 
     def _next(self, crossings: Sequence[Array]) -> float:
         """The time of the first event that interrupts, infinite if none does."""
@@ -285,7 +324,8 @@ class _Search:
             for place, each, *pair in zip(active.tolist(), fired, before.T, after.T, strict=True):
                 trajectory = trajectories[place]
                 here = trajectory.end
-                trajectory.occurrences += [Occurrence(k, here, *pair) for k in each]
+                for k in each:
+                    trajectory.happen(k, here, *pair)
                 trajectory.rounds += 1
             triggered = self._triggered(fired, times[active], (before, after), points[:, active])
             goes_on = np.array(
@@ -353,7 +393,5 @@ class _Search:
         passed = sorted((x, k) for k, xs in enumerate(crossings) for x in xs.tolist() if x < end)
         if passed:
             states = path(np.array([time for time, _ in passed])).T
-            trajectory.occurrences += [
-                Occurrence(k, time, state, state)
-                for (time, k), state in zip(passed, states, strict=True)
-            ]
+            for (at, k), state in zip(passed, states, strict=True):
+                trajectory.happen(k, at, state, state)

@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from rankone.discretization.radau import insets
 from rankone.ir.features import Jumps, OfParameters, VectorLike
 from rankone.ir.system import System
 from rankone.support.arrays import Array
@@ -29,9 +30,10 @@ def paths_over_shares(
     """The paths of spans; see :meth:`SpanIntegrator.paths`."""
     lengths = spans.ends - spans.starts
     n = len(spans.states)
-    moved = np.column_stack([points, spans.states.T, spans.starts, lengths])
+    near = insets(spans.starts, spans.ends)
+    moved = np.column_stack([points, spans.states.T, spans.starts, lengths, near])
     longest = tolerances.longest_step / float(np.max(lengths))
-    begun = _begun_with(system, lambda p: np.asarray(p)[-2 - n : -2])
+    begun = _begun_with(system, lambda p: np.asarray(p)[-3 - n : -3])
     try:
         over = replace(tolerances, longest_step=longest)
         dense = run(_over_shares(begun), moved, (0.0, 1.0), over)
@@ -60,26 +62,30 @@ def _begun_with(system: System, states: OfParameters) -> System:
 def _over_shares(system: System) -> System:
     """The system over the share of the way; where each begins is told by further parameters.
 
-    They are its state, its time, and the length of the way.
+    They are its state, its time, the length of the way, and how far times stay inside of it: rates
+    may jump at its ends.
     """
     cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
 
-    def split(p: VectorLike) -> tuple[Array, Array, Array]:
+    def at(share: float | Array, p: VectorLike) -> tuple[Array, Array, Array]:
+        """Times, the parameters of the system, and lengths."""
         rows = np.asarray(p)
-        return rows[: len(rows) - n - 2], rows[-2], rows[-1]
+        start, length, near = rows[-3:]
+        inside = np.minimum(np.maximum(share * length, near), length - near)
+        return start + inside, rows[: len(rows) - n - 3], length
 
     def rhs(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        parameters, start, length = split(p)
+        times, parameters, length = at(share, p)
         charge(cost(length.size))
-        return np.asarray(length * system.rhs(start + share * length, u, parameters))
+        return np.asarray(length * system.rhs(times, u, parameters))
 
     def jacobian(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        parameters, start, length = split(p)
-        return np.asarray(length * system.jacobian(start + share * length, u, parameters))
+        times, parameters, length = at(share, p)
+        return np.asarray(length * system.jacobian(times, u, parameters))
 
     def surfaces(share: float | Array, u: VectorLike, p: VectorLike) -> Array:
-        parameters, start, length = split(p)
-        return system.features.state_surfaces(start + share * length, u, parameters)
+        times, parameters, _ = at(share, p)
+        return system.features.state_surfaces(times, u, parameters)
 
     features = replace(system.features, state_surfaces=surfaces)
     return replace(system, rhs=rhs, jacobian=jacobian, features=features)

@@ -117,7 +117,7 @@ class SingleIntegrator:
         system, paths = replace(system, jumps=Jumps()), list[Path]()
         each = zip(points, spans.starts.tolist(), spans.states.T, spans.ends.tolist(), strict=True)
         for point, a, state, b in each:
-            single = _Single(system, point, (a, b), tolerances, self.looks_anywhere)
+            single = _Single(system, point, (a, b), tolerances, self.looks_anywhere, inset(a, b))
             try:
                 paths.append(single.path(state, b))
             except OutOfBudgetError as out:
@@ -138,6 +138,7 @@ class _Single:
     edges: Sequence[float]
     tolerances: Tolerances
     looks_anywhere: bool
+    near: float = 0.0  # how far times stay inside of a span of its own
 
     @property
     def horizon(self) -> float:
@@ -341,7 +342,7 @@ class _Single:
 
     def _called(self, a: float, b: float) -> tuple[Rates, Jacobian | None]:
         """What LSODA calls on a segment; factors of time are never taken at its very ends."""
-        near = inset(a, b) if len(self.edges) > 2 else 0.0
+        near = inset(a, b) if len(self.edges) > 2 else self.near
         span = a + near, b - near
         return called_by_lsoda(self.system, self.point, span, self.horizon)
 

@@ -126,7 +126,10 @@ def _paths(
         piece = int(np.searchsorted(times, o.time, side="right"))
         if piece not in pieces:
             whole[piece] = Path.resting(o.time, o.after)
-    return [whole[int(np.searchsorted(times, t, side="right"))] for t in borders[:-1]]
+    first = trajectory.paths[0]  # an event at its very start ends a stretch of no length
+    whole.setdefault(0, Path.resting(float(first.breaks[0]), first.state))
+    behind = (int(np.searchsorted(times, t, side="right")) for t in borders[1:-1])
+    return [whole[piece] for piece in (0, *behind)]
 
 
 @dataclass(frozen=True)

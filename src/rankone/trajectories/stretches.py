@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from rankone.ir.events import RISING, EventOrder, SystemEvent
+from rankone.ir.events import RISING, EventOrder, OfTrajectory, SystemEvent
 from rankone.ir.features import Features, Jumps, VectorLike
 from rankone.ir.system import Clock, ModuleSpecification, System, UserFunction
 from rankone.ir.timeline import CLOCK_STATES
@@ -33,6 +33,9 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
     jumps = system.jumps
     times = sorted({*cuts, *jumps.inside(*system.horizon)})
 
+    def known(at: Callable[[Array], Array], then: OfTrajectory, name: str) -> SystemEvent:
+        return SystemEvent(lambda t, _u, p: t - at(p), RISING, then, name=name, at=at, timed=True)
+
     def event(time: float) -> SystemEvent:
         kind = jumps.kind_at(time)
 
@@ -40,13 +43,13 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
             return np.array(u) if kind is None else np.asarray(jumps.jumped(kind, u, p))
 
         name = f"t = {time:.12g}"
-        return SystemEvent(lambda t, _u, _p: t - time, RISING, then, name=name, timed=True)
+        return known(lambda p: np.full(p.shape[1], time), then, name)
 
     def moving(k: int) -> SystemEvent:
-        def when(t: Array, _u: Array, p: Array) -> Array:
-            return np.asarray(t - system.features.moving_cuts(p)[k])
+        def at(p: Array) -> Array:
+            return np.broadcast_to(system.features.moving_cuts(p)[k], p.shape[1])
 
-        return SystemEvent(when, RISING, lambda _t, u, _p: np.array(u), name="t", timed=True)
+        return known(at, lambda _t, u, _p: np.array(u), "t")
 
     switches = map(moving, range(system.features.n_moving_cuts))
     events = (*system.events, *(event(time) for time in times), *switches)
