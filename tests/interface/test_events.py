@@ -330,3 +330,25 @@ def test_a_trajectory_that_blows_up_after_its_last_event_is_refused():
     runaway = problem({"x": "s*x**2", "s": "0"}, {"x": "k", "s": 0}, {"k": (0.5, 2)}, 1.2, [start])
     with pytest.raises(ro.ConvergenceError, match=r"a trajectory ends at t = .* at k = 2"):
         ro.solve(runaway, 1e-3)
+
+
+def test_a_dose_may_be_at_the_start():
+    problem = ro.Problem.from_strings(
+        {"A": "r - k*A", "r": "0"},
+        {"A": 0, "r": 0},
+        {"k": (0.5, 1), "lag": (0, 2)},
+        (0, 5),
+        jumps={"lag": {"A": "A + 1"}},
+        events=[{"when": "t - lag", "direction": "rising", "then": {"r": 1}, "name": "start"}],
+    )
+    solution = ro.solve(problem, 1e-4)
+    assert solution.success, solution.message
+    for lag in (0.0, 1e-9, 0.7):
+        times = np.array([lag, 2.5, 5.0])
+        k, since = 0.8, times - lag
+        exact = np.exp(-k * since) + (1 - np.exp(-k * since)) / k
+        np.testing.assert_allclose(solution["A"](times, k=k, lag=lag), exact, rtol=1e-3)
+        trajectory = problem.trajectory(times, k=k, lag=lag)
+        np.testing.assert_allclose(trajectory["A"], exact, rtol=1e-6)
+        assert trajectory.events["start"] == pytest.approx([lag])
+    np.testing.assert_allclose(solution.event_times("start", k=0.8, lag=[0, 1]), [[0, 1]], atol=1e-4)

@@ -255,6 +255,9 @@ class _ProblemCheck:
             what = f"event {quote(form.name)}"
             heights = np.broadcast_to(np.asarray(event.when(t, u, p), dtype=float), t.shape)
             self._check_value(f"{quote(form.when)} of {what}", form.when, leaves, heights, columns)
+            if form.at is not None and event.at is not None:
+                subject = f"the time of {what}, {quote(form.at)},"
+                self._check_value(subject, form.at, self.symbols, event.at(p), p)
             if form.then is None or event.then is None:
                 continue
             generated = np.asarray(event.then(t, u, p), dtype=float)

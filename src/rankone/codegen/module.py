@@ -274,11 +274,15 @@ def _events(writer: PointwiseWriter, events: Sequence[EventForm]) -> list[Block]
     heights = f"What crosses zero at events, at u ({n}, ...): ({k}, ...)."
     after = f"States right after it from u ({n}, ...) before, at p (d, ...): ({n}, ...)."
     names = [state.name for state in writer.states]
+    known = [i for i, e in enumerate(events) if e.at is not None]
+    times = f"Times of events of parameters p (d, ...): ({len(known)}, ...)."
     return [
         [
             "# name, direction, whether it ends the trajectory, whether it resets states",
             *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
+            *([f"KNOWN_EVENTS = {tuple(known)}"] if known else []),
         ],
+        writer.vector("known_event_times", "p", times, [e.at for e in events if e.at is not None]),
         writer.vector("event_heights", "t, u, p", heights, [e.when for e in events]),
         *(
             writer.vector(f"after_event_{i}", "t, u, p", after, e.then, names)

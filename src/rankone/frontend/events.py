@@ -11,6 +11,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.admissible import closed
+from rankone.expressions.derivatives import slope
 from rankone.expressions.notation import latex_of, text_of
 from rankone.frontend.equations import Symbols, check_names
 from rankone.frontend.jumps import (
@@ -36,8 +37,9 @@ class Event:
     """What happens where an expression crosses zero.
 
     Without ``then`` and ``terminal`` the instant is only marked. At the instant of an event a
-    trajectory has the values after it. A start at zero is no crossing, and after an event that
-    leaves its expression at zero the next crossing counts.
+    trajectory has the values after it. A start at zero is no crossing, but an event at a time that
+    depends on parameters alone, ``t - lag``, happens at the start too. After an event that leaves
+    its expression at zero the next crossing counts.
 
     Parameters
     ----------
@@ -78,6 +80,20 @@ class Event:
 def event_name(name: object, position: int) -> str:
     """The name of an event; by default by its position, from 0."""
     return f"event_{position}" if name is None else str(name)
+
+
+def known_time(event: Event, time: sp.Symbol) -> sp.Expr | None:
+    """When an event happens, an expression of parameters; None where the trajectory tells.
+
+    That is the root of what is linear in time alone, with a number as its slope.
+    """
+    if event.when.has(AppliedUndef):
+        return None
+    rate = slope(event.when, time)
+    if not rate.is_number or not rate.is_real or rate == 0:
+        return None
+    wrong = "falling" if rate > 0 else "rising"
+    return None if event.direction == wrong else -event.when.subs(time, 0) / rate
 
 
 def check_events(events: object, symbols: Symbols) -> tuple[Event, ...]:

@@ -88,7 +88,10 @@ class Integration:
             self._piece = a, b
             if a in jumps:
                 self._state = jumps[a](a, self._state, self.point)
-            self._react(a, self._settled())
+            fired = self._settled()
+            if a == self._start:
+                fired += self._known_at_start()
+            self._react(a, fired)
             while self._goes_on() and self._time < b:
                 self._follow(b)
             if not self._goes_on():
@@ -242,6 +245,12 @@ class Integration:
             return []
         rates = self._rates(self._time, self._state)
         return self._sides.settle(self._time, self._state, rates, unmoved)
+
+    def _known_at_start(self) -> list[int]:
+        """The events at known times that happen at the start."""
+        events = self.equations.events
+        heights = events.when(self._start, self._state, self.point)
+        return [k for k, known in enumerate(events.known) if known and heights[k] == 0.0]
 
     def _react(self, time: float, fired: list[int], on_surface: Collection[int] = ()) -> None:
         """Apply events in the order listed, then those that they set off, round after round."""

@@ -21,7 +21,7 @@ from rankone.expressions.derivatives import slope
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import NUMPY, stable
 from rankone.frontend.box import Time
-from rankone.frontend.events import Event
+from rankone.frontend.events import Event, known_time
 from rankone.frontend.jumps import (
     Impulses,
     Resets,
@@ -98,12 +98,15 @@ class NumericEvents:
         Maps time, states and parameters to what crosses zero (events,).
     then : list of callable or None
         For each event the states (n,) after it; None if it resets nothing.
+    known : list of bool
+        Whether its time depends on parameters alone.
     """
 
     def __init__(self, equations: NumericEquations, events: Sequence[Event]) -> None:
         self.names = [str(event.name) for event in events]
         self._directions = [_SIDES[event.direction] for event in events]
         self.terminal = [event.terminal for event in events]
+        self.known = [known_time(event, equations.time[0]) is not None for event in events]
         self.when = equations.function([event.when for event in events])
         self.then = [
             equations.function([event.then.get(state, state) for state in equations.states])

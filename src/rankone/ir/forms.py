@@ -90,7 +90,8 @@ class EventForm:
     """An event: what crosses zero, in which direction, and what it resets.
 
     ``when`` and ``then`` are in time, the values of the states before, ``x(t)``, and the
-    parameters. ``then`` has a value for each differential state, or is None.
+    parameters. ``then`` has a value for each differential state, or is None. ``at`` is the time of
+    the event, of the parameters, where it is known beforehand, or None.
     """
 
     name: str
@@ -98,6 +99,7 @@ class EventForm:
     direction: int
     then: tuple[sp.Expr, ...] | None
     terminal: bool
+    at: sp.Expr | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -291,14 +291,19 @@ def system_of(names: Mapping[str, object]) -> System:
 def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     """The events of a generated module."""
     listed = cast("Sequence[tuple[str, int, bool, bool]]", names.get("EVENTS", ()))
+    known = cast("Sequence[int]", names.get("KNOWN_EVENTS", ()))
 
     def event(k: int, name: str, direction: int, terminal: bool, resets: bool) -> SystemEvent:
         def when(t: Array, u: Array, p: Array) -> Array:
             heights = cast(OfStates, names["event_heights"])
             return np.asarray(heights(t, u, p)[k])
 
+        def at(p: Array) -> Array:
+            times = cast(OfParameters, names["known_event_times"])
+            return np.broadcast_to(times(p)[known.index(k)], p.shape[1:])
+
         then = cast("OfStates | None", names[f"after_event_{k}"] if resets else None)
-        return SystemEvent(when, direction, then, terminal, name)
+        return SystemEvent(when, direction, then, terminal, name, at if k in known else None)
 
     return tuple(event(k, *each) for k, each in enumerate(listed))
 

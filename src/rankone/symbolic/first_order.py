@@ -15,7 +15,7 @@ import sympy as sp
 
 from rankone.discretization.coordinates import name_of
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
-from rankone.frontend.events import Event, event_latex, event_texts
+from rankone.frontend.events import Event, event_latex, event_texts, known_time
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.problem import Problem
 from rankone.ir.events import BOTH, FALLING, RISING
@@ -189,18 +189,19 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         initial=initial,
         origins=tuple(origins),
         jumps=jumps,
-        events=tuple(_event(event, functions) for event in problem.events),
+        events=tuple(_event(event, functions, time) for event in problem.events),
     )
 
 
-def _event(event: Event, functions: Mapping[sp.Expr, sp.Expr]) -> EventForm:
+def _event(event: Event, functions: Mapping[sp.Expr, sp.Expr], time: sp.Symbol) -> EventForm:
     """An event in the states of the first-order system."""
     states, then = dict(functions), None
     if event.then is not None:
         after = {states[u]: value.xreplace(states) for u, value in event.then.items()}
         then = tuple(after.get(u, u) for u in states.values())
     when, direction = event.when.xreplace(states), _DIRECTIONS[event.direction]
-    return EventForm(str(event.name), when, direction, then, event.terminal)
+    at = known_time(event, time)
+    return EventForm(str(event.name), when, direction, then, event.terminal, at)
 
 
 @dataclass(frozen=True, repr=False)
