@@ -351,4 +351,6 @@ def test_a_dose_may_be_at_the_start():
         trajectory = problem.trajectory(times, k=k, lag=lag)
         np.testing.assert_allclose(trajectory["A"], exact, rtol=1e-6)
         assert trajectory.events["start"] == pytest.approx([lag])
-    np.testing.assert_allclose(solution.event_times("start", k=0.8, lag=[0, 1]), [[0, 1]], atol=1e-4)
+    np.testing.assert_allclose(
+        solution.event_times("start", k=0.8, lag=[0, 1]), [[0, 1]], atol=1e-4
+    )

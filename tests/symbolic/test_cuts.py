@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import sympy as sp
 
@@ -110,19 +111,18 @@ def test_what_switches_too_often_is_refused():
         ro.solve(problem)
 
 
-MOVING = {
+MOVING_PEAK = "-x + 1e5*exp(-((t - 60*k)/1e-5)**2)"
+MOVING_STEPS = {
     "pulse": "-x + 1000*Heaviside(t - 60*k)*Heaviside(60*k + 0.001 - t)",
     "dose": "-0.1*x + 18000*Piecewise((1, (t > 10*k) & (t < 10*k + 1/3600)), (0, True))",
-    "peak": "-x + 1e5*exp(-((t - 60*k)/1e-5)**2)",
 }
 
 
-@pytest.mark.parametrize("rate", MOVING.values(), ids=MOVING)
-def test_switches_that_move_with_a_parameter_are_not_stepped_over(rate):
+def test_a_peak_that_moves_with_a_parameter_is_not_stepped_over():
     """What no interpolation resolves is refused, not missed."""
-    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))
+    problem = ro.Problem.from_strings({"x": MOVING_PEAK}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))
     compiled = ro.compile(problem)
-    assert len(compiled.system.features.moving_cuts([0.7])) == (1 if "exp" in rate else 2)
+    assert len(compiled.system.features.moving_cuts([0.7])) == 1
     solution = compiled.solve(1e-3, effort=0.01)
     assert not solution.success
     assert solution.error > 0.1 or not solution.outcome.slabs
@@ -130,10 +130,39 @@ def test_switches_that_move_with_a_parameter_are_not_stepped_over(rate):
     assert reference or "at times that depend on parameters" in solution.message
 
 
+@pytest.mark.parametrize("rate", MOVING_STEPS.values(), ids=MOVING_STEPS)
+def test_switches_that_move_with_a_parameter_end_stretches(rate):
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))
+    solution = ro.solve(problem, 1e-3)
+    assert solution.success, solution.message
+    assert solution.timeline.stretches == 3
+    times = np.linspace(0, 100, 51)
+    exact = problem.trajectory(times, k=0.83)["x"]
+    np.testing.assert_allclose(solution(times, k=0.83), exact, atol=1e-3 * np.abs(exact).max())
+
+
+def test_switches_that_change_their_order_are_solved_over_clock_time():
+    rate = "-x + Piecewise((0, t < a), (t - a, True)) + Heaviside(t - b)*(t - b)"
+    box = {"a": (1, 2), "b": (1, 2)}
+    problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, box, (0, 4))
+    solution = ro.solve(problem, 1e-2)
+    assert solution.success, solution.message
+    assert solution.outcome.timeline is None
+
+
 def test_moving_switches_are_those_of_time_and_parameters():
     coordinates = [TIME, Coordinate("k", k, 0.5, 1.0)]
     rate = sp.Heaviside(2 * t - k) * sp.Heaviside(t - x) + sp.Abs(t - 3) + sp.exp(-k * t)
-    assert features_of(coordinates, [rate], []).moving_cuts == (k / 2,)
+    assert features_of(coordinates, [rate], []).moving_steps == (k / 2,)
+
+
+def test_periodic_switches_move_with_a_parameter():
+    coordinates = [TIME, Coordinate("k", k, 0.5, 1.0)]
+    (end,) = (c.upper for c in coordinates[:1])
+    of_sine = features_of(coordinates, [sp.Heaviside(sp.sin(k * t))], []).moving_steps
+    assert set(of_sine) == {j * sp.pi / k for j in range(int(end / 3.14) + 1)}
+    wholes = features_of(coordinates, [sp.floor(k * t)], []).moving_steps
+    assert set(wholes) == {j / k for j in range(int(end) + 1)}
 
 
 @pytest.mark.parametrize(

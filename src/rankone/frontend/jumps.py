@@ -304,8 +304,8 @@ def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tup
             f"{quote(impulse)} {message}",
             equation=origin,
             term=impulse,
-            remedy=f"write DiracDelta({time} - 8) with a number: jumps are at known times; "
-            "count time from it, or in units of it",
+            remedy=f"write DiracDelta({time} - 8) with a number; at a time of parameters a dose is a "
+            "jump: jumps={lag: {x: x + dose}}",
         )
 
     if len(impulse.args) > 1 and impulse.args[1] != 0:

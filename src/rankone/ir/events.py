@@ -21,7 +21,8 @@ class SystemEvent:
 
     ``then`` maps the states before it to those after it; it ends the trajectory if ``terminal``.
     ``at`` maps parameters (d, N) to its times (N,) where they are known; then it happens once,
-    unless that is before the start. It is ``timed`` if it is no event of the user.
+    unless that is before the start. It is ``timed`` if it is no event of the user; rates jump at a
+    ``switch``.
     """
 
     when: OfTrajectory
@@ -31,10 +32,16 @@ class SystemEvent:
     name: str = ""
     at: Callable[[Array], Array] | None = None
     timed: bool = False
+    switch: bool = False
 
     @property
     def interrupts(self) -> bool:
         """Whether the trajectory does not go on as if nothing had been."""
+        return self.terminal or self.switch or self.then is not None
+
+    @property
+    def jumps(self) -> bool:
+        """Whether values of the solution jump there, or end."""
         return self.terminal or self.then is not None
 
 

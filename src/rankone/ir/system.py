@@ -268,6 +268,7 @@ def system_of(names: Mapping[str, object]) -> System:
             cuts=member("CUTS", no_cuts),
             periodic_cuts=member("PERIODIC_CUTS", no_cuts),
             n_moving_cuts=member("N_MOVING_CUTS", 0),
+            n_moving_steps=member("N_MOVING_STEPS", 0),
             moving_cuts=member("moving_cuts", no_rows),
             n_parameter_surfaces=member("N_PARAMETER_SURFACES", 0),
             parameter_surfaces=member("parameter_surfaces", no_rows),

@@ -50,9 +50,24 @@ class Engine:
     marcher: Callable[[SolveRequest, ReferenceSet, Workers], Marcher]
 
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
-        """Solve; the status is CONVERGED only if the measured error is within the tolerance."""
-        if not system.events:
-            return self._solve(system, request, report)
+        """Solve; the status is CONVERGED only if the measured error is within the tolerance.
+
+        Where there are no events, but times at which rates jump move with the parameters, these are
+        events as long as all trajectories meet them in the same order.
+        """
+        if system.events:
+            return self._solve_over_stretches(system, request, report)
+        if system.features.n_moving_steps and not system.separated:
+            try:
+                return self._solve_over_stretches(system, request, report)
+            except OrderError:
+                pass
+        return self._solve(system, request, report)
+
+    def _solve_over_stretches(
+        self, system: System, request: SolveRequest, report: Report
+    ) -> Outcome:
+        """Solve over the stretches between events; an OrderError where their order changes."""
         first: OrderError | None = None
         for more in range(1 + _MOST_MORE_EVENTS):
             stages = Stages()

@@ -75,11 +75,17 @@ class SymbolicFeatures:
     """
 
     cuts: tuple[Cuts, ...]
-    moving_cuts: tuple[sp.Expr, ...]
+    moving_steps: tuple[sp.Expr, ...]
+    other_moving_cuts: tuple[sp.Expr, ...]
     parameter_surfaces: tuple[sp.Expr, ...]
     peaks: tuple[sp.Expr, ...]
     kinks: tuple[sp.Expr, ...]
     steps: tuple[sp.Expr, ...]
+
+    @property
+    def moving_cuts(self) -> tuple[sp.Expr, ...]:
+        """Times that move with the parameters, those of jumps first."""
+        return (*self.moving_steps, *self.other_moving_cuts)
 
     @property
     def state_surfaces(self) -> tuple[sp.Expr, ...]:
@@ -98,7 +104,7 @@ def features_of(
     expressions = [*rates, *further]
     return SymbolicFeatures(
         cuts_of(coordinates, expressions),
-        moving_cuts(coordinates, rates),
+        *moving_cuts(coordinates, rates),
         parameter_surfaces(coordinates, expressions),
         *state_surfaces(coordinates[0].symbol, rates),
     )

@@ -10,6 +10,7 @@ parameters: cuts of each trajectory. *State surfaces* are functions of the unkno
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
 
 import sympy as sp
@@ -25,20 +26,58 @@ _MAX_SURFACES = 64  # Surfaces of each sort: every check point and step evaluate
 _NARROW_CURVATURE = 1e4
 
 
-def moving_cuts(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
-    """Times, as functions of the parameters, at which functions of both switch or are narrow.
+def moving_cuts(
+    coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]
+) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
+    """Times, as functions of the parameters, at which functions of both jump, and further ones.
 
-    Boundaries that are linear in time, and the peaks of narrow exponentials of squares.
+    The further ones are kinks, and the peaks of narrow exponentials of squares. Boundaries are
+    linear in time, or periodic functions of what is.
     """
+    steps = _moving_boundaries(coordinates, rates, DISCONTINUOUS)
+    others = _moving_boundaries(coordinates, rates, CONTINUOUS)
+    others |= {*_moving_peaks(coordinates, rates)}
+    at_steps, further = (
+        tuple(sorted(times, key=sp.default_sort_key)) for times in (steps, others - steps)
+    )
+    return at_steps, further
+
+
+def _moving_boundaries(
+    coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr], functions: tuple[type, ...]
+) -> set[sp.Expr]:
+    """Times, as functions of the parameters, at which some functions of both are not smooth."""
     t, symbols = coordinates[0].symbol, {c.symbol for c in coordinates}
-    times = set(_moving_peaks(coordinates, rates))
-    for boundary, levels in boundaries(rates):
-        rate, involved = slope(boundary, t), boundary.free_symbols
-        if boundary.has(AppliedUndef) or len(involved) < 2 or not involved <= symbols:
+    times: set[sp.Expr] = set()
+    for boundary, levels in boundaries(rates, functions):
+        argument, spacing, shift = boundary, sp.S.One, sp.S.Zero
+        if isinstance(boundary, sp.sin | sp.cos) and levels == (0.0,):
+            argument, levels, spacing = boundary.args[0], None, sp.pi
+            shift = sp.pi / 2 if isinstance(boundary, sp.cos) else shift
+        rate, involved = slope(argument, t), argument.free_symbols
+        if argument.has(AppliedUndef) or len(involved) < 2 or not involved <= symbols:
             continue
-        if rate not in (0, sp.nan) and not rate.has(t):
-            times.update((sp.Rational(v) - boundary.subs(t, 0)) / rate for v in levels or ())
-    return tuple(sorted(times, key=sp.default_sort_key))
+        if rate in (0, sp.nan) or rate.has(t):
+            continue
+        if levels is None:
+            wholes = _wholes((argument - shift) / spacing, coordinates)
+            at = [spacing * k + shift for k in wholes]
+        else:
+            at = [sp.Rational(level) for level in levels]
+        times.update((level - argument.subs(t, 0)) / rate for level in at)
+    return times
+
+
+def _wholes(expression: sp.Expr, coordinates: Sequence[Coordinate]) -> range:
+    """The integers between the values of an expression at the corners; none if there are many."""
+    used = [c for c in coordinates if c.symbol in expression.free_symbols]
+    corners = itertools.product(*((c.lower, c.upper) for c in used))
+    symbols = [c.symbol for c in used]
+    at = [expression.subs(dict(zip(symbols, corner, strict=True))) for corner in corners]
+    if not all(value.is_real and value.is_finite for value in at):
+        return range(0)
+    first, last = math.ceil(min(at)), math.floor(max(at))
+    return range(first, last + 1) if last - first < _MAX_SURFACES else range(0)
 
 
 def _moving_peaks(coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]) -> Iterator[sp.Expr]:

@@ -33,27 +33,33 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
     jumps = system.jumps
     times = sorted({*cuts, *jumps.inside(*system.horizon)})
 
-    def known(at: Callable[[Array], Array], then: OfTrajectory, name: str) -> SystemEvent:
-        return SystemEvent(lambda t, _u, p: t - at(p), RISING, then, name=name, at=at, timed=True)
+    def known(at: Callable[[Array], Array], name: str, then: OfTrajectory | None) -> SystemEvent:
+        def when(t: Array, _u: Array, p: Array) -> Array:
+            return t - at(p)
+
+        switch = then is None
+        return SystemEvent(when, RISING, then, name=name, at=at, timed=True, switch=switch)
 
     def event(time: float) -> SystemEvent:
         kind = jumps.kind_at(time)
 
-        def then(t: Array, u: Array, p: Array) -> Array:
-            return np.array(u) if kind is None else np.asarray(jumps.jumped(kind, u, p))
+        def then(_t: Array, u: Array, p: Array) -> Array:
+            assert kind is not None
+            return np.asarray(jumps.jumped(kind, u, p))
 
         name = f"t = {time:.12g}"
-        return known(lambda p: np.full(p.shape[1], time), then, name)
+        return known(lambda p: np.full(p.shape[1], time), name, None if kind is None else then)
 
     def moving(k: int) -> SystemEvent:
         def at(p: Array) -> Array:
             return np.broadcast_to(system.features.moving_cuts(p)[k], p.shape[1])
 
-        return known(at, lambda _t, u, _p: np.array(u), "t")
+        return known(at, "t", None)
 
     switches = map(moving, range(system.features.n_moving_cuts))
     events = (*system.events, *(event(time) for time in times), *switches)
     features = replace(system.features, cuts=((), *system.features.cuts[1:]), n_moving_cuts=0)
+    features = replace(features, n_moving_steps=0)
     features = replace(features, periodic_cuts=((), *system.features.periodic_cuts[1:]))
     return replace(system, events=events, jumps=Jumps(), features=features)
 

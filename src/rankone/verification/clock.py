@@ -69,9 +69,7 @@ def _compared(clock: Clock, batch: StretchTrajectories, k: int, rtol: float) -> 
     borders, events = batch.borders[k], clock.system.events
     times = [np.linspace(start, end, _TIMES), borders[0] + (end - borders[0]) * _SHARES]
     times += [a + (b - a) * _SHARES for a, b in itertools.pairwise(borders)]
-    resets = np.array(
-        [o.time for o in batch.trajectories[k].occurrences if events[o.event].interrupts]
-    )
+    resets = np.array([o.time for o in batch.trajectories[k].occurrences if events[o.event].jumps])
     times += [resets - _BESIDE * out, resets + _BESIDE * out]
     all_times = np.unique(np.concatenate(times))
     all_times = all_times[(all_times >= start) & (all_times <= end)]
