@@ -138,7 +138,7 @@ def test_switches_that_move_with_a_parameter_end_stretches(rate):
     assert solution.timeline.stretches == 3
     times = np.linspace(0, 100, 51)
     exact = problem.trajectory(times, k=0.83)["x"]
-    np.testing.assert_allclose(solution(times, k=0.83), exact, atol=1e-3 * np.abs(exact).max())
+    np.testing.assert_allclose(solution["x"](times, k=0.83), exact, atol=1e-3 * np.abs(exact).max())
 
 
 def test_switches_that_change_their_order_are_solved_over_clock_time():
