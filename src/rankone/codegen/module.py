@@ -240,7 +240,7 @@ def _features(writer: PointwiseWriter, features: SymbolicFeatures) -> list[Block
     moving, surfaces = features.moving_cuts, features.parameter_surfaces
     tables += [f"N_MOVING_CUTS = {len(moving)}"] if moving else []
     if steps := len(features.moving_steps):
-        tables.append(f"N_MOVING_STEPS = {steps}  # the first of them: functions jump there")
+        tables.append(f"N_MOVING_STEPS = {steps}  # the first: functions jump or peak there")
     tables += [f"N_PARAMETER_SURFACES = {len(surfaces)}"] if surfaces else []
     if features.state_surfaces:
         counts = len(features.peaks), len(features.kinks), len(features.steps)

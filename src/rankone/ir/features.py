@@ -42,8 +42,8 @@ class Features:
 
     ``cuts`` has for time and each parameter the points at which functions of it alone are not
     smooth, ``periodic_cuts`` the points that repeat: one of them and the period. ``moving_cuts``
-    are times at which functions of time and parameters p (d, ...) are not smooth; they jump at the
-    first ``n_moving_steps``.
+    are times at which functions of time and parameters p (d, ...) are not smooth; they jump or
+    peak at the first ``n_moving_steps``.
     ``parameter_surfaces`` are functions of p that vanish, or are least, where functions of several
     parameters are not smooth. ``state_surfaces`` are functions of t, u (n, ...) and p that vanish
     where the rates are not smooth over the states: first ``n_peaks`` in the middle of smooth peaks,

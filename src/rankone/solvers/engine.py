@@ -52,8 +52,8 @@ class Engine:
     def solve(self, system: System, request: SolveRequest, report: Report) -> Outcome:
         """Solve; the status is CONVERGED only if the measured error is within the tolerance.
 
-        Where there are no events, but times at which rates jump move with the parameters, these are
-        events as long as all trajectories meet them in the same order.
+        Where there are no events, but times at which rates jump or peak move with the parameters,
+        these are events as long as all trajectories meet them in the same order.
         """
         if system.events:
             return self._solve_over_stretches(system, request, report)

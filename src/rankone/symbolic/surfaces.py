@@ -29,14 +29,14 @@ _NARROW_CURVATURE = 1e4
 def moving_cuts(
     coordinates: Sequence[Coordinate], rates: Sequence[sp.Expr]
 ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
-    """Times, as functions of the parameters, at which functions of both jump, and further ones.
+    """Times, as functions of the parameters, of jumps and peaks of functions of both, then kinks.
 
-    The further ones are kinks, and the peaks of narrow exponentials of squares. Boundaries are
-    linear in time, or periodic functions of what is.
+    Boundaries are linear in time, or periodic functions of what is. Peaks are those of narrow
+    exponentials of squares.
     """
     steps = _moving_boundaries(coordinates, rates, DISCONTINUOUS)
+    steps |= {*_moving_peaks(coordinates, rates)}
     others = _moving_boundaries(coordinates, rates, CONTINUOUS)
-    others |= {*_moving_peaks(coordinates, rates)}
     at_steps, further = (
         tuple(sorted(times, key=sp.default_sort_key)) for times in (steps, others - steps)
     )
