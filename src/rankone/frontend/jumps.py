@@ -304,8 +304,8 @@ def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tup
             f"{quote(impulse)} {message}",
             equation=origin,
             term=impulse,
-            remedy=f"write DiracDelta({time} - 8) with a number; at a time of parameters a dose is a "
-            "jump: jumps={lag: {x: x + dose}}",
+            remedy=f"write DiracDelta({time} - 8) with a number; a dose at a time of parameters is "
+            "a jump: jumps={lag: {x: x + dose}}",
         )
 
     if len(impulse.args) > 1 and impulse.args[1] != 0:
