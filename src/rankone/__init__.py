@@ -34,7 +34,16 @@ if TYPE_CHECKING:
     from rankone.interface.compiled import solve_problem as solve
     from rankone.interface.solution import Solution, load
     from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
-    from rankone.ir.functions import duration, first_crossing, function, maximum, minimum, table
+    from rankone.ir.functions import (
+        at_event,
+        duration,
+        event_time,
+        first_crossing,
+        function,
+        maximum,
+        minimum,
+        table,
+    )
     from rankone.ir.verdict import Status
     from rankone.solvers.cross import CrossOptions
     from rankone.solvers.greedy import GreedyOptions
@@ -85,8 +94,10 @@ __all__ = [
     "Trajectory",
     "WeakForm",
     "__version__",
+    "at_event",
     "compile",
     "duration",
+    "event_time",
     "first_crossing",
     "first_order",
     "function",
@@ -115,7 +126,10 @@ _MODULES = {
     "interface.compiled": ("CompiledProblem", "compile", "solve"),
     "interface.solution": ("Solution", "load"),
     "ir.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),
-    "ir.functions": ("duration", "first_crossing", "function", "maximum", "minimum", "table"),
+    "ir.functions": (
+        *("at_event", "duration", "event_time", "first_crossing"),
+        *("function", "maximum", "minimum", "table"),
+    ),
     "ir.verdict": ("Status",),
     "solvers.cross": ("CrossOptions",),
     "solvers.greedy": ("GreedyOptions",),

@@ -224,10 +224,9 @@ def test_statistics_are_over_what_still_runs():
     [
         (lambda s, _: s.diff("h"), "diff"),
         (lambda s, _: s.at(1.0), "at"),
-        (lambda s, _: s.output({"highest": "maximum(y)"}), "output"),
         (lambda s, _: s.to_canonical(), "to_canonical"),
-        (lambda s, path: s.export(path / "model.py"), "an exported model"),
-        (lambda s, path: s.explore(path / "page.html"), "an exported model"),
+        (lambda s, path: s.export(path / "model.js"), "a model in JavaScript"),
+        (lambda s, path: s.explore(path / "page.html"), "a page"),
     ],
 )
 def test_what_does_not_take_events_says_so(call, what, tmp_path):

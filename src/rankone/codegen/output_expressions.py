@@ -21,9 +21,18 @@ from rankone.expressions.parsing import parse_expression
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import stable
 from rankone.ir.forms import Coordinate
-from rankone.ir.functions import duration, first_crossing, known_applied, maximum, minimum
+from rankone.ir.functions import (
+    at_event,
+    duration,
+    event_time,
+    first_crossing,
+    known_applied,
+    maximum,
+    minimum,
+)
 from rankone.ir.metadata import SolutionMetadata
-from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.ir.timeline import Timeline
+from rankone.outputs.quantities import Border, Kind, Quantities, Reduction, Source
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, ProblemError, RankoneError
 from rankone.support.wording import did_you_mean, listing, quote, shown
@@ -31,7 +40,8 @@ from rankone.symbolic.features import cuts_of
 from rankone.symbolic.well_posed import Gap, check_gaps
 
 # What makes one number of a function of time
-_REDUCTIONS = (maximum, minimum, first_crossing, duration, sp.Integral)
+_REDUCTIONS = (maximum, minimum, first_crossing, duration, at_event, event_time, sp.Integral)
+_BEFORE = sp.Symbol("before")
 # Cuts of one period over the horizon; a quadrature between more would take minutes
 _MAX_REPEATS = 201
 # Of the derivatives and reductions at which generated outputs are checked; any will do
@@ -43,6 +53,8 @@ _KINDS = {
     minimum: Kind.MINIMUM,
     first_crossing: Kind.CROSSING,
     duration: Kind.DURATION,
+    at_event: Kind.EVENT,
+    event_time: Kind.EVENT,
 }
 
 
@@ -51,12 +63,13 @@ def quantities_of(
     metadata: SolutionMetadata,
     horizon: tuple[float, float],
     samples: tuple[Array, Array, Array],
+    timeline: Timeline | None = None,
 ) -> Quantities:
     """Outputs of a solution, expressions or their texts by name, as functions of arrays.
 
     The generated functions are checked at ``samples``: times (m,), parameters (d, m) and the states
-    there (n, m). An OptionError if ``outputs`` is not such a mapping, or an expression has
-    something that the solution does not hold.
+    there (n, m). The events are those of its ``timeline``. An OptionError if ``outputs`` is not
+    such a mapping, or an expression has something that the solution does not hold.
     """
     if not isinstance(outputs, Mapping) or not outputs:
         raise OptionError(
@@ -66,8 +79,10 @@ def quantities_of(
         )
     for name in outputs:
         _check_name(name, metadata)
-    translator = _Translator(metadata, horizon)
-    expressions = {name: _expression(name, term, metadata) for name, term in outputs.items()}
+    translator = _Translator(metadata, horizon, timeline)
+    expressions = {
+        name: _expression(name, term, metadata, timeline) for name, term in outputs.items()
+    }
     formulas = [translator.translated(name, term) for name, term in expressions.items()]
     texts = [f"{name} = {plain_text(term)}" for name, term in expressions.items()]
     parameters = {sp.Symbol(p): f"p[{j}]" for j, p in enumerate(metadata.parameters)}
@@ -218,17 +233,22 @@ def _check_name(name: object, metadata: SolutionMetadata) -> None:
         )
 
 
-def _expression(name: str, output: object, metadata: SolutionMetadata) -> sp.Expr:
+def _expression(
+    name: str, output: object, metadata: SolutionMetadata, timeline: Timeline | None
+) -> sp.Expr:
     """An output, given as expression or text, in plain symbols."""
     t = sp.Symbol(metadata.time)
     if isinstance(output, str):
+        words = ("before", "after", "rising", "falling", "both")
         names = {
+            **{word: sp.Symbol(word) for word in words},
+            **{event: sp.Symbol(event) for event in (timeline.events if timeline else ())},
             metadata.time: t,
             **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
             **{f"{state}_t": sp.Function(state)(t).diff(t) for state in metadata.states},
             **{state: sp.Function(state)(t) for state in metadata.states},
         }
-        further = {
+        further: dict[str, Callable[..., sp.Expr]] = {
             **{reduction.__name__: reduction for reduction in _KINDS},
             **{name: _extreme(name) for name in ("max", "min", "Max", "Min")},
             "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
@@ -279,6 +299,7 @@ class _Translator:
 
     metadata: SolutionMetadata
     horizon: tuple[float, float]
+    timeline: Timeline | None = None
     sources: dict[Source, sp.Dummy] = field(default_factory=dict)
     integrands: list[sp.Expr] = field(default_factory=list)
     reductions: list[Reduction] = field(default_factory=list)
@@ -299,17 +320,25 @@ class _Translator:
 
     def _reduction(self, name: str, applied: sp.Expr) -> sp.Dummy:
         """The symbol of a reduction, which is added to the list."""
+        start: float | Border
+        end: float | Border
         start, end = self.horizon
         kind, direction = _KINDS.get(applied.func, Kind.INTEGRAL), 0
         if isinstance(applied, sp.Integral):
             kind, inner, start, end = self._integral(name, applied)
+        elif isinstance(applied, at_event):
+            inner, event, occurrence, side = applied.args
+            start = self._border(name, applied, event, occurrence, side)
+        elif isinstance(applied, event_time):
+            inner = sp.Symbol(self.metadata.time)
+            start = self._border(name, applied, *applied.args)
         elif isinstance(applied, first_crossing):
             inner, direction = applied.parts
             if not direction.is_number or float(direction) not in (-1.0, 0.0, 1.0):
                 raise OptionError(
                     f"the direction of {quote(applied)} is {quote(direction)}",
                     term=applied,
-                    remedy="give 1 (upwards), -1 (downwards) or 0",
+                    remedy="give 'rising', 'falling' or 'both'",
                 )
         else:
             (inner,) = applied.args
@@ -337,7 +366,47 @@ class _Translator:
             self.running.append(symbol)
         return symbol
 
-    def _integral(self, name: str, integral: sp.Integral) -> tuple[Kind, sp.Expr, float, float]:
+    def _border(
+        self,
+        name: str,
+        applied: sp.Expr,
+        event: sp.Expr,
+        occurrence: sp.Expr,
+        side: sp.Expr = _BEFORE,
+    ) -> Border:
+        """Where an occurrence of an event ends a stretch."""
+
+        def error(why: str, term: sp.Expr, remedy: str) -> OptionError:
+            return OptionError(
+                f"the output {quote(name)} has {quote(applied)}: {why}", term=term, remedy=remedy
+            )
+
+        if self.timeline is None:
+            raise error("the solution has no events", event, "solve a problem with events")
+        events, met = self.timeline.events, self.timeline.met
+        if str(event) not in events:
+            hint = did_you_mean(str(event), events)
+            raise error(
+                f"no event {quote(event)}{hint}", event, f"the events are {listing(events)}"
+            )
+        if str(side) not in ("before", "after"):
+            raise error(f"the side is {quote(side)}", side, "give 'before' or 'after'")
+        places = [place for place, instant in enumerate(met, 1) if str(event) in instant]
+        if not (occurrence.is_Integer and -len(places) <= int(occurrence) < len(places)):
+            counted = f"from 0 to {len(places) - 1}" if places else "none"
+            raise error(
+                f"{quote(event)} has no occurrence {occurrence} before the end",
+                occurrence,
+                f"those before the end are {counted}",
+            )
+        border = Border(places[int(occurrence)], str(side) == "after")
+        if border.after and border.place == self.timeline.stretches:
+            raise error("the solution ends there", side, "give 'before'")
+        return border
+
+    def _integral(
+        self, name: str, integral: sp.Integral
+    ) -> tuple[Kind, sp.Expr, float | Border, float | Border]:
         """Kind, integrand and limits of an integral."""
         start, end = self.horizon
         t = sp.Symbol(self.metadata.time)
@@ -356,6 +425,16 @@ class _Translator:
             return Kind.INTEGRAL, inner, start, end
         if len(ends) != 2:
             raise self._wrong_integral(name, integral, "it has no two limits")
+        borders = [
+            self._border(name, limit, *limit.args) if isinstance(limit, event_time) else None
+            for limit in ends
+        ]
+        if any(borders):
+            numbers = [
+                border or self._number(name, integral, limit)
+                for border, limit in zip(borders, ends, strict=True)
+            ]
+            return Kind.INTEGRAL, inner, numbers[0], numbers[1]
         lower, upper = ends
         real = lower.is_extended_real and (upper.is_extended_real or upper == t)
         if not real or not lower.is_number or not (upper.is_number or upper == t):
@@ -366,6 +445,16 @@ class _Translator:
                 name, integral, f"its limits are not in [{start:g}, {end:g}]"
             )
         return Kind.RUNNING if upper == t else Kind.INTEGRAL, inner, low, high
+
+    def _number(self, name: str, integral: sp.Integral, limit: sp.Expr) -> float:
+        """The limit of an integral, a number inside of the horizon."""
+        start, end = self.horizon
+        if not limit.is_number or not limit.is_extended_real:
+            raise self._wrong_integral(name, integral, "its limits are not numbers or event times")
+        if not start <= float(limit) <= end:
+            where = f"its limits are not in [{start:g}, {end:g}]"
+            raise self._wrong_integral(name, integral, where)
+        return float(limit)
 
     def _wrong_integral(self, name: str, integral: sp.Integral, why: str) -> OptionError:
         start, t = self.horizon[0], self.metadata.time

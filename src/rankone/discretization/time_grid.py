@@ -116,12 +116,26 @@ class Polynomials:
         inside = (self.breaks[:-1] >= start) & (self.breaks[1:] <= end)
         return np.asarray(2.0 * self.half[inside] @ self.modes[inside, 0])
 
+    def until(self, ends: Array) -> Array:
+        """Integrals from the first break to ends (m,) of their own, (m,)."""
+        slab = np.clip(np.searchsorted(self.breaks, ends, side="right") - 1, 0, self.half.size - 1)
+        columns = np.arange(ends.size)
+        whole = 2.0 * self.half[:, None] * self.modes[:, 0]
+        before = np.concatenate([np.zeros((1, ends.size)), np.cumsum(whole, axis=0)])
+        xi = (ends - self.breaks[slab]) / self.half[slab] - 1.0
+        inside = _from_start(xi, self.grid.count) * self.modes[slab, :, columns]
+        return np.asarray(before[slab, columns] + self.half[slab] * inside.sum(axis=1))
+
     def running(self, start: float) -> Array:
         """Integrals from a break of the grid to all nodes, (T, m)."""
         whole = 2.0 * self.half[:, None] * self.modes[:, 0]
         before = np.concatenate([np.zeros((1, whole.shape[1])), np.cumsum(whole, axis=0)])
         before -= before[int(np.searchsorted(self.breaks, start))]
-        inside = _from_start(self.grid.count) @ self.modes * self.half[:, None, None]
+        inside = (
+            _from_start(_nodes(self.grid.count)[0], self.grid.count)
+            @ self.modes
+            * self.half[:, None, None]
+        )
         return np.asarray((before[:-1, None] + inside).reshape(-1, whole.shape[1]))
 
     def maximum(self) -> Array:
@@ -227,15 +241,14 @@ class Polynomials:
         return np.asarray(0.5 * (left + right))
 
 
-def _from_start(count: int) -> Array:
-    """Integrals of the Legendre polynomials from -1 to the nodes: (nodes, count).
+def _from_start(xi: Array, count: int) -> Array:
+    """Integrals of the Legendre polynomials from -1 to points (N,): (N, count).
 
     ``(2 n + 1) P_n`` is the derivative of ``P_{n+1} - P_{n-1}`` (DLMF 18.9.21).
     """
-    xi = leggauss(count)[0]
     plain = legendre_values(xi, count + 1) / np.sqrt(2.0 * np.arange(count + 1) + 1.0)
     degrees = np.arange(1, count)
-    integrals = np.empty((count, count))
+    integrals = np.empty((xi.size, count))
     integrals[:, 0] = xi + 1.0
     integrals[:, 1:] = (plain[:, 2:] - plain[:, :-2]) / np.sqrt(2.0 * degrees + 1.0)
     return integrals

@@ -291,8 +291,10 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
             For each name an expression of unknowns, their time derivatives, parameters and time.
             ``Integral(x, (t, a, b))`` is an integral over time, to ``t`` as upper limit a running
             one; :func:`rankone.maximum`, :func:`rankone.minimum`, :func:`rankone.duration` and
-            :func:`rankone.first_crossing` are functions of a whole function of time. In a text
-            write ``integral(x, a, b)``, ``maximum(x)`` and so on.
+            :func:`rankone.first_crossing` are functions of a whole function of time, and
+            :func:`rankone.event_time` and :func:`rankone.at_event` ask for events. In a text
+            write ``integral(x, a, b)``, ``maximum(x)``, ``at_event(x, bounce, 0)`` and so on.
+            Where there are events, outputs may not depend on time.
         rtol : float, optional
             Tolerance, relative to the largest value of each quantity. By default 1.5 times what
             errors of the solution's tolerance in every unknown would bring, or that tolerance.
@@ -328,7 +330,8 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
             "outputs are given as expressions of SymPy",
             "pip install sympy",
         )
-        outputs = expressions.quantities_of(quantities, self.metadata, self.time, samples_of(self))
+        asked = quantities, self.metadata, self.time, samples_of(self), self.outcome.timeline
+        outputs = expressions.quantities_of(*asked)
         return Solution(*with_outputs(self, outputs, rtol, effort, max_seconds, units or {}))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:

@@ -398,6 +398,9 @@ def _array(name: str, numbers: tuple[float, ...]) -> list[str]:
     ]
 
 
+_SIGNS = {"rising": 1, "falling": -1, "both": 0}
+
+
 class maximum(sp.Function):  # type: ignore[misc]
     """The largest value over time of an expression, in :meth:`rankone.Solution.output`.
 
@@ -431,8 +434,8 @@ class first_crossing(sp.Function):  # type: ignore[misc]
     """The first time at which an expression crosses a level.
 
     ``first_crossing(x, level, direction)`` in :meth:`rankone.Solution.output`. The level, 0 by
-    default, is a number or an expression of parameters and time; the direction is 1 (upwards), -1
-    (downwards) or 0 (either). An expression that only begins at the level does not cross it; nor
+    default, is a number or an expression of parameters and time; the direction is "rising" or 1,
+    "falling" or -1, "both" or 0. An expression that only begins at the level does not cross it; nor
     does one that exceeds it by less than ten times the tolerance times its largest distance.
     """
 
@@ -442,4 +445,46 @@ class first_crossing(sp.Function):  # type: ignore[misc]
     def parts(self) -> tuple[sp.Expr, sp.Expr]:
         """What crosses zero, and the direction."""
         expression, level, direction = (*self.args, sp.S.Zero, sp.S.Zero)[:3]
-        return expression - level, direction
+        return expression - level, sp.sympify(_SIGNS.get(str(direction), direction))
+
+
+class at_event(sp.Function):  # type: ignore[misc]
+    """An expression where an event occurs, in :meth:`rankone.Solution.output`.
+
+    ``at_event(x, "bounce", 0, "before")``: occurrences count from 0, negative ones from the last;
+    the side is "before" or "after" what the event resets.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> t = sp.Symbol("t")
+    >>> at_event(sp.Function("x")(t), "ground")
+    at_event(x(t), ground, 0, before)
+    """
+
+    nargs = 4
+
+    def __new__(
+        cls,
+        expression: object,
+        event: object,
+        occurrence: object = 0,
+        side: object = "before",
+        **options: object,
+    ) -> sp.Expr:
+        words = (sp.Symbol(str(word)) for word in (event, side))
+        name, where = words
+        return super().__new__(cls, sp.sympify(expression), name, sp.sympify(occurrence), where)
+
+
+class event_time(sp.Function):  # type: ignore[misc]
+    """The time at which an event occurs, in :meth:`rankone.Solution.output`.
+
+    ``event_time("bounce", 0)``: occurrences count from 0, negative ones from the last. It may be a
+    limit of an integral over time.
+    """
+
+    nargs = 2
+
+    def __new__(cls, event: object, occurrence: object = 0, **options: object) -> sp.Expr:
+        return super().__new__(cls, sp.Symbol(str(event)), sp.sympify(occurrence))

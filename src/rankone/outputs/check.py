@@ -100,6 +100,13 @@ class Check:
         relative: Array = total / self.sizes[:, None]
         return relative
 
+    def delayed(self, sampler: Sampler) -> Array:
+        """Effect of the error of the times of events on the quantities, over their sizes."""
+        moved = sampler.moved(self.points)
+        if moved is None:
+            return np.zeros((self.sizes.size, len(self.points)))
+        return np.asarray(np.abs(moved - self.values).max(axis=1) / self.sizes[:, None])
+
 
 def critical_points(sampler: Sampler, domain: Domain) -> Array:
     """Points of the box where extremes, durations or crossings are nearest to a change: (m, d).

@@ -22,6 +22,7 @@ from rankone.ir.verdict import EarlyEnd, Note, OutputError, Remedy, Status, Unkn
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
+from rankone.outputs.stretch_sampling import StretchSampler
 from rankone.solution.core import SolutionCore
 from rankone.solvers.cross import CrossOptions
 from rankone.support.arrays import Array
@@ -45,6 +46,7 @@ from rankone.tensors.adaptive import (
 )
 from rankone.tensors.cross import GrowingBasis
 from rankone.tensors.slab import SlabTrain, slab_trains
+from rankone.tensors.timeline import TimelineEvaluator
 
 _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
 _OF_INTERPOLATION = Remedy(
@@ -80,7 +82,9 @@ def samples_of(solution: SolutionCore) -> tuple[Array, Array, Array]:
     named = dict(zip(solution.parameters, p, strict=True))
     at = () if solution.metadata.timeless else (t,)
     states = [np.broadcast_to(solution[s](*at, **named), t.shape) for s in solution.states]
-    return t, p, np.array(states)
+    at_times = np.array(states)
+    runs = ~np.isnan(at_times).any(axis=0) if solution.outcome.timeline else slice(None)
+    return t[runs], p[:, runs], at_times[:, runs]
 
 
 def with_outputs(
@@ -99,6 +103,11 @@ def with_outputs(
         seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
     operations = operations_for(effort)
     _check_units(units, quantities)
+    if solution.outcome.timeline is not None and not quantities.timeless:
+        raise OptionError(
+            "outputs that depend on time do not take solutions with events yet",
+            remedy="ask for numbers: at_event, event_time, integrals, extremes, crossings",
+        )
     outcome, rtol = OutputInterpolation(solution, quantities).solve(rtol, operations, seconds)
     metadata = solution.metadata
     if solution.time[1] < metadata.horizon[1]:
@@ -185,7 +194,7 @@ class OutputInterpolation:
             np.nan if source.order else errors[source.row] / solution.rtol
             for source in self.quantities.sources
         ]
-        from_solution = np.tensordot(np.array(shares), amplified, 1)
+        from_solution = np.tensordot(np.array(shares), amplified, 1) + check.delayed(finer)
         missed = check.missed(slabs, finer) + sampler.narrow(check.points)
         if domain.box:
             climbed = check.climbed(slabs, finer, domain).missed(slabs, finer)
@@ -194,9 +203,15 @@ class OutputInterpolation:
 
     def _sampler(self, grid: TimeGrid) -> Sampler:
         solution = self.solution
-        slabs = solution.outcome.slabs_over_clock_time("output")
-        names = solution.metadata.parameters
-        return Sampler(slabs, names, self.quantities, grid, solution.rtol)
+        names, evaluator = solution.metadata.parameters, solution._evaluator
+        if isinstance(evaluator, TimelineEvaluator):
+            length = solution.metadata.horizon[1] - solution.metadata.horizon[0]
+            measured = solution.outcome.measured
+            error = None if measured is None else measured.time_error
+            late = length * (solution.rtol if error is None else error)
+            asked = names, self.quantities, grid, solution.rtol, late
+            return StretchSampler(evaluator, *asked)
+        return Sampler(solution.outcome.slabs, names, self.quantities, grid, solution.rtol)
 
     def _resolving_grid(self, level: float, points: CheckPoints) -> TimeGrid:
         """A grid that resolves the functions of time at corners, and where they are roughest."""
@@ -218,10 +233,19 @@ class OutputInterpolation:
         start, end = self.domain.horizon
         if self.solution.metadata.timeless:
             return TimeGrid((start, end), 1)
-        reductions = self.quantities.reductions
-        limits = [x for r in reductions for x in (r.start, r.end) if start < x < end]
-        starts = (slab.start for slab in self.solution.outcome.slabs[1:])
-        edges = [start, *sorted({*starts, *limits, *self.quantities.cuts[0]}), end]
+        slabs = self.solution.outcome.slabs
+        starts = (slab.start for slab in slabs[1:])
+        if self.solution.outcome.timeline is not None:
+            start, end = slabs[0].start, slabs[-1].end
+            edges = sorted({start, *starts, *range(1, round(end)), end})
+        else:
+            limits = [
+                x
+                for reduction in self.quantities.reductions
+                for x in (reduction.start, reduction.end)
+                if isinstance(x, float) and start < x < end
+            ]
+            edges = [start, *sorted({*starts, *limits, *self.quantities.cuts[0]}), end]
         count = self.options.nodes_in_time(level)
         coarse = self._sampler(TimeGrid(tuple(edges), count))
         sampled = np.abs(coarse.at(coarse.grid.times, points))
@@ -304,7 +328,7 @@ class QuantityColumns:
     def __init__(self, sampler: Sampler, sizes: Array, tolerance: float) -> None:
         self.sampler, self.tolerance, self.grid = sampler, tolerance, sampler.grid
         if sampler.quantities.timeless:
-            self.grid = TimeGrid((self.grid.breaks[0], self.grid.breaks[-1]), 1)
+            self.grid = TimeGrid(sampler.span, 1)
         self.units = sizes * np.sqrt(sampler.rows)
         self.basis = GrowingBasis(sizes.size * sampler.rows)
 

@@ -18,19 +18,29 @@ class Kind(Enum):
     MINIMUM = "minimum"
     CROSSING = "first crossing"
     DURATION = "duration"
+    EVENT = "value at an event"
+
+
+@dataclass(frozen=True)
+class Border:
+    """The end of a stretch of a timeline, by its place from 1, or behind it the next beginning."""
+
+    place: int
+    after: bool = False
 
 
 @dataclass(frozen=True)
 class Reduction:
     """A reduction of the integrand at a position, a function of time.
 
-    It has the limits of an integral or else of the horizon; a running integral has no end.
+    It has the limits of an integral or else of the horizon; a running integral has no end. The
+    value at an event is that at its start.
     """
 
     kind: Kind
     integrand: int
-    start: float
-    end: float
+    start: float | Border
+    end: float | Border
     direction: int  # of a crossing of zero: 1 upwards, -1 downwards, 0 either
     text: str  # in messages
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.discretization.time_grid import Polynomials, TimeGrid
 from rankone.outputs.quantities import Kind, Quantities, Reduction
@@ -51,9 +52,22 @@ class Sampler:
             self._orders[order] = [slab.derivative() for slab in self._orders[order - 1]]
 
     @property
+    def span(self) -> tuple[float, float]:
+        """The interval of the grid."""
+        return self.grid.breaks[0], self.grid.breaks[-1]
+
+    @property
     def rows(self) -> int:
         """Times at which a quantity is held."""
         return 1 if self.quantities.timeless else self.grid.times.size
+
+    def clock(self, times: Array, points: Array) -> Array:
+        """The time (T, 1) or (T, m) at places of the grid (T,) for points (m, d)."""
+        return times[:, None]
+
+    def moved(self, points: Array) -> Array | None:
+        """Quantities at points if events were later by their error; None without events."""
+        return None
 
     def __call__(self, points: Array, shifts: Array | None = None) -> Array:
         """Quantities at points (m, d): shape (quantities, rows, m).
@@ -68,7 +82,8 @@ class Sampler:
 
     def at(self, times: Array, points: Array) -> Array:
         """Integrands and, without reductions, values at times (T,): shape (functions, T, m)."""
-        functions = self._functions(times[:, None], self._sources(times, points), points.T)
+        at = self.clock(times, points)
+        functions = self._functions(at, self._sources(times, points), points.T)
         shape = times.size, len(points)
         return np.array([np.broadcast_to(function, shape) for function in functions])
 
@@ -84,7 +99,7 @@ class Sampler:
             return margins
         shape = self.grid.times.size, len(points)
         with np.errstate(all="ignore"):
-            times = self.grid.times[:, None]
+            times = self.clock(self.grid.times, points)
             integrands = self.quantities.integrands(times, self.sources(points), points.T)
         for reduction in reductions:
             charge(CALL + _SEARCH_COST * shape[0] * shape[1])
@@ -108,8 +123,8 @@ class Sampler:
 
     def narrow(self, points: Array) -> float:
         """Error at narrow features, of integrands and quantities without reductions, relative."""
-        times, sources = self.grid.times[:, None], self.sources(points)
-        shape = times.size, len(points)
+        times, sources = self.clock(self.grid.times, points), self.sources(points)
+        shape = self.grid.times.size, len(points)
         with np.errstate(all="ignore"):
             surfaces = self.quantities.state_surfaces(times, sources, points.T)
         worst = 0.0
@@ -118,7 +133,8 @@ class Sampler:
             curves = Polynomials(self.grid, np.broadcast_to(surface, shape))
             zeros, columns = curves.zeros(_MAX_MIDDLES)
             at_zeros = self._paired(zeros, points[columns])
-            exact = self._functions(zeros[None, :], at_zeros[:, None, :], points[columns].T)
+            at = self._paired_clock(zeros, points[columns])[None, :]
+            exact = self._functions(at, at_zeros[:, None, :], points[columns].T)
             for nodal, exact_row in zip(at_nodes, exact, strict=True):
                 nodal = np.broadcast_to(nodal, shape)
                 size = max(np.abs(nodal).max(), np.abs(exact_row).max(initial=0.0), 1e-300)
@@ -152,8 +168,12 @@ class Sampler:
                         sources[i, owned] = states[source.row]
         return sources
 
+    def _paired_clock(self, times: Array, points: Array) -> Array:
+        """The time at pairs of places (N,) and points (N, d): shape (N,)."""
+        return times
+
     def _chunk(self, points: Array, shifts: Array | None) -> Array:
-        times, sources = self.grid.times[:, None], self.sources(points)
+        times, sources = self.clock(self.grid.times, points), self.sources(points)
         if shifts is not None:
             sources = sources + shifts[:, None, None]
         self._refuse_gaps(times, sources, points)
@@ -163,7 +183,7 @@ class Sampler:
             largest = [float(np.nanmax(np.abs(operand), initial=0.0)) for operand in operands]
             self.largest = max(self.largest, *(x for x in largest if np.isfinite(x)), 0.0)
             reduced = [
-                self._reduced(reduction, integrands[reduction.integrand], points)
+                self._reduced(reduction, integrands[reduction.integrand], points, shifts)
                 for reduction in self.quantities.reductions
             ]
             quantities = self.quantities.values(
@@ -179,17 +199,24 @@ class Sampler:
         """Raise an EvaluationError where a piecewise function of the states has no branch."""
         gaps = self.quantities.gaps(times, sources, points.T)
         for text, inside in zip(self.quantities.gap_texts, gaps, strict=True):
-            rows, columns = np.nonzero(np.broadcast_to(inside, (times.size, len(points))))
+            shape = len(times), len(points)
+            rows, columns = np.nonzero(np.broadcast_to(inside, shape))
             if rows.size:
-                time, point = times.ravel()[rows[0]], self._named(points[columns[0]])
+                time = np.broadcast_to(times, shape)[rows[0], columns[0]]
+                point = self._named(points[columns[0]])
                 raise EvaluationError(
                     f"{text}: met at t = {time:.6g}" + (f", {point}" if point else ""),
                     term=text,
                     remedy="add a branch (value, True) for everything else",
                 )
 
-    def _reduced(self, reduction: Reduction, integrand: Array, points: Array) -> Array:
-        """Reduce an integrand that broadcasts to (T, m): (m,), or (T, m) for a running integral."""
+    def _reduced(
+        self, reduction: Reduction, integrand: Array, points: Array, shifts: Array | None
+    ) -> Array:
+        """Reduce an integrand that broadcasts to (T, m): (m,), or (T, m) for a running integral.
+
+        The sources of the integrand are shifted already.
+        """
         integrand = np.broadcast_to(integrand, (self.grid.times.size, len(points)))
         self._check_finite(reduction.text, integrand, points)
         cost = _SEARCH_COST if reduction.kind in _SEARCHED_KINDS else _INTEGRAL_COST
@@ -197,8 +224,11 @@ class Sampler:
         functions = Polynomials(self.grid, integrand)
         match reduction.kind:
             case Kind.INTEGRAL:
+                assert isinstance(reduction.start, float)
+                assert isinstance(reduction.end, float)
                 return functions.integral(reduction.start, reduction.end)
             case Kind.RUNNING:
+                assert isinstance(reduction.start, float)
                 return functions.running(reduction.start)
             case Kind.MAXIMUM:
                 return functions.maximum()
@@ -207,14 +237,17 @@ class Sampler:
             case Kind.DURATION:
                 return functions.duration()
         crossings = functions.first_crossing(reduction.direction, self._negligible)
-        missing = np.isnan(crossings)
+        self._refuse(np.isnan(crossings), reduction, points)
+        return crossings
+
+    def _refuse(self, missing: NDArray[np.bool_], reduction: Reduction, points: Array) -> None:
+        """Raise an EvaluationError if something does not happen at some points."""
         if missing.any():
             raise EvaluationError(
                 f"`{reduction.text}` does not happen at {self._named(points[missing][0])}",
                 term=reduction.text,
                 remedy="restrict the solution to parameters where it does: solution.restrict(...)",
             )
-        return crossings
 
     def _check_finite(self, text: str, sampled: Array, points: Array) -> None:
         """Raise an EvaluationError unless a function (T, m) is finite at all points."""

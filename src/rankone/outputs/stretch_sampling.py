@@ -1,0 +1,188 @@
+"""Values of quantities of a solution with events, over the stretches between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.discretization.time_grid import Polynomials, TimeGrid
+from rankone.outputs.quantities import Border, Kind, Quantities, Reduction
+from rankone.outputs.sampling import Sampler
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.support.costs import CALL
+from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.timeline import TimelineEvaluator
+
+_NUMBER_COST = 20.0  # Operations of a number of the functions of time
+
+
+class StretchSampler(Sampler):
+    """Quantities on a grid over pseudo-time: stretch i is [i, i + 1].
+
+    Stretches end with the horizon at the latest, so that those behind it have no length. The times
+    of events are known to ``time_error``.
+    """
+
+    def __init__(
+        self,
+        evaluator: TimelineEvaluator,
+        parameters: Sequence[str],
+        quantities: Quantities,
+        grid: TimeGrid,
+        rtol: float,
+        time_error: float,
+    ) -> None:
+        super().__init__(evaluator.slabs, parameters, quantities, grid, rtol)
+        self.evaluator, self.time_error = evaluator, time_error
+        self._trains = {order: TrainEvaluator(slabs) for order, slabs in self._orders.items()}
+        self._late = 0.0
+
+    @property
+    def span(self) -> tuple[float, float]:
+        return self.evaluator.horizon
+
+    def clock(self, times: Array, points: Array) -> Array:
+        return self._clock(np.broadcast_to(times[:, None], (times.size, len(points))), points)
+
+    def moved(self, points: Array) -> Array | None:
+        self._late = self.time_error
+        try:
+            return self(points)
+        finally:
+            self._late = 0.0
+
+    def _borders(self, points: Array) -> tuple[Array, Array]:
+        """Clock times (stretches + 1, m) of borders, and the same within the horizon."""
+        borders = self.evaluator.borders(np.ascontiguousarray(points.T))
+        return borders, np.minimum(borders, self.evaluator.horizon[1])
+
+    def _place(self, times: Array) -> NDArray[np.intp]:
+        """The stretch of each pseudo-time."""
+        last = round(self.evaluator.slabs[-1].end) - 1
+        return np.asarray(np.clip(np.floor(times), 0, last).astype(np.intp))
+
+    def _clock(self, times: Array, points: Array) -> Array:
+        """Clock times at pseudo-times (T, m)."""
+        _, within = self._borders(points)
+        stretch = self._place(times)
+        begin = np.take_along_axis(within, stretch, axis=0)
+        end = np.take_along_axis(within, stretch + 1, axis=0)
+        return np.asarray(begin + (times - stretch) * (end - begin))
+
+    def _states(self, times: Array, points: Array) -> Array:
+        """Sources at pseudo-times (T, m): shape (sources, T, m)."""
+        charge(20.0 * CALL + (1.0 + len(self.quantities.sources)) * _NUMBER_COST * times.size)
+        borders, within = self._borders(points)
+        stretch = self._place(times)
+        # behind the horizon the states are those at its end
+        met = (within[1:-1] < self.evaluator.horizon[1]).sum(axis=0)
+        stretch = np.minimum(stretch, met)
+        begin = np.take_along_axis(borders, stretch, axis=0)
+        length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
+        share = (self._clock(times, points) - begin) / np.where(length > 0.0, length, 1.0)
+        return self._read(stretch, share, length, points)
+
+    def _read(self, stretch: Array, share: Array, length: Array, points: Array) -> Array:
+        """Sources in stretches, at shares of them."""
+        last = np.nextafter(stretch + 1.0, 0.0)
+        pseudo = np.clip(stretch + share, stretch, last)
+        columns = np.ascontiguousarray(points.T)
+        sources = np.empty((len(self.quantities.sources), *pseudo.shape))
+        for order, trains in self._trains.items():
+            chosen = [i for i, s in enumerate(self.quantities.sources) if s.order == order]
+            if chosen:
+                rows = np.array([self.quantities.sources[i].row for i in chosen])
+                sources[chosen] = trains.curves(pseudo, columns, rows)
+                if order:
+                    sources[chosen] /= np.where(length > 0.0, length, np.inf) ** order
+        return np.asarray(sources)
+
+    def _sources(self, times: Array, points: Array) -> Array:
+        return self._states(np.broadcast_to(times[:, None], (times.size, len(points))), points)
+
+    def _paired(self, times: Array, points: Array) -> Array:
+        return np.asarray(self._states(times[None], points)[:, 0])
+
+    def _paired_clock(self, times: Array, points: Array) -> Array:
+        return np.asarray(self._clock(times[None], points)[0])
+
+    def _reduced(
+        self, reduction: Reduction, integrand: Array, points: Array, shifts: Array | None
+    ) -> Array:
+        shape = self.grid.times.size, len(points)
+        integrand = np.broadcast_to(integrand, shape)
+        _, within = self._borders(points)
+        lengths = np.diff(within, axis=0)
+        each = np.take_along_axis(
+            lengths, self._place(np.broadcast_to(self.grid.times[:, None], shape)), axis=0
+        )
+        if reduction.kind is Kind.EVENT:
+            assert isinstance(reduction.start, Border)
+            return self._at_event(reduction, reduction.start, points, shifts)
+        if reduction.kind is Kind.INTEGRAL:
+            self._check_finite(reduction.text, integrand, points)
+            functions = Polynomials(self.grid, integrand * each)
+            ends = (
+                self._limit(limit, reduction, points) for limit in (reduction.end, reduction.start)
+            )
+            upper, lower = (functions.until(end) for end in ends)
+            return np.asarray(upper - lower)
+        if reduction.kind is Kind.DURATION:
+            self._check_finite(reduction.text, integrand, points)
+            return self._duration(integrand, lengths)
+        reduced = super()._reduced(reduction, integrand, points, shifts)
+        if reduction.kind is Kind.CROSSING:
+            return np.asarray(self._clock(reduced[None], points)[0])
+        return reduced
+
+    def _duration(self, integrand: Array, lengths: Array) -> Array:
+        """For how long functions (T, m) are positive: stretch after stretch."""
+        total, breaks = np.zeros(integrand.shape[1]), np.array(self.grid.breaks)
+        for i, length in enumerate(lengths):
+            inside = (self.grid.times > i) & (self.grid.times < i + 1)
+            own = breaks[(breaks >= i) & (breaks <= i + 1)]
+            grid = TimeGrid(tuple(own.tolist()), self.grid.count)
+            total += length * Polynomials(grid, integrand[inside]).duration()
+        return total
+
+    def _limit(self, limit: float | Border, reduction: Reduction, points: Array) -> Array:
+        """The pseudo-time (m,) of a limit of an integral."""
+        borders, within = self._borders(points)
+        if isinstance(limit, Border):
+            end = self.evaluator.horizon[1]
+            self._refuse(borders[limit.place] > end, reduction, points)
+            at = borders[limit.place] - self._late
+        else:
+            at = np.full(len(points), limit)
+        stretch = (within[1:-1] <= at).sum(axis=0)
+        if isinstance(limit, Border):
+            stretch = np.full(len(points), limit.place - 1)
+        columns = np.arange(len(points))
+        begin = within[stretch, columns]
+        length = within[stretch + 1, columns] - begin
+        share = np.where(length > 0.0, (at - begin) / np.where(length > 0.0, length, 1.0), 1.0)
+        return np.asarray(stretch + np.clip(share, 0.0, 1.0))
+
+    def _at_event(
+        self, reduction: Reduction, border: Border, points: Array, shifts: Array | None
+    ) -> Array:
+        """The integrand on one side of an event, (m,)."""
+        borders, _ = self._borders(points)
+        end = self.evaluator.horizon[1]
+        self._refuse(borders[border.place] > end, reduction, points)
+        stretch = np.full((1, len(points)), border.place if border.after else border.place - 1)
+        length = np.diff(borders, axis=0)[stretch[0, 0]][None]
+        late = np.where(length > 0.0, self._late / np.where(length > 0.0, length, 1.0), 0.0)
+        share = late if border.after else 1.0 - late
+        sources = self._read(stretch, share, length, points)
+        if shifts is not None:
+            sources = sources + shifts[:, None, None]
+        clock = borders[border.place][None] + (self._late if border.after else -self._late)
+        with np.errstate(all="ignore"):
+            values = self.quantities.integrands(clock, sources, points.T)[reduction.integrand]
+        values = np.broadcast_to(values, (1, len(points)))
+        self._check_finite(reduction.text, values, points)
+        return np.asarray(values[0])

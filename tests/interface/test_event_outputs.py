@@ -1,0 +1,156 @@
+"""Outputs of solutions with events, against closed forms and single trajectories."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import rankone as ro
+
+t = sp.Symbol("t")
+x, y, v = (sp.Function(name)(t) for name in ("x", "y", "v"))
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A ball that falls from h with g = 2: it lands at sqrt(h), and flies 2 e sqrt(h) then."""
+    problem = ro.Problem.from_strings(
+        {"y": "v", "v": "-2"},
+        {"y": "h", "v": 0},
+        {"h": (0.8, 1.2), "e": (0.7, 0.9)},
+        (0, 3.5),
+        events=[{"when": "y", "direction": "falling", "then": {"v": "-e*v"}, "name": "bounce"}],
+    )
+    solution = ro.solve(problem, 1e-6)
+    assert solution.success, solution.message
+    return solution
+
+
+H, E = 1.1, 0.75
+AT = {"h": H, "e": E}
+
+
+def asked(ball, output, **options):
+    one = ball.output({"q": output}, **options)
+    assert one.success, one.message
+    assert one.error < 1e-3
+    return float(one["q"](**AT))
+
+
+def test_times_of_events(ball):
+    first = np.sqrt(H)
+    assert asked(ball, ro.event_time("bounce", 0)) == pytest.approx(first, rel=1e-5)
+    flight = ro.event_time("bounce", 1) - ro.event_time("bounce")
+    assert asked(ball, flight) == pytest.approx(2 * E * first, rel=1e-5)
+    assert asked(ball, "event_time(bounce, 1)") == pytest.approx((1 + 2 * E) * first, rel=1e-5)
+
+
+def test_states_on_both_sides_of_an_event(ball):
+    speed = 2 * np.sqrt(H)
+    assert asked(ball, ro.at_event(v, "bounce", 0)) == pytest.approx(-speed, rel=1e-5)
+    after = asked(ball, "at_event(v, bounce, 0, after)")
+    assert after == pytest.approx(E * speed, rel=1e-5)
+    lost = ro.at_event(v**2, "bounce", 0) - ro.at_event(v**2, "bounce", 0, side="after")
+    assert asked(ball, lost) == pytest.approx((1 - E**2) * speed**2, rel=1e-5)
+
+
+def test_functions_of_time_run_through_events(ball):
+    first = np.sqrt(H)
+    assert asked(ball, ro.maximum(v)) == pytest.approx(2 * first * E, rel=1e-5)
+    assert asked(ball, ro.minimum(v)) == pytest.approx(-2 * first, rel=1e-5)
+    assert asked(ball, ro.first_crossing(v, 0, "rising")) == pytest.approx(first, rel=1e-5)
+    falling = asked(ball, ro.first_crossing(y, H / 4, "falling"))
+    assert falling == pytest.approx(first * np.sqrt(0.75), rel=1e-5)
+    smooth = ball.restrict(h=(1.05, 1.15), e=(0.74, 0.76))  # falls at the end, all over the box
+    assert asked(smooth, ro.duration(-v)) == pytest.approx(duration_of_fall(), rel=1e-5)
+
+
+def duration_of_fall():
+    """For how long the ball falls before t = 3.5."""
+    first, falls, start, rise = np.sqrt(H), np.sqrt(H), np.sqrt(H), E * np.sqrt(H)
+    while start < 3.5:
+        falls += np.clip(3.5 - start - rise, 0, rise)
+        start, rise = start + 2 * rise, rise * E
+    assert first < 3.5
+    return falls
+
+
+def test_integrals_over_time(ball):
+    first = np.sqrt(H)
+    to_floor = sp.Integral(y, (t, 0, ro.event_time("bounce", 0)))
+    assert asked(ball, to_floor) == pytest.approx(2 / 3 * H * first, rel=1e-5)
+    flight = sp.Integral(y, (t, ro.event_time("bounce", 0), ro.event_time("bounce", 1)))
+    rise = E * first
+    assert asked(ball, flight) == pytest.approx(4 / 3 * rise**3, rel=1e-5)
+    # at a fixed time after the first bounce
+    share = 1.3 - first
+    part = 2 / 3 * H * first + rise * share**2 - share**3 / 3
+    assert asked(ball, sp.Integral(y, (t, 0, 1.3))) == pytest.approx(part, rel=1e-5)
+
+
+def test_outputs_of_the_time_that_exists():
+    problem = ro.Problem.from_strings(
+        {"x": "u", "u": "0", "y": "v", "v": "-2"},
+        {"x": 0, "u": "w", "y": 0, "v": "w"},
+        {"w": (0.8, 1.2)},
+        (0, 4),
+        events=[{"when": "y", "direction": "falling", "terminal": True, "name": "ground"}],
+    )
+    flight = ro.solve(problem, 1e-6)
+    outputs = flight.output(
+        {
+            "range": ro.at_event(x, "ground"),
+            "top": ro.maximum(y),
+            "area": sp.Integral(y, t),
+            "twice": "2*event_time(ground)",
+        }
+    )
+    assert outputs.success, outputs.message
+    w = 0.9
+    exact = [w**2, w**2 / 4, w**3 / 6, 2 * w]
+    np.testing.assert_allclose(outputs(w=w).ravel(), exact, rtol=1e-5)
+    with pytest.raises(ro.OptionError, match="the solution ends there"):
+        flight.output({"q": ro.at_event(x, "ground", side="after")})
+
+
+def test_the_stated_error_covers_the_error_of_event_times():
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x"},
+        {"x": 1},
+        {"k": (0.5, 2)},
+        (0, 2),
+        events=[{"when": "x - 0.5", "then": {"x": "x + 1"}, "name": "half"}],
+    )
+    solution = ro.solve(problem, 1e-3)
+    first = solution.output({"half": ro.event_time("half")})
+    k = np.linspace(0.5, 2, 31)
+    missed = np.abs(first["half"](k=k) - np.log(2) / k).max() / (np.log(2) / 0.5)
+    assert missed <= first.error
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        (ro.event_time("bouncy"), r"no event `bouncy` \(did you mean `bounce`\?\)"),
+        (ro.event_time("bounce", 9), "has no occurrence 9 before the end"),
+        (ro.at_event(y, "bounce", 0, "beside"), "the side is `beside`"),
+        (2 * y, "outputs that depend on time"),
+    ],
+)
+def test_what_cannot_be_asked(ball, output, message):
+    with pytest.raises(ro.OptionError, match=message):
+        ball.output({"q": output})
+
+
+def test_an_occurrence_that_is_not_reached_everywhere(ball):
+    count = len(ball.event_times("bounce", **AT))
+    with pytest.raises(ro.EvaluationError, match="does not happen at h = "):
+        ball.output({"q": ro.event_time("bounce", count - 1)})
+
+
+def test_a_solution_without_events():
+    problem = ro.Problem.from_strings({"x": "-k*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
+    solution = ro.solve(problem, 1e-4)
+    with pytest.raises(ro.OptionError, match="the solution has no events"):
+        solution.output({"q": ro.event_time("bounce")})
+    falls = solution.output({"q": ro.first_crossing(x, sp.Rational(1, 2), "falling")})
+    assert falls["q"](k=1.5) == pytest.approx(np.log(2) / 1.5, rel=1e-3)
