@@ -154,3 +154,17 @@ def test_a_solution_without_events():
         solution.output({"q": ro.event_time("bounce")})
     falls = solution.output({"q": ro.first_crossing(x, sp.Rational(1, 2), "falling")})
     assert falls["q"](k=1.5) == pytest.approx(np.log(2) / 1.5, rel=1e-3)
+
+
+def test_one_time(ball):
+    falls, rises = ball.at(0.8), ball.restrict(h=(0.9, 1.1)).at(1.2)
+    assert falls.success
+    assert rises.success
+    np.testing.assert_allclose(falls(**AT), [H - 0.64, -1.6], rtol=1e-5)
+    since = 1.2 - np.sqrt(1.05)
+    up = 2 * E * np.sqrt(1.05)
+    exact = [up * since - since**2, up - 2 * since]
+    np.testing.assert_allclose(rises(h=1.05, e=E), exact, rtol=1e-4)
+    assert falls.metadata.fixed == (("t", 0.8),)
+    with pytest.raises(ro.EvaluationError, match="`bounce` has happened for some parameters alone"):
+        ball.at(1.0)

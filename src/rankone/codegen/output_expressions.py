@@ -53,8 +53,8 @@ _KINDS = {
     minimum: Kind.MINIMUM,
     first_crossing: Kind.CROSSING,
     duration: Kind.DURATION,
-    at_event: Kind.EVENT,
-    event_time: Kind.EVENT,
+    at_event: Kind.INSTANT,
+    event_time: Kind.INSTANT,
 }
 
 

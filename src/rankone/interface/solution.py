@@ -12,7 +12,7 @@ import numpy as np
 
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
-from rankone.outputs.interpolation import samples_of, with_outputs
+from rankone.outputs.interpolation import at_instant, samples_of, with_outputs
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.timeline import EventTimes
@@ -351,12 +351,14 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
     def at(self, t: float) -> Solution:
         """The solution at one time, as a solution of the parameters alone.
 
-        Nothing is sampled; ``errors`` are as for :meth:`fix`.
+        Nothing is sampled; ``errors`` are as for :meth:`fix`. A solution with events is
+        interpolated anew, as by :meth:`output`.
 
         Raises
         ------
         EvaluationError
-            If the time is not a number, or outside the horizon.
+            If the time is not a number, or outside the horizon, or an event has happened by then
+            for some parameters alone.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
         time = self._times(t)
@@ -364,6 +366,8 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
             raise EvaluationError(
                 f"t={t!r} is not a number", term=t, remedy="evaluate the solution at several times"
             )
+        if self.outcome.timeline is not None:
+            return Solution(*at_instant(self, float(time)))
         return Solution(*at_time(self.outcome, self.metadata, float(time)))
 
     def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:

@@ -20,7 +20,7 @@ from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import Domain
 from rankone.ir.verdict import EarlyEnd, Note, OutputError, Remedy, Status, UnknownOutputError
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
-from rankone.outputs.quantities import Quantities
+from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.outputs.sampling import Sampler
 from rankone.outputs.stretch_sampling import StretchSampler
 from rankone.solution.core import SolutionCore
@@ -34,7 +34,7 @@ from rankone.support.budget import (
     seconds_left,
     work_left,
 )
-from rankone.support.errors import ConvergenceError, OptionError
+from rankone.support.errors import ConvergenceError, EvaluationError, OptionError
 from rankone.support.options import checked_number
 from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.adaptive import (
@@ -125,6 +125,49 @@ def with_outputs(
         timeless=quantities.timeless,
         units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
     )
+
+
+def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMetadata]:
+    """The states of a solution with events at one time; see :meth:`rankone.Solution.at`.
+
+    An EvaluationError if an event comes before that time for some parameters alone.
+    """
+    metadata, evaluator = solution.metadata, solution._evaluator
+    timeline = solution.outcome.timeline
+    assert isinstance(evaluator, TimelineEvaluator)
+    assert timeline is not None
+    names = metadata.states
+    texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in names)
+    quantities = Quantities(
+        names=names,
+        texts=texts,
+        timeless=True,
+        sources=tuple(Source(i) for i in range(len(names))),
+        integrands=lambda t, s, p: list(s),
+        reductions=tuple(
+            Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
+        ),
+        state_surfaces=lambda t, s, p: [],
+        parameter_surfaces=lambda p: [],
+        cuts=((),) * len(metadata.coordinates),
+        values=lambda t, s, p, r: list(r),
+        gaps=lambda t, s, p: [],
+        gap_texts=(),
+    )
+    interpolation = OutputInterpolation(solution, quantities)
+    points = CheckPoints.of(interpolation.domain, quantities).aimed
+    borders = evaluator.borders(np.ascontiguousarray(points.T))
+    passed = (borders[1:] <= time).sum(axis=0)
+    if passed.min() < passed.max():
+        event = " and ".join(timeline.instants[passed.min()])
+        raise EvaluationError(
+            f"at {metadata.time} = {time:g} {quote(event)} has happened for some parameters alone",
+            term=time,
+            remedy="restrict the solution to parameters where it has, or to the others",
+        )
+    outcome, rtol = interpolation.solve(None, operations_for("normal"), math.inf)
+    fixed = (*metadata.fixed, (metadata.time, time))
+    return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
 
 
 def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:

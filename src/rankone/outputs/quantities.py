@@ -18,7 +18,7 @@ class Kind(Enum):
     MINIMUM = "minimum"
     CROSSING = "first crossing"
     DURATION = "duration"
-    EVENT = "value at an event"
+    INSTANT = "value at an instant"
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Reduction:
     """A reduction of the integrand at a position, a function of time.
 
     It has the limits of an integral or else of the horizon; a running integral has no end. The
-    value at an event is that at its start.
+    value at an instant, which is its start, is asked for over stretches alone.
     """
 
     kind: Kind

@@ -119,9 +119,8 @@ class StretchSampler(Sampler):
         each = np.take_along_axis(
             lengths, self._place(np.broadcast_to(self.grid.times[:, None], shape)), axis=0
         )
-        if reduction.kind is Kind.EVENT:
-            assert isinstance(reduction.start, Border)
-            return self._at_event(reduction, reduction.start, points, shifts)
+        if reduction.kind is Kind.INSTANT:
+            return self._at_instant(reduction, points, shifts)
         if reduction.kind is Kind.INTEGRAL:
             self._check_finite(reduction.text, integrand, points)
             functions = Polynomials(self.grid, integrand * each)
@@ -166,22 +165,28 @@ class StretchSampler(Sampler):
         share = np.where(length > 0.0, (at - begin) / np.where(length > 0.0, length, 1.0), 1.0)
         return np.asarray(stretch + np.clip(share, 0.0, 1.0))
 
-    def _at_event(
-        self, reduction: Reduction, border: Border, points: Array, shifts: Array | None
-    ) -> Array:
-        """The integrand on one side of an event, (m,)."""
+    def _at_instant(self, reduction: Reduction, points: Array, shifts: Array | None) -> Array:
+        """The integrand at a time, or on one side of an event, (m,)."""
         borders, _ = self._borders(points)
-        end = self.evaluator.horizon[1]
-        self._refuse(borders[border.place] > end, reduction, points)
-        stretch = np.full((1, len(points)), border.place if border.after else border.place - 1)
-        length = np.diff(borders, axis=0)[stretch[0, 0]][None]
-        late = np.where(length > 0.0, self._late / np.where(length > 0.0, length, 1.0), 0.0)
-        share = late if border.after else 1.0 - late
-        sources = self._read(stretch, share, length, points)
+        instant, columns = reduction.start, np.arange(len(points))
+        if isinstance(instant, Border):
+            at = borders[instant.place]
+            self._refuse(at > self.evaluator.horizon[1], reduction, points)
+            stretch = np.full(len(points), instant.place if instant.after else instant.place - 1)
+            later = self._late if instant.after else -self._late
+        else:
+            at, later = np.full(len(points), instant), 0.0
+            stretch = (borders[1:-1] <= instant).sum(axis=0)
+        begin = borders[stretch, columns]
+        length = borders[stretch + 1, columns] - begin
+        share = np.where(
+            length > 0.0, (at + later - begin) / np.where(length > 0.0, length, 1.0), 1.0
+        )
+        sources = self._read(stretch[None], share[None], length[None], points)
         if shifts is not None:
             sources = sources + shifts[:, None, None]
-        clock = borders[border.place][None] + (self._late if border.after else -self._late)
         with np.errstate(all="ignore"):
+            clock = (at + later)[None]
             values = self.quantities.integrands(clock, sources, points.T)[reduction.integrand]
         values = np.broadcast_to(values, (1, len(points)))
         self._check_finite(reduction.text, values, points)
