@@ -207,3 +207,31 @@ def test_surfaces_of_one_time():
 def test_surfaces_that_are_refused(options, error, message):
     with pytest.raises(error, match=message):
         plotting.plot_surface(populations(), **{"unknown": "x", **options})
+
+
+def test_curves_jump_at_events_and_end_with_time():
+    problem = ro.Problem.from_strings(
+        {"x": "1", "n": "0"},
+        {"x": 0, "n": 0},
+        {"k": (0.9, 1.1)},
+        (0, 3),
+        events=[
+            {"when": "x - k", "then": {"x": 0, "n": "n + 1"}, "name": "full"},
+            {"when": "n - 2.5", "terminal": True, "name": "last"},
+        ],
+        jumps={0.5: {"x": "x + 0.1"}},
+    )
+    solution = ro.solve(problem, 1e-3)
+    assert solution.success, solution.message
+    ax = plotting.plot_trajectories(solution, k=0.95, unknowns="x")
+    (times, values), (ticks, _) = lines(ax)
+    drops = np.array([0.85, 1.8, 2.75])
+    np.testing.assert_allclose(ticks, drops, atol=1e-3)
+    steepest = np.flatnonzero(np.diff(values) < -0.9)
+    np.testing.assert_allclose(times[steepest], drops[: steepest.size], atol=1e-3)
+    assert steepest.size >= 2
+    assert (np.diff(times)[steepest] < 1e-12).all()
+    risen = int(np.nanargmax(np.diff(values)))
+    assert times[risen] == pytest.approx(0.5)
+    assert np.diff(times)[risen] < 1e-12
+    assert np.isnan(values[times > 2.76]).all()

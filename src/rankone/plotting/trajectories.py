@@ -59,7 +59,8 @@ def plot_trajectories(
     """Plot unknowns over time for given values of the parameters.
 
     Arrays of values broadcast as in a call and give families of curves. Where one parameter varies,
-    its value is the colour; several unknowns of a family have different strokes.
+    its value is the colour; several unknowns of a family have different strokes. Curves jump where
+    events reset states, and end where time does; events of few curves are ticks on the time axis.
 
     Parameters
     ----------
@@ -94,8 +95,14 @@ def plot_trajectories(
     time = solution.metadata.time
     if time in arrays and t is not None:
         raise OptionError(f"`{time}` is given twice", term=time, remedy="give it once")
-    times = times_of(solution, arrays.pop(time, t), CURVE_TIMES)
+    given = arrays.pop(time, t)
+    times = times_of(solution, given, CURVE_TIMES)
     family = _family(solution, arrays)
+    if given is None and solution.outcome.timeline is not None:
+        borders = solution._borders((arrays,), {})[0].ravel()
+        inside = borders[(borders > times[0]) & (borders <= times[-1])]
+        # states may jump there: both sides of each
+        times = np.unique(np.concatenate([times, np.nextafter(inside, times[0]), inside]))
     columns = {name: np.asarray(array)[..., None] for name, array in arrays.items()}
     shape = np.broadcast_shapes(*(column.shape for column in columns.values()), (1,))[:-1]
     tables = (solution[name](times, columns) for name in names)
@@ -111,7 +118,29 @@ def plot_trajectories(
     else:
         _draw_family(axes, solution, names, times, curves, family)
     axes.margins(x=0.0)
+    if family.points.shape[1] <= style.MOST_NAMED:
+        events = _event_times(solution, arrays)
+        _draw_events(axes, events[(events >= times[0]) & (events <= times[-1])])
     return axes
+
+
+def _event_times(solution: Solution, values: Mapping[str, Any]) -> Array:
+    """The times of all events of some curves within the horizon."""
+    timeline = solution.outcome.timeline
+    if timeline is None:
+        return np.zeros(0)
+    names = [name for name in timeline.events if any(name in each for each in timeline.met)]
+    times = [solution.event_times(name, dict(values)).ravel() for name in names]
+    together = np.concatenate([np.zeros(0), *times])
+    return np.unique(together[~np.isnan(together)])
+
+
+def _draw_events(ax: Axes, times: Array) -> None:
+    """Ticks on the axis of time where events occur."""
+    if times.size:
+        along = ax.get_xaxis_transform()
+        ticks = ax.plot(times, np.zeros(times.size), "|", color="0.3", transform=along)[0]
+        ticks.set(markersize=10, markeredgewidth=1.2, label="_events", clip_on=False)
 
 
 def _family(solution: Solution, values: Mapping[str, Any]) -> _Family:
