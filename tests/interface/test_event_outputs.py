@@ -133,7 +133,6 @@ def test_the_stated_error_covers_the_error_of_event_times():
         (ro.event_time("bouncy"), r"no event `bouncy` \(did you mean `bounce`\?\)"),
         (ro.event_time("bounce", 9), "has no occurrence 9 before the end"),
         (ro.at_event(y, "bounce", 0, "beside"), "the side is `beside`"),
-        (2 * y, "outputs that depend on time"),
     ],
 )
 def test_what_cannot_be_asked(ball, output, message):
@@ -154,6 +153,29 @@ def test_a_solution_without_events():
         solution.output({"q": ro.event_time("bounce")})
     falls = solution.output({"q": ro.first_crossing(x, sp.Rational(1, 2), "falling")})
     assert falls["q"](k=1.5) == pytest.approx(np.log(2) / 1.5, rel=1e-3)
+
+
+def test_functions_of_time(ball):
+    made = ball.output({"energy": v**2 / 2 + 2 * y, "fallen": "integral(y, 0, t)"})
+    assert made.success, made.message
+    assert made.error < 1e-4
+    assert made.timeline == ball.timeline
+    first, rise = np.sqrt(H), E * np.sqrt(H)
+    times = np.array([0.3, 0.9, 1.2, 1.7])
+    np.testing.assert_allclose(
+        made["energy"](times, **AT), [2 * H, 2 * H, 2 * rise**2, 2 * rise**2], rtol=1e-4
+    )
+    since = times - first
+    after = 2 / 3 * H * first + rise * since**2 - since**3 / 3
+    fallen = np.where(times < first, H * times - times**3 / 3, after)
+    np.testing.assert_allclose(made["fallen"](times, **AT), fallen, rtol=1e-4)
+    np.testing.assert_allclose(made.event_times("bounce", **AT), ball.event_times("bounce", **AT))
+
+
+def test_derivatives_by_time(ball):
+    made = ball.output({"rate": y.diff(t), "again": v.diff(t)})
+    np.testing.assert_allclose(made(0.4, **AT), [-0.8, -2.0], rtol=1e-4)
+    np.testing.assert_allclose(made(1.5, **AT), [ball["v"](1.5, **AT), -2.0], rtol=1e-4)
 
 
 def test_one_time(ball):

@@ -18,12 +18,13 @@ from rankone.discretization.time_grid import TimeGrid, resolving_breaks
 from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import Domain
+from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import EarlyEnd, Note, OutputError, Remedy, Status, UnknownOutputError
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.outputs.sampling import Sampler
 from rankone.outputs.stretch_sampling import StretchSampler
-from rankone.solution.core import SolutionCore
+from rankone.solution.core import SolutionCore, timeline_evaluator
 from rankone.solvers.cross import CrossOptions
 from rankone.support.arrays import Array
 from rankone.support.budget import (
@@ -68,6 +69,7 @@ _MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
 _ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those before it
 _ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
+_CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
 _SAMPLE_COUNT = 20  # Points at which quantities are tried before any work
 _SAMPLE_SEED = 1795  # Seed of these points
 
@@ -103,11 +105,6 @@ def with_outputs(
         seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
     operations = operations_for(effort)
     _check_units(units, quantities)
-    if solution.outcome.timeline is not None and not quantities.timeless:
-        raise OptionError(
-            "outputs that depend on time do not take solutions with events yet",
-            remedy="ask for numbers: at_event, event_time, integrals, extremes, crossings",
-        )
     outcome, rtol = OutputInterpolation(solution, quantities).solve(rtol, operations, seconds)
     metadata = solution.metadata
     if solution.time[1] < metadata.horizon[1]:
@@ -207,6 +204,11 @@ class OutputInterpolation:
     options: CrossOptions = field(default_factory=CrossOptions)
 
     @property
+    def _timeline(self) -> Timeline | None:
+        """The timeline of the quantities, if they depend on time."""
+        return None if self.quantities.timeless else self.solution.outcome.timeline
+
+    @property
     def domain(self) -> Domain:
         return Domain(self.solution.time, self.solution.metadata.box)
 
@@ -242,7 +244,25 @@ class OutputInterpolation:
         if domain.box:
             climbed = check.climbed(slabs, finer, domain).missed(slabs, finer)
             missed[:, -1] = np.maximum(missed[:, -1], climbed.max(axis=1))
+        if isinstance(finer, StretchSampler) and not self.quantities.timeless:
+            missed = self._missed_over_clock_time(missed, slabs, finer, check)
         return self._outcome(slabs, missed, from_solution, points.corners, rtol), rtol
+
+    def _missed_over_clock_time(
+        self, missed: Array, slabs: tuple[SlabTrain, ...], sampler: StretchSampler, check: Check
+    ) -> Array:
+        """Errors (quantities + 2, m), at clock times as well where there are no reductions."""
+        if self.quantities.reductions:
+            return missed
+        timeline = self.solution.outcome.timeline
+        assert timeline is not None
+        times = np.linspace(*timeline.horizon, _CLOCK_TIMES)
+        exact = sampler.at_clock(times, check.points)
+        points = np.ascontiguousarray(check.points.T)
+        found = timeline_evaluator(slabs, timeline).curves(times[:, None], points, slice(0, -2))
+        errors = np.nan_to_num(np.abs(found - exact)).max(axis=1)
+        missed[:-2] = np.maximum(missed[:-2], errors / check.sizes[:-2, None])
+        return missed
 
     def _sampler(self, grid: TimeGrid) -> Sampler:
         solution = self.solution
@@ -346,14 +366,20 @@ class OutputInterpolation:
         """Trains, and errors (quantities, m) at points of which the first are corners."""
         if np.isnan(from_solution).any():
             cause = UnknownOutputError(float(missed.max()))
-            return Outcome(slabs, Status.UNCHECKED, None, (), cause=cause)
-        total = missed + from_solution
+            return Outcome(slabs, Status.UNCHECKED, None, (), cause=cause, timeline=self._timeline)
+        total, time_error = missed + from_solution, None
+        if self._timeline is not None:  # behind the quantities are the clock and the length
+            before = self.solution.outcome.measured
+            known = 0.0 if before is None else before.time_error or 0.0
+            time_error = known + float(missed[-2].max())
+            total, missed, from_solution = (each[:-2] for each in (total, missed, from_solution))
         measured = Measured(
             interior=tuple(map(float, total.max(axis=1))),
             corners=tuple(map(float, total[:, :corners].max(axis=1))) if corners else (),
             points=total.shape[1],
             method="solution",
             cover="box",
+            time_error=time_error,
         )
         status = Status.CONVERGED if measured.error <= rtol else Status.TOLERANCE
         error = OutputError(float(missed.max()), float(from_solution.max()))
@@ -362,7 +388,7 @@ class OutputInterpolation:
             worst = self.quantities.names[int(total.max(axis=1).argmax())]
             remedy = _OF_SOLUTION if error.solution > error.interpolation else _OF_INTERPOLATION
             notes = (replace(error, worst=worst), remedy)
-        return Outcome(slabs, status, measured, (), notes=notes)
+        return Outcome(slabs, status, measured, (), notes=notes, timeline=self._timeline)
 
 
 class QuantityColumns:

@@ -186,14 +186,19 @@ class Sampler:
                 self._reduced(reduction, integrands[reduction.integrand], points, shifts)
                 for reduction in self.quantities.reductions
             ]
-            quantities = self.quantities.values(
-                times[: self.rows], sources[:, : self.rows], points.T, reduced
-            )
+            at, kept = self._kept(times[: self.rows], sources[:, : self.rows], points, shifts)
+            quantities = self.quantities.values(at, kept, points.T, reduced)
             shape = self.rows, len(points)
             sampled = np.array([np.broadcast_to(quantity, shape) for quantity in quantities])
         for text, quantity in zip(self.quantities.texts, sampled, strict=True):
             self._check_finite(text, quantity, points)
         return sampled
+
+    def _kept(
+        self, times: Array, sources: Array, points: Array, shifts: Array | None
+    ) -> tuple[Array, Array]:
+        """Times and sources at which quantities are held, by those of the reductions."""
+        return times, sources
 
     def _refuse_gaps(self, times: Array, sources: Array, points: Array) -> None:
         """Raise an EvaluationError where a piecewise function of the states has no branch."""

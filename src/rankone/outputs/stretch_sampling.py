@@ -22,8 +22,9 @@ _NUMBER_COST = 20.0  # Operations of a number of the functions of time
 class StretchSampler(Sampler):
     """Quantities on a grid over pseudo-time: stretch i is [i, i + 1].
 
-    Stretches end with the horizon at the latest, so that those behind it have no length. The times
-    of events are known to ``time_error``.
+    For reductions stretches end with the horizon at the latest, so that those behind it have no
+    length. Functions of time are held over whole stretches, and behind them the clock and the
+    length of the stretch. The times of events are known to ``time_error``.
     """
 
     def __init__(
@@ -36,7 +37,7 @@ class StretchSampler(Sampler):
         time_error: float,
     ) -> None:
         super().__init__(evaluator.slabs, parameters, quantities, grid, rtol)
-        self.evaluator, self.time_error = evaluator, time_error
+        self.evaluator, self.rtol, self.time_error = evaluator, rtol, time_error
         self._trains = {order: TrainEvaluator(slabs) for order, slabs in self._orders.items()}
         self._late = 0.0
 
@@ -46,6 +47,57 @@ class StretchSampler(Sampler):
 
     def clock(self, times: Array, points: Array) -> Array:
         return self._clock(np.broadcast_to(times[:, None], (times.size, len(points))), points)
+
+    def _chunk(self, points: Array, shifts: Array | None) -> Array:
+        sampled = super()._chunk(points, shifts)
+        if self.quantities.timeless:
+            return sampled
+        *_, clock, length = self._whole(points)
+        return np.concatenate([sampled, clock[None], length[None]])
+
+    def _kept(
+        self, times: Array, sources: Array, points: Array, shifts: Array | None
+    ) -> tuple[Array, Array]:
+        if self.quantities.timeless:
+            return times, sources
+        stretch, share, clock, length = self._whole(points)
+        whole = self._read(stretch, share, length, points)
+        return clock, whole if shifts is None else whole + shifts[:, None, None]
+
+    def _whole(self, points: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
+        """Stretches, shares, clock times and lengths (T, m) on the grid over whole stretches."""
+        borders, _ = self._borders(points)
+        times = np.broadcast_to(self.grid.times[:, None], (self.grid.times.size, len(points)))
+        stretch = self._place(times)
+        begin = np.take_along_axis(borders, stretch, axis=0)
+        length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
+        share = times - stretch
+        return stretch, share, begin + share * length, length
+
+    def at_clock(self, times: Array, points: Array) -> Array:
+        """Quantities without reductions at clock times (T,): shape (quantities, T, m).
+
+        NaN where the solution has ended, and closer to a border than its error.
+        """
+        borders, _ = self._borders(points)
+        at = np.broadcast_to(times[:, None], (times.size, len(points)))
+        stretch = (borders[1:-1, None] <= at).sum(axis=0)
+        begin = np.take_along_axis(borders, stretch, axis=0)
+        length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
+        share = (at - begin) / np.where(length > 0.0, length, 1.0)
+        sources = self._read(stretch, share, length, points)
+        with np.errstate(all="ignore"):
+            quantities = self.quantities.values(at, sources, points.T, [])
+        held = np.array([np.broadcast_to(each, at.shape) for each in quantities])
+        beside = np.abs(at - borders[1:-1, None]).min(axis=0, initial=np.inf) < self._least_distance
+        held[:, beside | (at > borders[-1])] = np.nan
+        return held
+
+    @property
+    def _least_distance(self) -> float:
+        """How far from a border of stretches values are compared at least."""
+        start, end = self.evaluator.horizon
+        return self.rtol * (end - start) + 2.0 * self.time_error
 
     def moved(self, points: Array) -> Array | None:
         self._late = self.time_error
@@ -85,7 +137,7 @@ class StretchSampler(Sampler):
         share = (self._clock(times, points) - begin) / np.where(length > 0.0, length, 1.0)
         return self._read(stretch, share, length, points)
 
-    def _read(self, stretch: Array, share: Array, length: Array, points: Array) -> Array:
+    def _read(self, stretch: NDArray[np.intp], share: Array, length: Array, points: Array) -> Array:
         """Sources in stretches, at shares of them."""
         last = np.nextafter(stretch + 1.0, 0.0)
         pseudo = np.clip(stretch + share, stretch, last)
@@ -121,6 +173,8 @@ class StretchSampler(Sampler):
         )
         if reduction.kind is Kind.INSTANT:
             return self._at_instant(reduction, points, shifts)
+        if reduction.kind is Kind.RUNNING:
+            return self._running(reduction, points, shifts)
         if reduction.kind is Kind.INTEGRAL:
             self._check_finite(reduction.text, integrand, points)
             functions = Polynomials(self.grid, integrand * each)
@@ -136,6 +190,17 @@ class StretchSampler(Sampler):
         if reduction.kind is Kind.CROSSING:
             return np.asarray(self._clock(reduced[None], points)[0])
         return reduced
+
+    def _running(self, reduction: Reduction, points: Array, shifts: Array | None) -> Array:
+        """Integrals up to all places of the grid (T, m), over whole stretches."""
+        clock, sources = self._kept(np.empty(0), np.empty(0), points, shifts)
+        integrand = self.quantities.integrands(clock, sources, points.T)[reduction.integrand]
+        *_, length = self._whole(points)
+        integrand = np.broadcast_to(integrand, length.shape)
+        self._check_finite(reduction.text, integrand, points)
+        functions = Polynomials(self.grid, integrand * length)
+        begin = functions.until(self._limit(reduction.start, reduction, points))
+        return functions.running(self.grid.breaks[0]) - begin
 
     def _duration(self, integrand: Array, lengths: Array) -> Array:
         """For how long functions (T, m) are positive: stretch after stretch."""
