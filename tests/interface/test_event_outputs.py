@@ -190,3 +190,19 @@ def test_one_time(ball):
     assert falls.metadata.fixed == (("t", 0.8),)
     with pytest.raises(ro.EvaluationError, match="`bounce` has happened for some parameters alone"):
         ball.at(1.0)
+
+
+def test_derivatives(ball):
+    by_time, by_e, by_h = (ball.diff(name) for name in ("t", "e", "h"))
+    at = {"h": H, "e": E}
+    np.testing.assert_allclose(by_time(1.5, **at), [ball["v"](1.5, **at), -2.0], rtol=1e-4)
+    for t_ in (0.5, 1.5, 2.0):
+        gradient = ball.gradient(t_, **at)
+        np.testing.assert_allclose(by_h(t_, **at), gradient[:, 0], rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(by_e(t_, **at), gradient[:, 1], rtol=1e-4, atol=1e-5)
+    since, root = 1.5 - np.sqrt(H), np.sqrt(H)
+    # y = 2 e sqrt(h) (t - sqrt(h)) - (t - sqrt(h))**2 after the first bounce
+    exact = (E / root * since - E + since / root, 2 * root * since)
+    assert by_h["y"](1.5, **at) == pytest.approx(exact[0], rel=1e-4)
+    assert by_e["y"](1.5, **at) == pytest.approx(exact[1], rel=1e-4)
+    assert by_e.status is ro.Status.UNCHECKED

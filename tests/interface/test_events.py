@@ -222,7 +222,6 @@ def test_statistics_are_over_what_still_runs():
 @pytest.mark.parametrize(
     ("call", "what"),
     [
-        (lambda s, _: s.diff("h"), "diff"),
         (lambda s, _: s.to_canonical(), "to_canonical"),
         (lambda s, path: s.export(path / "model.js"), "a model in JavaScript"),
         (lambda s, path: s.explore(path / "page.html"), "a page"),

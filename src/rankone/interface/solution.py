@@ -12,7 +12,7 @@ import numpy as np
 
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
-from rankone.outputs.interpolation import at_instant, samples_of, with_outputs
+from rankone.outputs.interpolation import at_instant, derivative, samples_of, with_outputs
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.timeline import EventTimes
@@ -232,7 +232,8 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
 
         Exact for the trains: they are polynomials on elements. The error is not measured, so that
         ``success`` is False; it is about that of the solution times the degree squared over the
-        width of the elements.
+        width of the elements. A solution with events is interpolated anew, as by :meth:`output`;
+        derivatives are at fixed times there, while events move with the parameters.
 
         Parameters
         ----------
@@ -244,6 +245,8 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
             If there is no such coordinate.
         """
         self._evaluator  # noqa: B018 - raises if nothing was solved
+        if self.outcome.timeline is not None:
+            return Solution(*derivative(self, coordinate))
         return Solution(*derived(self.outcome, self.metadata, coordinate))
 
     def gradient(self, *at: object, **named: object) -> Array:

@@ -14,17 +14,27 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rankone.discretization import BASES
+from rankone.discretization.coordinates import name_of
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
-from rankone.ir.metadata import Role, SolutionMetadata
+from rankone.ir.metadata import Role, SolutionMetadata, of_derivatives
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import Domain
 from rankone.ir.timeline import Timeline
-from rankone.ir.verdict import EarlyEnd, Note, OutputError, Remedy, Status, UnknownOutputError
+from rankone.ir.verdict import (
+    DerivativeOf,
+    EarlyEnd,
+    Note,
+    OutputError,
+    Remedy,
+    Status,
+    UnknownOutputError,
+)
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.outputs.sampling import Sampler
 from rankone.outputs.stretch_sampling import StretchSampler
 from rankone.solution.core import SolutionCore, timeline_evaluator
+from rankone.solution.smaller import position
 from rankone.solvers.cross import CrossOptions
 from rankone.support.arrays import Array
 from rankone.support.budget import (
@@ -133,24 +143,12 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
     timeline = solution.outcome.timeline
     assert isinstance(evaluator, TimelineEvaluator)
     assert timeline is not None
-    names = metadata.states
-    texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in names)
-    quantities = Quantities(
-        names=names,
-        texts=texts,
-        timeless=True,
-        sources=tuple(Source(i) for i in range(len(names))),
-        integrands=lambda t, s, p: list(s),
-        reductions=tuple(
-            Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
-        ),
-        state_surfaces=lambda t, s, p: [],
-        parameter_surfaces=lambda p: [],
-        cuts=((),) * len(metadata.coordinates),
-        values=lambda t, s, p, r: list(r),
-        gaps=lambda t, s, p: [],
-        gap_texts=(),
+    texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in metadata.states)
+    reductions = tuple(
+        Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
     )
+    sources = tuple(Source(i) for i in range(len(texts)))
+    quantities = _as_they_are(metadata, texts, sources, reductions)
     interpolation = OutputInterpolation(solution, quantities)
     points = CheckPoints.of(interpolation.domain, quantities).aimed
     borders = evaluator.borders(np.ascontiguousarray(points.T))
@@ -165,6 +163,44 @@ def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMe
     outcome, rtol = interpolation.solve(None, operations_for("normal"), math.inf)
     fixed = (*metadata.fixed, (metadata.time, time))
     return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
+
+
+def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, SolutionMetadata]:
+    """The derivatives of a solution with events; see :meth:`rankone.Solution.diff`."""
+    metadata, name = solution.metadata, name_of(coordinate)
+    by_time = name == metadata.time
+    j = None if by_time else position(metadata, name)
+    sources = tuple(Source(i, int(by_time), j) for i in range(len(metadata.states)))
+    texts = tuple(f"d{state}/d{name}" for state in metadata.states)
+    quantities = _as_they_are(metadata, texts, sources, ())
+    interpolation = OutputInterpolation(solution, quantities)
+    outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
+    units = of_derivatives(metadata.units, metadata.states, name)
+    metadata = replace(metadata, equations=(), source=None, units=units)
+    return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
+
+
+def _as_they_are(
+    metadata: SolutionMetadata,
+    texts: tuple[str, ...],
+    sources: tuple[Source, ...],
+    reductions: tuple[Reduction, ...],
+) -> Quantities:
+    """Quantities that are sources, or reductions of these one by one."""
+    return Quantities(
+        names=metadata.states,
+        texts=texts,
+        timeless=bool(reductions),
+        sources=sources,
+        integrands=lambda t, s, p: list(s) if reductions else [],
+        reductions=reductions,
+        state_surfaces=lambda t, s, p: [],
+        parameter_surfaces=lambda p: [],
+        cuts=((),) * len(metadata.coordinates),
+        values=lambda t, s, p, r: list(r if reductions else s),
+        gaps=lambda t, s, p: [],
+        gap_texts=(),
+    )
 
 
 def _check_units(units: Mapping[str, str], quantities: Quantities) -> None:
@@ -236,7 +272,7 @@ class OutputInterpolation:
                 slabs = self._best_trains(sampler, target, _AIMED_SHARE * rtol)
         errors = list(solution.errors.values())
         shares = [
-            np.nan if source.order else errors[source.row] / solution.rtol
+            errors[source.row] / solution.rtol if source.is_state else np.nan
             for source in self.quantities.sources
         ]
         from_solution = np.tensordot(np.array(shares), amplified, 1) + check.delayed(finer)

@@ -47,10 +47,18 @@ class Reduction:
 
 @dataclass(frozen=True)
 class Source:
-    """A state of the solution, or its time derivative of some order."""
+    """A state of the solution, or its time derivative of some order.
+
+    Or, of solutions with events, the derivative by the parameter at a position, at fixed time.
+    """
 
     row: int
     order: int = 0
+    parameter: int | None = None
+
+    @property
+    def is_state(self) -> bool:
+        return self.order == 0 and self.parameter is None
 
 
 @dataclass(frozen=True)

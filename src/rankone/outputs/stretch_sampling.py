@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rankone.discretization.time_grid import Polynomials, TimeGrid
+from rankone.ir.timeline import CLOCK_STATES
 from rankone.outputs.quantities import Border, Kind, Quantities, Reduction
 from rankone.outputs.sampling import Sampler
 from rankone.support.arrays import Array
 from rankone.support.budget import charge
 from rankone.support.costs import CALL
 from rankone.tensors.evaluator import TrainEvaluator
+from rankone.tensors.slab import differentiated
 from rankone.tensors.timeline import TimelineEvaluator
 
 _NUMBER_COST = 20.0  # Operations of a number of the functions of time
@@ -39,6 +41,11 @@ class StretchSampler(Sampler):
         super().__init__(evaluator.slabs, parameters, quantities, grid, rtol)
         self.evaluator, self.rtol, self.time_error = evaluator, rtol, time_error
         self._trains = {order: TrainEvaluator(slabs) for order, slabs in self._orders.items()}
+        self._clock_row = len(evaluator.slabs[0].cores[0]) - CLOCK_STATES
+        free = {s.parameter for s in quantities.sources if s.parameter is not None}
+        self._slopes = {j: TrainEvaluator(differentiated(evaluator.slabs, j)) for j in free}
+        if free and 1 not in self._trains:
+            self._trains[1] = TrainEvaluator([slab.derivative() for slab in evaluator.slabs])
         self._late = 0.0
 
     @property
@@ -143,14 +150,20 @@ class StretchSampler(Sampler):
         pseudo = np.clip(stretch + share, stretch, last)
         columns = np.ascontiguousarray(points.T)
         sources = np.empty((len(self.quantities.sources), *pseudo.shape))
-        for order, trains in self._trains.items():
-            chosen = [i for i, s in enumerate(self.quantities.sources) if s.order == order]
-            if chosen:
-                rows = np.array([self.quantities.sources[i].row for i in chosen])
-                sources[chosen] = trains.curves(pseudo, columns, rows)
-                if order:
-                    sources[chosen] /= np.where(length > 0.0, length, np.inf) ** order
-        return np.asarray(sources)
+        lengths = np.where(length > 0.0, length, np.inf)
+        kinds: dict[tuple[int, int | None], list[int]] = {}
+        for i, source in enumerate(self.quantities.sources):
+            kinds.setdefault((source.order, source.parameter), []).append(i)
+        for (order, j), chosen in kinds.items():
+            rows = np.array([self.quantities.sources[i].row for i in chosen])
+            if j is None:
+                sources[chosen] = self._trains[order].curves(pseudo, columns, rows) / lengths**order
+                continue
+            # at a fixed time the pseudo-time moves with the parameter: dt = 0
+            slopes = self._slopes[j].curves(pseudo, columns, np.append(rows, self._clock_row))
+            rates = self._trains[1].curves(pseudo, columns, rows) / lengths
+            sources[chosen] = slopes[:-1] - rates * slopes[-1]
+        return sources
 
     def _sources(self, times: Array, points: Array) -> Array:
         return self._states(np.broadcast_to(times[:, None], (times.size, len(points))), points)

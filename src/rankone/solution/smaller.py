@@ -29,7 +29,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
     if name == metadata.time and not metadata.timeless:
         slabs = tuple(slab.derivative() for slab in slabs)
     else:
-        slabs = differentiated(slabs, _position(metadata, name))
+        slabs = differentiated(slabs, position(metadata, name))
     derivative = replace(
         outcome,
         slabs=slabs,
@@ -56,7 +56,7 @@ def with_fixed(
 ) -> _Pair:
     """The same with some parameters fixed, which are no longer coordinates."""
     for key, at in parameters.items():
-        j = _position(metadata, key)
+        j = position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         point = _inside(name, at, lower, upper)
         outcome = replace(outcome, slabs=fixed(outcome.slabs, j, point))
@@ -77,7 +77,7 @@ def with_restricted(
 ) -> _Pair:
     """The same on smaller intervals of some parameters."""
     for key, interval in intervals.items():
-        j = _position(metadata, key)
+        j = position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         try:
             if isinstance(interval, str | Set | Mapping):
@@ -126,7 +126,7 @@ def merged(by_symbol: object, named: Mapping[str, object]) -> dict[str, Any]:
     return by_name
 
 
-def _position(metadata: SolutionMetadata, name: str) -> int:
+def position(metadata: SolutionMetadata, name: str) -> int:
     """The position of a parameter."""
     names = metadata.parameters
     if name not in names:
