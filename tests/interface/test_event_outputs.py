@@ -206,3 +206,25 @@ def test_derivatives(ball):
     assert by_h["y"](1.5, **at) == pytest.approx(exact[0], rel=1e-4)
     assert by_e["y"](1.5, **at) == pytest.approx(exact[1], rel=1e-4)
     assert by_e.status is ro.Status.UNCHECKED
+
+
+def test_clock_time():
+    rates = {"x": "-k*x + Heaviside(t - lag)*(t - lag)"}
+    box = {"k": (0.5, 1), "lag": (1, 1.2)}
+    marked = ro.Problem.from_strings(
+        rates, {"x": 1}, box, (0, 2), events=[{"when": "x - 0.7", "name": "low"}]
+    )
+    solution = ro.solve(marked, 1e-4)
+    plain = solution.in_clock_time(1e-3)
+    assert plain.success
+    assert plain.outcome.timeline is None
+    times = np.linspace(0, 2, 9)
+    np.testing.assert_allclose(plain(times, k=0.7, lag=1.1), solution(times, k=0.7, lag=1.1), 1e-3)
+    assert plain.to_canonical()
+    assert plain.in_clock_time() is plain
+
+
+@pytest.mark.slow
+def test_resets_at_moving_times_are_not_resolved_over_clock_time(ball):
+    with pytest.raises(ro.ConvergenceError, match="keep the solution as it is, since `bounce`"):
+        ball.restrict(e=(0.79, 0.8)).in_clock_time(1e-3)

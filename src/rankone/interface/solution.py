@@ -12,7 +12,13 @@ import numpy as np
 
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
-from rankone.outputs.interpolation import at_instant, derivative, samples_of, with_outputs
+from rankone.outputs.interpolation import (
+    at_instant,
+    derivative,
+    over_clock_time,
+    samples_of,
+    with_outputs,
+)
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.timeline import EventTimes
@@ -372,6 +378,29 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
         if self.outcome.timeline is not None:
             return Solution(*at_instant(self, float(time)))
         return Solution(*at_time(self.outcome, self.metadata, float(time)))
+
+    def in_clock_time(self, rtol: float | None = None) -> Solution:
+        """A solution with events as one of time and parameters, without its timeline.
+
+        It is interpolated anew over clock time, as by :meth:`output`; then everything takes it.
+        Events that reset states at times which move with the parameters are not resolved so.
+
+        Parameters
+        ----------
+        rtol : float, optional
+            Tolerance, by default as in :meth:`output`.
+
+        Raises
+        ------
+        ConvergenceError
+            If the tolerance is not reached.
+        EvaluationError
+            If a terminal event ends the solution.
+        """
+        self._evaluator  # noqa: B018 - raises if nothing was solved
+        if self.outcome.timeline is None:
+            return self
+        return Solution(*over_clock_time(self, rtol))
 
     def restrict(self, intervals: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:
         """The solution on smaller intervals of some parameters: ``restrict(k=(1, 2))``.

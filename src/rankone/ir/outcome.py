@@ -143,7 +143,8 @@ class Outcome:
         if self.timeline is not None:
             raise EvaluationError(
                 f"{what} does not take solutions with events yet",
-                remedy="evaluate the solution, or its event_times, at points instead",
+                remedy="give solution.in_clock_time(), which everything takes where events reset "
+                "nothing, or evaluate the solution at points",
             )
         return self.slabs
 

@@ -32,7 +32,7 @@ from rankone.ir.verdict import (
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
 from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
 from rankone.outputs.sampling import Sampler
-from rankone.outputs.stretch_sampling import StretchSampler
+from rankone.outputs.stretch_sampling import ClockSampler, StretchSampler
 from rankone.solution.core import SolutionCore, timeline_evaluator
 from rankone.solution.smaller import position
 from rankone.solvers.cross import CrossOptions
@@ -47,7 +47,7 @@ from rankone.support.budget import (
 )
 from rankone.support.errors import ConvergenceError, EvaluationError, OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import did_you_mean, quote
+from rankone.support.wording import did_you_mean, listing, quote
 from rankone.tensors.adaptive import (
     FIRST_LEFT_POINTS,
     AdaptiveInterpolation,
@@ -180,6 +180,31 @@ def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, Sol
     return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
 
 
+def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome, SolutionMetadata]:
+    """A solution with events over clock time; see :meth:`rankone.Solution.in_clock_time`."""
+    metadata, timeline = solution.metadata, solution.outcome.timeline
+    assert timeline is not None
+    if timeline.terminal:
+        raise EvaluationError(
+            f"the solution ends with {quote(timeline.instants[-1][0])}, at a time of its own for "
+            "each value of the parameters",
+            remedy="keep it as it is, or solve up to a time at which all trajectories run",
+        )
+    sources = tuple(Source(i) for i in range(len(metadata.states)))
+    quantities = _as_they_are(metadata, metadata.states, sources, ())
+    interpolation = OutputInterpolation(solution, quantities, clock_time=True)
+    outcome, rtol = interpolation.solve(rtol, operations_for("normal"), math.inf)
+    if outcome.status is not Status.CONVERGED:
+        met = {name for instant in timeline.met for name in instant}
+        moving = [name for name in timeline.events if name in met]
+        raise ConvergenceError(
+            f"values over clock time are not resolved: {outcome.message}",
+            remedy=f"keep the solution as it is, since {listing(moving)} may reset states at times "
+            "that move with the parameters",
+        )
+    return outcome, replace(metadata, rtol=rtol)
+
+
 def _as_they_are(
     metadata: SolutionMetadata,
     texts: tuple[str, ...],
@@ -233,16 +258,22 @@ def _limited(operations: float, seconds: float) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class OutputInterpolation:
-    """Quantities of a solution as trains over its box and horizon."""
+    """Quantities of a solution as trains over its box and horizon.
+
+    Those of a solution with events that depend on time are over its stretches, or else over
+    ``clock_time``.
+    """
 
     solution: SolutionCore
     quantities: Quantities
+    clock_time: bool = False
     options: CrossOptions = field(default_factory=CrossOptions)
 
     @property
     def _timeline(self) -> Timeline | None:
         """The timeline of the quantities, if they depend on time."""
-        return None if self.quantities.timeless else self.solution.outcome.timeline
+        apart = self.quantities.timeless or self.clock_time
+        return None if apart else self.solution.outcome.timeline
 
     @property
     def domain(self) -> Domain:
@@ -303,6 +334,8 @@ class OutputInterpolation:
     def _sampler(self, grid: TimeGrid) -> Sampler:
         solution = self.solution
         names, evaluator = solution.metadata.parameters, solution._evaluator
+        if isinstance(evaluator, TimelineEvaluator) and self.clock_time:
+            return ClockSampler(evaluator, names, self.quantities, grid, solution.rtol)
         if isinstance(evaluator, TimelineEvaluator):
             length = solution.metadata.horizon[1] - solution.metadata.horizon[0]
             measured = solution.outcome.measured
@@ -333,8 +366,8 @@ class OutputInterpolation:
         if self.solution.metadata.timeless:
             return TimeGrid((start, end), 1)
         slabs = self.solution.outcome.slabs
-        starts = (slab.start for slab in slabs[1:])
-        if self.solution.outcome.timeline is not None:
+        starts = [] if self.clock_time else [slab.start for slab in slabs[1:]]
+        if self.solution.outcome.timeline is not None and not self.clock_time:
             start, end = slabs[0].start, slabs[-1].end
             edges = sorted({start, *starts, *range(1, round(end)), end})
         else:

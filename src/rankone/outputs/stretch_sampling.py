@@ -269,3 +269,28 @@ class StretchSampler(Sampler):
         values = np.broadcast_to(values, (1, len(points)))
         self._check_finite(reduction.text, values, points)
         return np.asarray(values[0])
+
+
+class ClockSampler(Sampler):
+    """Functions of time of a solution with events, on a grid over clock time."""
+
+    def __init__(
+        self,
+        evaluator: TimelineEvaluator,
+        parameters: Sequence[str],
+        quantities: Quantities,
+        grid: TimeGrid,
+        rtol: float,
+    ) -> None:
+        super().__init__(evaluator.slabs, parameters, quantities, grid, rtol)
+        self.evaluator = evaluator
+
+    def _sources(self, times: Array, points: Array) -> Array:
+        count = len(self.quantities.sources)
+        charge(20.0 * CALL + (1.0 + count) * _NUMBER_COST * times.size * len(points))
+        rows = np.array([source.row for source in self.quantities.sources])
+        return self.evaluator.curves(times[:, None], np.ascontiguousarray(points.T), rows)
+
+    def _paired(self, times: Array, points: Array) -> Array:
+        rows = np.array([source.row for source in self.quantities.sources])
+        return self.evaluator.curves(times[None], np.ascontiguousarray(points.T), rows)[:, 0]
