@@ -20,7 +20,7 @@ def ball():
         (0, 3.5),
         events=[{"when": "y", "direction": "falling", "then": {"v": "-e*v"}, "name": "bounce"}],
     )
-    solution = ro.solve(problem, 1e-6)
+    solution = ro.solve(problem, 1e-5)
     assert solution.success, solution.message
     return solution
 
@@ -38,30 +38,30 @@ def asked(ball, output, **options):
 
 def test_times_of_events(ball):
     first = np.sqrt(H)
-    assert asked(ball, ro.event_time("bounce", 0)) == pytest.approx(first, rel=1e-5)
+    assert asked(ball, ro.event_time("bounce", 0)) == pytest.approx(first, rel=1e-4)
     flight = ro.event_time("bounce", 1) - ro.event_time("bounce")
-    assert asked(ball, flight) == pytest.approx(2 * E * first, rel=1e-5)
-    assert asked(ball, "event_time(bounce, 1)") == pytest.approx((1 + 2 * E) * first, rel=1e-5)
+    assert asked(ball, flight) == pytest.approx(2 * E * first, rel=1e-4)
+    assert asked(ball, "event_time(bounce, 1)") == pytest.approx((1 + 2 * E) * first, rel=1e-4)
 
 
 def test_states_on_both_sides_of_an_event(ball):
     speed = 2 * np.sqrt(H)
-    assert asked(ball, ro.at_event(v, "bounce", 0)) == pytest.approx(-speed, rel=1e-5)
+    assert asked(ball, ro.at_event(v, "bounce", 0)) == pytest.approx(-speed, rel=1e-4)
     after = asked(ball, "at_event(v, bounce, 0, after)")
-    assert after == pytest.approx(E * speed, rel=1e-5)
+    assert after == pytest.approx(E * speed, rel=1e-4)
     lost = ro.at_event(v**2, "bounce", 0) - ro.at_event(v**2, "bounce", 0, side="after")
-    assert asked(ball, lost) == pytest.approx((1 - E**2) * speed**2, rel=1e-5)
+    assert asked(ball, lost) == pytest.approx((1 - E**2) * speed**2, rel=1e-4)
 
 
 def test_functions_of_time_run_through_events(ball):
     first = np.sqrt(H)
-    assert asked(ball, ro.maximum(v)) == pytest.approx(2 * first * E, rel=1e-5)
-    assert asked(ball, ro.minimum(v)) == pytest.approx(-2 * first, rel=1e-5)
-    assert asked(ball, ro.first_crossing(v, 0, "rising")) == pytest.approx(first, rel=1e-5)
+    assert asked(ball, ro.maximum(v)) == pytest.approx(2 * first * E, rel=1e-4)
+    assert asked(ball, ro.minimum(v)) == pytest.approx(-2 * first, rel=1e-4)
+    assert asked(ball, ro.first_crossing(v, 0, "rising")) == pytest.approx(first, rel=1e-4)
     falling = asked(ball, ro.first_crossing(y, H / 4, "falling"))
-    assert falling == pytest.approx(first * np.sqrt(0.75), rel=1e-5)
+    assert falling == pytest.approx(first * np.sqrt(0.75), rel=1e-4)
     smooth = ball.restrict(h=(1.05, 1.15), e=(0.74, 0.76))  # falls at the end, all over the box
-    assert asked(smooth, ro.duration(-v)) == pytest.approx(duration_of_fall(), rel=1e-5)
+    assert asked(smooth, ro.duration(-v)) == pytest.approx(duration_of_fall(), rel=1e-4)
 
 
 def duration_of_fall():
@@ -77,14 +77,14 @@ def duration_of_fall():
 def test_integrals_over_time(ball):
     first = np.sqrt(H)
     to_floor = sp.Integral(y, (t, 0, ro.event_time("bounce", 0)))
-    assert asked(ball, to_floor) == pytest.approx(2 / 3 * H * first, rel=1e-5)
+    assert asked(ball, to_floor) == pytest.approx(2 / 3 * H * first, rel=1e-4)
     flight = sp.Integral(y, (t, ro.event_time("bounce", 0), ro.event_time("bounce", 1)))
     rise = E * first
-    assert asked(ball, flight) == pytest.approx(4 / 3 * rise**3, rel=1e-5)
+    assert asked(ball, flight) == pytest.approx(4 / 3 * rise**3, rel=1e-4)
     # at a fixed time after the first bounce
     share = 1.3 - first
     part = 2 / 3 * H * first + rise * share**2 - share**3 / 3
-    assert asked(ball, sp.Integral(y, (t, 0, 1.3))) == pytest.approx(part, rel=1e-5)
+    assert asked(ball, sp.Integral(y, (t, 0, 1.3))) == pytest.approx(part, rel=1e-4)
 
 
 def test_outputs_of_the_time_that_exists():
@@ -107,7 +107,7 @@ def test_outputs_of_the_time_that_exists():
     assert outputs.success, outputs.message
     w = 0.9
     exact = [w**2, w**2 / 4, w**3 / 6, 2 * w]
-    np.testing.assert_allclose(outputs(w=w).ravel(), exact, rtol=1e-5)
+    np.testing.assert_allclose(outputs(w=w).ravel(), exact, rtol=1e-4)
     with pytest.raises(ro.OptionError, match="the solution ends there"):
         flight.output({"q": ro.at_event(x, "ground", side="after")})
 
@@ -182,7 +182,7 @@ def test_one_time(ball):
     falls, rises = ball.at(0.8), ball.restrict(h=(0.9, 1.1)).at(1.2)
     assert falls.success
     assert rises.success
-    np.testing.assert_allclose(falls(**AT), [H - 0.64, -1.6], rtol=1e-5)
+    np.testing.assert_allclose(falls(**AT), [H - 0.64, -1.6], rtol=1e-4)
     since = 1.2 - np.sqrt(1.05)
     up = 2 * E * np.sqrt(1.05)
     exact = [up * since - since**2, up - 2 * since]

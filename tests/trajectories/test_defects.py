@@ -81,7 +81,7 @@ def test_surfaces_are_those_of_several_parameters():
     assert on_kink.sum() >= 8
 
 
-@pytest.mark.parametrize("d", [2, 6])
+@pytest.mark.parametrize("d", [2, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "shape",
     [

@@ -110,12 +110,14 @@ def test_a_state_that_falls_to_nothing_and_grows_again_is_resolved(integrator):
     np.testing.assert_allclose(reference(np.array([10.0]))[0, :, 0], 1.0, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_state_that_falls_below_floating_point_numbers_and_grows_again_is_refused():
     problem = ro.Problem.from_strings({"x": "k*(t - 5)*x"}, {"x": "1"}, {"k": (60, 61)}, (0, 10))
     with pytest.raises(ro.ConvergenceError, match="`x` falls below 1e-250 and may grow again"):
         ro.solve(problem, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_states_from_zero_that_are_amplified_take_two_integrations(monkeypatch):
     """Each is made by the one before it, so that it is as small at first as steps are short."""
     rates = {

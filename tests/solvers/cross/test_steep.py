@@ -64,7 +64,7 @@ def test_growth_at_a_pole_of_the_sensitivity_is_solved_or_refused():
     [
         ("-1/x", "k", (1.3, 3), 1.3),
         ("-k*sqrt(x)", "1", (0.1, 0.69), 0.69),
-        ("k*sqrt(1 - x) + 0.01", "0", (0.5, 3), 3),
+        pytest.param("k*sqrt(1 - x) + 0.01", "0", (0.5, 3), 3, marks=pytest.mark.slow),
     ],
 )
 def test_an_end_names_the_trajectory_that_ends(rate, initial, box, where):

@@ -88,7 +88,7 @@ def test_quadratic_elements_have_order_three_on_the_linear_problem() -> None:
     assert orders == pytest.approx([3.0], abs=0.2)
 
 
-@pytest.mark.parametrize("name", ["decay", "linear"])
+@pytest.mark.parametrize("name", [pytest.param("decay", marks=pytest.mark.slow), "linear"])
 def test_the_slides_algorithm_on_legendre_elements_reaches_1e_8(name: str) -> None:
     nodes = {"decay": (20, 20), "linear": (4, 40)}[name]
     outcome = solve(
