@@ -34,6 +34,8 @@ class Case:
         The time at which the only unknown has a value, as a function of it, where that is known.
     jumps : dict
         For some times the unknowns that are reset, and their values.
+    events : list of Event
+        The truth is that of single trajectories then, beside the times of events.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Case:
     places: list[tuple[sp.Symbol, sp.Expr, sp.Expr]]
     passed: sp.Expr | None = None
     jumps: dict[float, dict[sp.Expr, sp.Expr]] = field(default_factory=dict)
+    events: list[ro.Event] = field(default_factory=list)
 
     def problem(self) -> ro.Problem:
         """As a user writes it."""
@@ -56,6 +59,7 @@ class Case:
             self.box,
             dict(zip(self.unknowns, self.initial, strict=True)),
             jumps=self.jumps,
+            events=self.events,
         )
 
 

@@ -20,6 +20,7 @@ COUNTS = {
     "moving": 2,
     "data": 6,
     "doses": 6,
+    "events": 8,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")
@@ -36,6 +37,7 @@ QUICK = {
     ("peaks", 0),
     ("data", 0),
     ("doses", 3),
+    ("events", 0),
 }
 """What is tried in every run: one case of a kind, of those that take less than a second."""
 CASES = [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]

@@ -54,7 +54,7 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
         def at(p: Array) -> Array:
             return np.broadcast_to(system.features.moving_cuts(p)[k], p.shape[1])
 
-        return known(at, "t", None)
+        return known(at, "a switch", None)
 
     switches = map(moving, range(system.features.n_moving_cuts))
     events = (*system.events, *(event(time) for time in times), *switches)
