@@ -37,7 +37,7 @@ QUICK = {
     ("peaks", 0),
     ("data", 0),
     ("doses", 3),
-    ("events", 0),
+    ("events", 2),
 }
 """What is tried in every run: one case of a kind, of those that take less than a second."""
 CASES = [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]
