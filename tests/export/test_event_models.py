@@ -229,6 +229,6 @@ def test_c(name, tmp_path):
 
 @pytest.mark.parametrize("file", ["model.js", "model.fmu", "page.html"])
 def test_other_models_say_that_they_do_not_take_events(file, tmp_path):
-    with pytest.raises(ro.RankoneError, match="does not take solutions with events yet"):
+    with pytest.raises(ro.RankoneError, match="does not take solutions over stretches"):
         solved("ball").export(tmp_path / file)
     assert not list(tmp_path.iterdir())

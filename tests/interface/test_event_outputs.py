@@ -66,11 +66,11 @@ def test_functions_of_time_run_through_events(ball):
 
 def duration_of_fall():
     """For how long the ball falls before t = 3.5."""
-    first, falls, start, rise = np.sqrt(H), np.sqrt(H), np.sqrt(H), E * np.sqrt(H)
+    falls = start = np.sqrt(H)
+    rise = E * start
     while start < 3.5:
         falls += np.clip(3.5 - start - rise, 0, rise)
-        start, rise = start + 2 * rise, rise * E
-    assert first < 3.5
+        start, rise = start + 2 * rise, E * rise
     return falls
 
 
@@ -222,6 +222,45 @@ def test_clock_time():
     np.testing.assert_allclose(plain(times, k=0.7, lag=1.1), solution(times, k=0.7, lag=1.1), 1e-3)
     assert plain.to_canonical()
     assert plain.in_clock_time() is plain
+
+
+def test_clock_time_with_a_jump_at_a_fixed_time():
+    problem = ro.Problem.from_strings(
+        {"x": "-k*x"},
+        {"x": 1},
+        {"k": (0.5, 1)},
+        (0, 4),
+        jumps={2: {"x": "x + 1"}},
+        events=[{"when": "x - 0.7", "name": "low"}],
+    )
+    plain = ro.solve(problem, 1e-4).in_clock_time()
+    before, at, after = plain["x"]([1.999, 2.0, 2.001], k=0.7)
+    decayed = np.exp(-1.4)
+    np.testing.assert_allclose([before, at, after], [decayed, decayed + 1, decayed + 1], 2e-3)
+    with pytest.raises(ro.OptionError, match="rtol"):
+        ro.solve(problem, 1e-4).in_clock_time(2.0)
+
+
+def test_one_time_after_the_end():
+    shot = ro.Problem.from_strings(
+        {"x": "u", "u": "0", "y": "v", "v": "-2"},
+        {"x": 0, "u": "w", "y": 0, "v": "w"},
+        {"w": (0.8, 1.2)},
+        (0, 4),
+        events=[{"when": "y", "direction": "falling", "terminal": True, "name": "ground"}],
+    )
+    solution = ro.solve(shot, 1e-4)  # lands at w
+    assert solution.at(0.5)["y"](w=1) == pytest.approx(0.25, rel=1e-3)
+    with pytest.raises(ro.EvaluationError, match="the solution has ended before t"):
+        solution.at(3.9)
+
+
+def test_reductions_in_a_function_of_time(ball):
+    made = ball.restrict(h=(1.05, 1.15), e=(0.74, 0.76)).output({"share": y / ro.maximum(y)})
+    assert made.success, made.message
+    times = np.array([0.3, 0.8, 1.5, 3.0])
+    share = made["share"](times, **AT)
+    np.testing.assert_allclose(share, ball["y"](times, **AT) / H, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -228,7 +228,7 @@ def test_statistics_are_over_what_still_runs():
     ],
 )
 def test_what_does_not_take_events_says_so(call, what, tmp_path):
-    with pytest.raises(ro.EvaluationError, match=f"{what} does not take solutions with events"):
+    with pytest.raises(ro.EvaluationError, match=f"{what} does not take solutions over stretches"):
         call(solved("ball"), tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -12,13 +12,8 @@ import numpy as np
 
 from rankone.estimation import EstimationFromData
 from rankone.ir.outcome import SlabRecord
-from rankone.outputs.interpolation import (
-    at_instant,
-    derivative,
-    over_clock_time,
-    samples_of,
-    with_outputs,
-)
+from rankone.outputs.interpolation import samples_of, with_outputs
+from rankone.outputs.states import at_instant, derivative, over_clock_time
 from rankone.solution.presentation import dataset, summary_html, summary_text
 from rankone.solution.smaller import at_time, derived, merged, with_fixed, with_restricted
 from rankone.solution.timeline import EventTimes

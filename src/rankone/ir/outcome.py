@@ -142,7 +142,7 @@ class Outcome:
         """
         if self.timeline is not None:
             raise EvaluationError(
-                f"{what} does not take solutions with events yet",
+                f"{what} does not take solutions over stretches between events or switches yet",
                 remedy="give solution.in_clock_time(), which everything takes where events reset "
                 "nothing, or evaluate the solution at points",
             )

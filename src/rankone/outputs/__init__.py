@@ -8,5 +8,6 @@ module                subject
 ``stretch_sampling``  the same of solutions with events, over the stretches between them
 ``check``             points where quantities are compared with their interpolation
 ``interpolation``     from quantities at points to trains, and their error
+``states``            states of solutions with events: at one time, differentiated
 ====================  =================================================================
 """

@@ -14,14 +14,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rankone.discretization import BASES
-from rankone.discretization.coordinates import name_of
 from rankone.discretization.time_grid import TimeGrid, resolving_breaks
-from rankone.ir.metadata import Role, SolutionMetadata, of_derivatives
+from rankone.ir.metadata import Role, SolutionMetadata
 from rankone.ir.outcome import Measured, Outcome
 from rankone.ir.request import Domain
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import (
-    DerivativeOf,
     EarlyEnd,
     Note,
     OutputError,
@@ -30,11 +28,10 @@ from rankone.ir.verdict import (
     UnknownOutputError,
 )
 from rankone.outputs.check import Check, CheckPoints, critical_points, split, spread_over
-from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.outputs.quantities import Quantities
 from rankone.outputs.sampling import Sampler
 from rankone.outputs.stretch_sampling import ClockSampler, StretchSampler
 from rankone.solution.core import SolutionCore, timeline_evaluator
-from rankone.solution.smaller import position
 from rankone.solvers.cross import CrossOptions
 from rankone.support.arrays import Array
 from rankone.support.budget import (
@@ -45,9 +42,9 @@ from rankone.support.budget import (
     seconds_left,
     work_left,
 )
-from rankone.support.errors import ConvergenceError, EvaluationError, OptionError
+from rankone.support.errors import ConvergenceError, OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.wording import did_you_mean, quote
 from rankone.tensors.adaptive import (
     FIRST_LEFT_POINTS,
     AdaptiveInterpolation,
@@ -59,6 +56,8 @@ from rankone.tensors.cross import GrowingBasis
 from rankone.tensors.slab import SlabTrain, slab_trains
 from rankone.tensors.timeline import TimelineEvaluator
 
+LEAST_RTOL, MOST_RTOL = 1e-13, 0.999
+"""Tolerances of outputs."""
 _OF_SOLUTION = Remedy("solve with a smaller rtol, or loosen that of the output")
 _OF_INTERPOLATION = Remedy(
     "raise effort, loosen rtol or restrict the solution; what jumps or kinks as parameters change "
@@ -79,6 +78,7 @@ _MAX_GRIDS = 4  # Most grids in time, each with further points to resolve
 _ROUGHEST_POINTS = 8  # Points that each grid has to resolve besides those before it
 _ROUGH_RATIO = 3.0  # Highest modes in time, over the error aimed at, that a grid may leave
 _MAX_SLABS = 500  # Most slabs of a grid; more if the solution has more than half as many
+_BORDER_ROUNDING = 1e-12  # Part of the horizon within which borders of stretches are the same
 _CLOCK_TIMES = 101  # Clock times at which functions of time are compared over stretches
 _SAMPLE_COUNT = 20  # Points at which quantities are tried before any work
 _SAMPLE_SEED = 1795  # Seed of these points
@@ -109,7 +109,7 @@ def with_outputs(
 ) -> tuple[Outcome, SolutionMetadata]:
     """Quantities of interest; see :meth:`rankone.Solution.output`."""
     if rtol is not None:
-        rtol = checked_number("rtol", rtol, 1e-13, 0.999, float)
+        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
     seconds = math.inf
     if max_seconds is not None:
         seconds = checked_number("max_seconds", max_seconds, 0.0, 1e9, float)
@@ -131,100 +131,6 @@ def with_outputs(
         source=None,
         timeless=quantities.timeless,
         units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
-    )
-
-
-def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMetadata]:
-    """The states of a solution with events at one time; see :meth:`rankone.Solution.at`.
-
-    An EvaluationError if an event comes before that time for some parameters alone.
-    """
-    metadata, evaluator = solution.metadata, solution._evaluator
-    timeline = solution.outcome.timeline
-    assert isinstance(evaluator, TimelineEvaluator)
-    assert timeline is not None
-    texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in metadata.states)
-    reductions = tuple(
-        Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
-    )
-    sources = tuple(Source(i) for i in range(len(texts)))
-    quantities = _as_they_are(metadata, texts, sources, reductions)
-    interpolation = OutputInterpolation(solution, quantities)
-    points = CheckPoints.of(interpolation.domain, quantities).aimed
-    borders = evaluator.borders(np.ascontiguousarray(points.T))
-    passed = (borders[1:] <= time).sum(axis=0)
-    if passed.min() < passed.max():
-        event = " and ".join(timeline.instants[passed.min()])
-        raise EvaluationError(
-            f"at {metadata.time} = {time:g} {quote(event)} has happened for some parameters alone",
-            term=time,
-            remedy="restrict the solution to parameters where it has, or to the others",
-        )
-    outcome, rtol = interpolation.solve(None, operations_for("normal"), math.inf)
-    fixed = (*metadata.fixed, (metadata.time, time))
-    return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
-
-
-def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, SolutionMetadata]:
-    """The derivatives of a solution with events; see :meth:`rankone.Solution.diff`."""
-    metadata, name = solution.metadata, name_of(coordinate)
-    by_time = name == metadata.time
-    j = None if by_time else position(metadata, name)
-    sources = tuple(Source(i, int(by_time), j) for i in range(len(metadata.states)))
-    texts = tuple(f"d{state}/d{name}" for state in metadata.states)
-    quantities = _as_they_are(metadata, texts, sources, ())
-    interpolation = OutputInterpolation(solution, quantities)
-    outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
-    units = of_derivatives(metadata.units, metadata.states, name)
-    metadata = replace(metadata, equations=(), source=None, units=units)
-    return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
-
-
-def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome, SolutionMetadata]:
-    """A solution with events over clock time; see :meth:`rankone.Solution.in_clock_time`."""
-    metadata, timeline = solution.metadata, solution.outcome.timeline
-    assert timeline is not None
-    if timeline.terminal:
-        raise EvaluationError(
-            f"the solution ends with {quote(timeline.instants[-1][0])}, at a time of its own for "
-            "each value of the parameters",
-            remedy="keep it as it is, or solve up to a time at which all trajectories run",
-        )
-    sources = tuple(Source(i) for i in range(len(metadata.states)))
-    quantities = _as_they_are(metadata, metadata.states, sources, ())
-    interpolation = OutputInterpolation(solution, quantities, clock_time=True)
-    outcome, rtol = interpolation.solve(rtol, operations_for("normal"), math.inf)
-    if outcome.status is not Status.CONVERGED:
-        met = {name for instant in timeline.met for name in instant}
-        moving = [name for name in timeline.events if name in met]
-        raise ConvergenceError(
-            f"values over clock time are not resolved: {outcome.message}",
-            remedy=f"keep the solution as it is, since {listing(moving)} may reset states at times "
-            "that move with the parameters",
-        )
-    return outcome, replace(metadata, rtol=rtol)
-
-
-def _as_they_are(
-    metadata: SolutionMetadata,
-    texts: tuple[str, ...],
-    sources: tuple[Source, ...],
-    reductions: tuple[Reduction, ...],
-) -> Quantities:
-    """Quantities that are sources, or reductions of these one by one."""
-    return Quantities(
-        names=metadata.states,
-        texts=texts,
-        timeless=bool(reductions),
-        sources=sources,
-        integrands=lambda t, s, p: list(s) if reductions else [],
-        reductions=reductions,
-        state_surfaces=lambda t, s, p: [],
-        parameter_surfaces=lambda p: [],
-        cuts=((),) * len(metadata.coordinates),
-        values=lambda t, s, p, r: list(r if reductions else s),
-        gaps=lambda t, s, p: [],
-        gap_texts=(),
     )
 
 
@@ -318,16 +224,18 @@ class OutputInterpolation:
     def _missed_over_clock_time(
         self, missed: Array, slabs: tuple[SlabTrain, ...], sampler: StretchSampler, check: Check
     ) -> Array:
-        """Errors (quantities + 2, m), at clock times as well where there are no reductions."""
-        if self.quantities.reductions:
-            return missed
+        """Errors (quantities + 2, m), at clock times as well.
+
+        Infinite where the interpolation has no value and the solution has one.
+        """
         timeline = self.solution.outcome.timeline
         assert timeline is not None
         times = np.linspace(*timeline.horizon, _CLOCK_TIMES)
-        exact = sampler.at_clock(times, check.points)
+        exact, compared = sampler.at_clock(times, check.points)
         points = np.ascontiguousarray(check.points.T)
         found = timeline_evaluator(slabs, timeline).curves(times[:, None], points, slice(0, -2))
-        errors = np.nan_to_num(np.abs(found - exact)).max(axis=1)
+        errors = np.nan_to_num(np.abs(found - exact), nan=np.inf)
+        errors = np.where(compared, errors, 0.0).max(axis=1)
         missed[:-2] = np.maximum(missed[:-2], errors / check.sizes[:-2, None])
         return missed
 
@@ -375,9 +283,10 @@ class OutputInterpolation:
                 x
                 for reduction in self.quantities.reductions
                 for x in (reduction.start, reduction.end)
-                if isinstance(x, float) and start < x < end
+                if isinstance(x, float)
             ]
-            edges = [start, *sorted({*starts, *limits, *self.quantities.cuts[0]}), end]
+            inside = {*starts, *limits, *self.quantities.cuts[0], *self._known_borders(points)}
+            edges = [start, *sorted(x for x in inside if start < x < end), end]
         count = self.options.nodes_in_time(level)
         coarse = self._sampler(TimeGrid(tuple(edges), count))
         sampled = np.abs(coarse.at(coarse.grid.times, points))
@@ -390,6 +299,15 @@ class OutputInterpolation:
 
         breaks = resolving_breaks(in_units, edges, count, level, max(_MAX_SLABS, 2 * len(edges)))
         return TimeGrid(tuple(edges) if breaks is None else breaks, count)
+
+    def _known_borders(self, points: Array) -> list[float]:
+        """Clock times at which a stretch ends at all points: states may jump there."""
+        evaluator = self.solution._evaluator
+        if not isinstance(evaluator, TimelineEvaluator):
+            return []
+        borders = evaluator.borders(np.ascontiguousarray(points.T))
+        rounding = _BORDER_ROUNDING * float(np.ptp(self.domain.horizon))
+        return [float(np.median(row)) for row in borders if np.ptp(row) <= rounding]
 
     def _best_trains(self, sampler: Sampler, check: Check, level: float) -> tuple[SlabTrain, ...]:
         """Interpolate until the error at the points of a check is small; the best trains."""

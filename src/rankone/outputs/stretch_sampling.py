@@ -81,10 +81,10 @@ class StretchSampler(Sampler):
         share = times - stretch
         return stretch, share, begin + share * length, length
 
-    def at_clock(self, times: Array, points: Array) -> Array:
-        """Quantities without reductions at clock times (T,): shape (quantities, T, m).
+    def at_clock(self, times: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Quantities (quantities, T, m) at clock times (T,), and where they count (T, m).
 
-        NaN where the solution has ended, and closer to a border than its error.
+        They do not where the solution has ended, nor closer to a border than its error.
         """
         borders, _ = self._borders(points)
         at = np.broadcast_to(times[:, None], (times.size, len(points)))
@@ -92,13 +92,20 @@ class StretchSampler(Sampler):
         begin = np.take_along_axis(borders, stretch, axis=0)
         length = np.take_along_axis(borders, stretch + 1, axis=0) - begin
         share = (at - begin) / np.where(length > 0.0, length, 1.0)
-        sources = self._read(stretch, share, length, points)
+        clock, on_grid = self.clock(self.grid.times, points), self.sources(points)
         with np.errstate(all="ignore"):
-            quantities = self.quantities.values(at, sources, points.T, [])
+            integrands = self.quantities.integrands(clock, on_grid, points.T)
+            reduced = [
+                self._running(reduction, points, None, stretch + share)
+                if reduction.kind is Kind.RUNNING
+                else self._reduced(reduction, integrands[reduction.integrand], points, None)
+                for reduction in self.quantities.reductions
+            ]
+            sources = self._read(stretch, share, length, points)
+            quantities = self.quantities.values(at, sources, points.T, reduced)
+        away = np.abs(at - borders[1:-1, None]).min(axis=0, initial=np.inf) >= self._least_distance
         held = np.array([np.broadcast_to(each, at.shape) for each in quantities])
-        beside = np.abs(at - borders[1:-1, None]).min(axis=0, initial=np.inf) < self._least_distance
-        held[:, beside | (at > borders[-1])] = np.nan
-        return held
+        return held, away & (at <= borders[-1])
 
     @property
     def _least_distance(self) -> float:
@@ -204,8 +211,10 @@ class StretchSampler(Sampler):
             return np.asarray(self._clock(reduced[None], points)[0])
         return reduced
 
-    def _running(self, reduction: Reduction, points: Array, shifts: Array | None) -> Array:
-        """Integrals up to all places of the grid (T, m), over whole stretches."""
+    def _running(
+        self, reduction: Reduction, points: Array, shifts: Array | None, ends: Array | None = None
+    ) -> Array:
+        """Integrals over whole stretches up to all places of the grid, or to ``ends`` (T, m)."""
         clock, sources = self._kept(np.empty(0), np.empty(0), points, shifts)
         integrand = self.quantities.integrands(clock, sources, points.T)[reduction.integrand]
         *_, length = self._whole(points)
@@ -213,7 +222,9 @@ class StretchSampler(Sampler):
         self._check_finite(reduction.text, integrand, points)
         functions = Polynomials(self.grid, integrand * length)
         begin = functions.until(self._limit(reduction.start, reduction, points))
-        return functions.running(self.grid.breaks[0]) - begin
+        if ends is None:
+            return functions.running(self.grid.breaks[0]) - begin
+        return np.array([functions.until(each) for each in ends]) - begin
 
     def _duration(self, integrand: Array, lengths: Array) -> Array:
         """For how long functions (T, m) are positive: stretch after stretch."""

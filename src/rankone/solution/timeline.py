@@ -69,7 +69,7 @@ class EventTimes(SolutionCore):
         if name not in timeline.events:
             raise EvaluationError(
                 f"no event `{name}`{did_you_mean(name, timeline.events)}; "
-                f"the events are {listing(timeline.events)}",
+                f"the events are {listing(timeline.events) or 'none'}",
                 term=event,
             )
         borders, shape = self._borders(at, named)

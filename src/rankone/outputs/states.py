@@ -1,0 +1,125 @@
+"""The states of a solution with events as outputs: at one time, differentiated, over clock time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from rankone.discretization.coordinates import name_of
+from rankone.ir.metadata import SolutionMetadata, of_derivatives
+from rankone.ir.outcome import Outcome
+from rankone.ir.verdict import DerivativeOf, Status
+from rankone.outputs.check import CheckPoints
+from rankone.outputs.interpolation import LEAST_RTOL, MOST_RTOL, OutputInterpolation
+from rankone.outputs.quantities import Kind, Quantities, Reduction, Source
+from rankone.solution.core import SolutionCore
+from rankone.solution.smaller import position
+from rankone.support.budget import operations_for
+from rankone.support.errors import ConvergenceError, EvaluationError
+from rankone.support.options import checked_number
+from rankone.support.wording import listing, quote
+from rankone.tensors.timeline import TimelineEvaluator
+
+
+def at_instant(solution: SolutionCore, time: float) -> tuple[Outcome, SolutionMetadata]:
+    """The states of a solution with events at one time; see :meth:`rankone.Solution.at`.
+
+    An EvaluationError if an event comes before that time for some parameters alone.
+    """
+    metadata, evaluator = solution.metadata, solution._evaluator
+    timeline = solution.outcome.timeline
+    assert isinstance(evaluator, TimelineEvaluator)
+    assert timeline is not None
+    texts = tuple(f"{name} at {metadata.time} = {time:g}" for name in metadata.states)
+    reductions = tuple(
+        Reduction(Kind.INSTANT, i, time, time, 0, text) for i, text in enumerate(texts)
+    )
+    sources = tuple(Source(i) for i in range(len(texts)))
+    quantities = _as_they_are(metadata, texts, sources, reductions)
+    interpolation = OutputInterpolation(solution, quantities)
+    points = CheckPoints.of(interpolation.domain, quantities).aimed
+    borders = evaluator.borders(np.ascontiguousarray(points.T))
+    passed = (borders[1:] <= time).sum(axis=0)
+    if passed.min() < passed.max():
+        event = " and ".join(timeline.instants[passed.min()])
+        raise EvaluationError(
+            f"at {metadata.time} = {time:g} {quote(event)} has happened for some parameters alone",
+            term=time,
+            remedy="restrict the solution to parameters where it has, or to the others",
+        )
+    if timeline.terminal and passed.min() == timeline.stretches:
+        raise EvaluationError(
+            f"the solution has ended before {metadata.time} = {time:g}",
+            term=time,
+            remedy="give an earlier time; solution.end(...) says when it ends",
+        )
+    outcome, rtol = interpolation.solve(None, operations_for("normal"), math.inf)
+    fixed = (*metadata.fixed, (metadata.time, time))
+    return outcome, replace(metadata, rtol=rtol, source=None, timeless=True, fixed=fixed)
+
+
+def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, SolutionMetadata]:
+    """The derivatives of a solution with events; see :meth:`rankone.Solution.diff`."""
+    metadata, name = solution.metadata, name_of(coordinate)
+    by_time = name == metadata.time
+    j = None if by_time else position(metadata, name)
+    sources = tuple(Source(i, int(by_time), j) for i in range(len(metadata.states)))
+    texts = tuple(f"d{state}/d{name}" for state in metadata.states)
+    quantities = _as_they_are(metadata, texts, sources, ())
+    interpolation = OutputInterpolation(solution, quantities)
+    outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
+    units = of_derivatives(metadata.units, metadata.states, name)
+    metadata = replace(metadata, equations=(), source=None, units=units)
+    return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
+
+
+def over_clock_time(solution: SolutionCore, rtol: float | None) -> tuple[Outcome, SolutionMetadata]:
+    """A solution with events over clock time; see :meth:`rankone.Solution.in_clock_time`."""
+    metadata, timeline = solution.metadata, solution.outcome.timeline
+    assert timeline is not None
+    if timeline.terminal:
+        raise EvaluationError(
+            f"the solution ends with {quote(timeline.instants[-1][0])}, at a time of its own for "
+            "each value of the parameters",
+            remedy="keep it as it is, or solve up to a time at which all trajectories run",
+        )
+    if rtol is not None:
+        rtol = checked_number("rtol", rtol, LEAST_RTOL, MOST_RTOL, float)
+    sources = tuple(Source(i) for i in range(len(metadata.states)))
+    quantities = _as_they_are(metadata, metadata.states, sources, ())
+    interpolation = OutputInterpolation(solution, quantities, clock_time=True)
+    outcome, rtol = interpolation.solve(rtol, operations_for("normal"), math.inf)
+    if outcome.status is not Status.CONVERGED:
+        met = {name for instant in timeline.met for name in instant}
+        moving = [name for name in timeline.events if name in met]
+        raise ConvergenceError(
+            f"values over clock time are not resolved: {outcome.message}",
+            remedy=f"keep the solution as it is, since {listing(moving)} may reset states at times "
+            "that move with the parameters",
+        )
+    return outcome, replace(metadata, rtol=rtol)
+
+
+def _as_they_are(
+    metadata: SolutionMetadata,
+    texts: tuple[str, ...],
+    sources: tuple[Source, ...],
+    reductions: tuple[Reduction, ...],
+) -> Quantities:
+    """Quantities that are sources, or reductions of these one by one."""
+    return Quantities(
+        names=metadata.states,
+        texts=texts,
+        timeless=bool(reductions),
+        sources=sources,
+        integrands=lambda t, s, p: list(s) if reductions else [],
+        reductions=reductions,
+        state_surfaces=lambda t, s, p: [],
+        parameter_surfaces=lambda p: [],
+        cuts=((),) * len(metadata.coordinates),
+        values=lambda t, s, p, r: list(r if reductions else s),
+        gaps=lambda t, s, p: [],
+        gap_texts=(),
+    )
