@@ -12,6 +12,7 @@
 ``sums``                sums of products with few operations
 ``text``                layout of Python text; identifiers
 ``loading``             how the text becomes a System, in this process and in others
+``output_translation``  outputs in terms of states, their derivatives and reductions
 ``output_expressions``  outputs given as SymPy expressions, as functions of arrays
 ======================  ============================================================================
 """

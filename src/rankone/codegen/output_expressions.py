@@ -4,58 +4,37 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import sympy as sp
 from scipy import special
-from sympy.core.function import AppliedUndef
 
 from rankone.agreement.problems import check_outputs
+from rankone.codegen.output_translation import KINDS, OutputTranslator
 from rankone.codegen.printer import numpy_text
-from rankone.discretization.coordinates import name_of
-from rankone.expressions.admissible import closed, gaps
+from rankone.expressions.admissible import gaps
 from rankone.expressions.boundaries import boundaries
 from rankone.expressions.notation import exact, plain_text
 from rankone.expressions.parsing import parse_expression
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import stable
 from rankone.ir.forms import Coordinate
-from rankone.ir.functions import (
-    at_event,
-    duration,
-    event_time,
-    first_crossing,
-    known_applied,
-    maximum,
-    minimum,
-)
+from rankone.ir.functions import known_applied
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.timeline import Timeline
-from rankone.outputs.quantities import Border, Kind, Quantities, Reduction, Source
+from rankone.outputs.quantities import Quantities
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, ProblemError, RankoneError
-from rankone.support.wording import did_you_mean, listing, quote, shown
+from rankone.support.errors import OptionError, ProblemError
+from rankone.support.wording import listing, quote, shown
 from rankone.symbolic.features import cuts_of
 from rankone.symbolic.well_posed import Gap, check_gaps
 
-# What makes one number of a function of time
-_REDUCTIONS = (maximum, minimum, first_crossing, duration, at_event, event_time, sp.Integral)
-_BEFORE = sp.Symbol("before")
 # Cuts of one period over the horizon; a quadrature between more would take minutes
 _MAX_REPEATS = 201
 # Of the derivatives and reductions at which generated outputs are checked; any will do
 _CHECK_SEED = 1812
 # Relative to an interval: cuts closer to its ends are the ends except for rounding
 _END_DISTANCE = 1e-12
-_KINDS = {
-    maximum: Kind.MAXIMUM,
-    minimum: Kind.MINIMUM,
-    first_crossing: Kind.CROSSING,
-    duration: Kind.DURATION,
-    at_event: Kind.INSTANT,
-    event_time: Kind.INSTANT,
-}
 
 
 def quantities_of(
@@ -79,7 +58,7 @@ def quantities_of(
         )
     for name in outputs:
         _check_name(name, metadata)
-    translator = _Translator(metadata, horizon, timeline)
+    translator = OutputTranslator(metadata, horizon, timeline)
     expressions = {
         name: _expression(name, term, metadata, timeline) for name, term in outputs.items()
     }
@@ -120,7 +99,7 @@ def quantities_of(
 
 def _check(
     quantities: Quantities,
-    translator: _Translator,
+    translator: OutputTranslator,
     formulas: Mapping[str, sp.Expr],
     samples: tuple[Array, Array, Array],
 ) -> None:
@@ -156,7 +135,7 @@ def _check(
 
 def _gaps(
     formulas: Sequence[sp.Expr],
-    translator: _Translator,
+    translator: OutputTranslator,
     metadata: SolutionMetadata,
     horizon: tuple[float, float],
 ) -> dict[sp.Basic, str]:
@@ -249,7 +228,7 @@ def _expression(
             **{state: sp.Function(state)(t) for state in metadata.states},
         }
         further: dict[str, Callable[..., sp.Expr]] = {
-            **{reduction.__name__: reduction for reduction in _KINDS},
+            **{reduction.__name__: reduction for reduction in KINDS},
             **{name: _extreme(name) for name in ("max", "min", "Max", "Min")},
             "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
         }
@@ -291,242 +270,6 @@ def _extreme(name: str) -> Callable[..., sp.Expr]:
         return {"Max": sp.Max, "Min": sp.Min}[name.title()](*arguments)
 
     return function
-
-
-@dataclass
-class _Translator:
-    """Replaces states, their derivatives and reductions by symbols, and keeps a list of each."""
-
-    metadata: SolutionMetadata
-    horizon: tuple[float, float]
-    timeline: Timeline | None = None
-    sources: dict[Source, sp.Dummy] = field(default_factory=dict)
-    integrands: list[sp.Expr] = field(default_factory=list)
-    reductions: list[Reduction] = field(default_factory=list)
-    reduced: list[sp.Dummy] = field(default_factory=list)
-    running: list[sp.Dummy] = field(default_factory=list)
-
-    def translated(self, name: str, expression: sp.Expr) -> sp.Expr:
-        """An expression of sources, reductions, parameters and time."""
-        reductions = _outermost(expression, _REDUCTIONS)
-        if reductions and self.metadata.timeless:
-            raise OptionError(
-                f"the output {quote(name)} has {quote(reductions[0])}, but nothing depends on time",
-                term=expression,
-                remedy="ask the solution that depends on time",
-            )
-        symbols = {reduction: self._reduction(name, reduction) for reduction in reductions}
-        return self._in_sources(name, expression.xreplace(symbols))
-
-    def _reduction(self, name: str, applied: sp.Expr) -> sp.Dummy:
-        """The symbol of a reduction, which is added to the list."""
-        start: float | Border
-        end: float | Border
-        start, end = self.horizon
-        kind, direction = _KINDS.get(applied.func, Kind.INTEGRAL), 0
-        if isinstance(applied, sp.Integral):
-            kind, inner, start, end = self._integral(name, applied)
-        elif isinstance(applied, at_event):
-            inner, event, occurrence, side = applied.args
-            start = self._border(name, applied, event, occurrence, side)
-        elif isinstance(applied, event_time):
-            inner = sp.Symbol(self.metadata.time)
-            start = self._border(name, applied, *applied.args)
-        elif isinstance(applied, first_crossing):
-            inner, direction = applied.parts
-            if not direction.is_number or float(direction) not in (-1.0, 0.0, 1.0):
-                raise OptionError(
-                    f"the direction of {quote(applied)} is {quote(direction)}",
-                    term=applied,
-                    remedy="give 'rising', 'falling' or 'both'",
-                )
-        else:
-            (inner,) = applied.args
-        if inner.has(*_REDUCTIONS):
-            raise OptionError(
-                f"the output {quote(name)} has {quote(applied)}, one function of time inside "
-                "another",
-                term=applied,
-                remedy="make the inner one an output, and go on from there",
-            )
-        self.integrands.append(self._in_sources(name, inner))
-        self.reductions.append(
-            Reduction(
-                kind=kind,
-                integrand=len(self.integrands) - 1,
-                start=start,
-                end=end,
-                direction=int(direction),
-                text=plain_text(applied),
-            )
-        )
-        symbol = sp.Dummy(f"r{len(self.reduced)}")
-        self.reduced.append(symbol)
-        if kind is Kind.RUNNING:
-            self.running.append(symbol)
-        return symbol
-
-    def _border(
-        self,
-        name: str,
-        applied: sp.Expr,
-        event: sp.Expr,
-        occurrence: sp.Expr,
-        side: sp.Expr = _BEFORE,
-    ) -> Border:
-        """Where an occurrence of an event ends a stretch."""
-
-        def error(why: str, term: sp.Expr, remedy: str) -> OptionError:
-            return OptionError(
-                f"the output {quote(name)} has {quote(applied)}: {why}", term=term, remedy=remedy
-            )
-
-        if self.timeline is None:
-            raise error("the solution has no events", event, "solve a problem with events")
-        events, met = self.timeline.events, self.timeline.met
-        if str(event) not in events:
-            hint = did_you_mean(str(event), events)
-            raise error(
-                f"no event {quote(event)}{hint}", event, f"the events are {listing(events)}"
-            )
-        if str(side) not in ("before", "after"):
-            raise error(f"the side is {quote(side)}", side, "give 'before' or 'after'")
-        places = [place for place, instant in enumerate(met, 1) if str(event) in instant]
-        if not (occurrence.is_Integer and -len(places) <= int(occurrence) < len(places)):
-            counted = f"from 0 to {len(places) - 1}" if places else "none"
-            raise error(
-                f"{quote(event)} has no occurrence {occurrence} before the end",
-                occurrence,
-                f"those before the end are {counted}",
-            )
-        border = Border(places[int(occurrence)], str(side) == "after")
-        if border.after and border.place == self.timeline.stretches:
-            raise error("the solution ends there", side, "give 'before'")
-        return border
-
-    def _integral(
-        self, name: str, integral: sp.Integral
-    ) -> tuple[Kind, sp.Expr, float | Border, float | Border]:
-        """Kind, integrand and limits of an integral."""
-        start, end = self.horizon
-        t = sp.Symbol(self.metadata.time)
-        (limits, *further) = integral.limits
-        variable, *ends = limits
-        if further:
-            raise self._wrong_integral(name, integral, "it has several variables")
-        if variable != t and variable.name in self.metadata.parameters:
-            raise self._wrong_integral(name, integral, f"{quote(variable)} is a parameter")
-        if variable != t and t in integral.function.free_symbols:
-            raise self._wrong_integral(
-                name, integral, f"it has both {quote(variable)} and {quote(t)}"
-            )
-        inner = integral.function.xreplace({variable: t})
-        if not ends and variable == t:
-            return Kind.INTEGRAL, inner, start, end
-        if len(ends) != 2:
-            raise self._wrong_integral(name, integral, "it has no two limits")
-        borders = [
-            self._border(name, limit, *limit.args) if isinstance(limit, event_time) else None
-            for limit in ends
-        ]
-        if any(borders):
-            numbers = [
-                border or self._number(name, integral, limit)
-                for border, limit in zip(borders, ends, strict=True)
-            ]
-            return Kind.INTEGRAL, inner, numbers[0], numbers[1]
-        lower, upper = ends
-        real = lower.is_extended_real and (upper.is_extended_real or upper == t)
-        if not real or not lower.is_number or not (upper.is_number or upper == t):
-            raise self._wrong_integral(name, integral, "its limits are not numbers")
-        low, high = float(lower), end if upper == t else float(upper)
-        if not start <= low <= high <= end:
-            raise self._wrong_integral(
-                name, integral, f"its limits are not in [{start:g}, {end:g}]"
-            )
-        return Kind.RUNNING if upper == t else Kind.INTEGRAL, inner, low, high
-
-    def _number(self, name: str, integral: sp.Integral, limit: sp.Expr) -> float:
-        """The limit of an integral, a number inside of the horizon."""
-        start, end = self.horizon
-        if not limit.is_number or not limit.is_extended_real:
-            raise self._wrong_integral(name, integral, "its limits are not numbers or event times")
-        if not start <= float(limit) <= end:
-            where = f"its limits are not in [{start:g}, {end:g}]"
-            raise self._wrong_integral(name, integral, where)
-        return float(limit)
-
-    def _wrong_integral(self, name: str, integral: sp.Integral, why: str) -> OptionError:
-        start, t = self.horizon[0], self.metadata.time
-        return OptionError(
-            f"the output {quote(name)} has {quote(integral)}: {why}",
-            term=integral,
-            remedy=f"write Integral(x, ({t}, {start:g}, {self.horizon[1]:g})), or "
-            f"Integral(x, ({t}, {start:g}, {t})) for a function of time",
-        )
-
-    def _in_sources(self, name: str, expression: sp.Expr) -> sp.Expr:
-        """An expression with symbols for states and their derivatives."""
-        states = _outermost(expression, (sp.Derivative, AppliedUndef))
-        plain = expression.xreplace({state: self._source(name, state) for state in states})
-        names = self.metadata.coordinates
-        translated = {*self.sources.values(), *self.reduced}
-        for symbol in sorted(plain.free_symbols - translated, key=str):
-            if symbol == sp.Symbol(symbol.name) and symbol.name in names:
-                continue
-            if symbol.name in self.metadata.states:
-                state = sp.Function(symbol.name)(sp.Symbol(self.metadata.time))
-                plain = plain.xreplace({symbol: self._source(name, state)})
-                continue
-            raise OptionError(
-                f"the output {quote(name)} has {quote(symbol)}"
-                f"{did_you_mean(symbol.name, [*self.metadata.states, *names])}",
-                term=symbol,
-                remedy=f"the solution knows {listing([*self.metadata.states, *names])}",
-            )
-        if plain.has(sp.I, sp.nan, sp.zoo, sp.oo) or plain.is_extended_real is False:
-            raise OptionError(
-                f"the output {quote(name)}, {quote(expression)}, is not real and finite",
-                term=expression,
-            )
-        return closed(plain)
-
-    def _source(self, name: str, unknown: sp.Expr) -> sp.Dummy:
-        """The symbol of a state or a derivative of one."""
-        try:
-            full_name = name_of(unknown, self.metadata.time)
-        except RankoneError as error:
-            raise OptionError(f"the output {quote(name)}: {error}", term=unknown) from None
-        orders = unknown.derivative_count if isinstance(unknown, sp.Derivative) else 0
-        state = name_of(unknown.expr if orders else unknown, self.metadata.time)
-        if orders and self.metadata.timeless:
-            raise OptionError(
-                f"the output {quote(name)} has {quote(unknown)}, but nothing depends on time",
-                term=unknown,
-                remedy="ask the solution that depends on time",
-            )
-        states = self.metadata.states
-        for order in range(orders + 1):
-            held = full_name[: len(full_name) - order] if order < orders else state
-            if held in states:
-                source = Source(states.index(held), order)
-                return self.sources.setdefault(source, sp.Dummy(f"s{len(self.sources)}"))
-        raise OptionError(
-            f"the output {quote(name)} has {quote(unknown)}{did_you_mean(state, states)}",
-            term=unknown,
-            remedy=f"the solution holds {listing(states)}",
-        )
-
-
-def _outermost(expression: sp.Expr, types: tuple[type, ...]) -> list[sp.Expr]:
-    """Subexpressions of some types that are in no other such subexpression, each once."""
-    nodes: dict[sp.Expr, None] = {}
-    walk = sp.preorder_traversal(expression)
-    for node in walk:
-        if isinstance(node, types):
-            nodes.setdefault(node)
-            walk.skip()
-    return list(nodes)
 
 
 def _function(
