@@ -2,7 +2,7 @@
 
 The processor time of one call in Node.js, with WebAssembly, without, and of a model made smaller,
 against the Python call and the model in C99 of the same solution. Without names all reference
-problems are measured.
+problems are measured; names of systems with events are those of ``events.py``.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[2] / "src")]
 
 import rankone as ro  # noqa: E402
+from tests.benchmarks.events import SYSTEMS  # noqa: E402
 from tests.benchmarks.export import c_times, python_time  # noqa: E402
 from tests.problems import EXAMPLES  # noqa: E402
 
+PROBLEMS = {name: (example.problem, example.RTOL) for name, example in EXAMPLES.items()} | SYSTEMS
 DRIVER = Path(__file__).with_suffix(".mjs")
 
 
@@ -34,7 +36,8 @@ def times(model: Path, *flags: str) -> dict[str, float]:
 
 def main(names: list[str]) -> None:
     for name in names or EXAMPLES:
-        solution = ro.solve(EXAMPLES[name].problem, rtol=EXAMPLES[name].RTOL)
+        problem, rtol = PROBLEMS[name]
+        solution = ro.solve(problem, rtol=rtol)
         with tempfile.TemporaryDirectory() as place:
             model = solution.export(Path(place) / "model.mjs")
             solution.export(Path(place) / "model.c")

@@ -138,8 +138,8 @@ def test_commands(path, tmp_path):
         shutil.copy(ROOT / "examples" / "lotka_volterra.py", place)
     for number, code in enumerate(re.findall(r"^```c\n(.*?)^```", text, re.M | re.S)):
         (tmp_path / ("main.c" if number == 0 else f"main{number}.c")).write_text(code)
-    for code in re.findall(r"^```js\n(.*?)^```", text, re.M | re.S):
-        (tmp_path / "main.mjs").write_text(code)
+    for number, code in enumerate(re.findall(r"^```js\n(.*?)^```", text, re.M | re.S)):
+        (tmp_path / ("main.mjs" if number == 0 else f"main{number}.mjs")).write_text(code)
     blocks = re.findall(r"^```console\n(.*?)^```", text, re.M | re.S)
     lines = ["python guide.py", *"".join(blocks).splitlines()]
     if "```c\n" in text:
@@ -152,6 +152,7 @@ def test_commands(path, tmp_path):
         "node": [shutil.which("node") or ""],
     }
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
+    said = {}
     for line in lines:
         program, *arguments = shlex.split(line)
         if program == "cc" and not programs["cc"][0]:
@@ -165,11 +166,12 @@ def test_commands(path, tmp_path):
             command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert run.returncode == 0, f"{line}\n{run.stderr}"
+        said[line] = run.stdout
     if "```js\n" in text:
-        values = [float(line) for line in run.stdout.splitlines()[:-1]]
+        values = [float(line) for line in said["node main.mjs"].splitlines()[:-1]]
         assert values == pytest.approx([math.exp(-2.0)] * 4, rel=1e-5)
     if "```c\n" in text:
-        assert float(run.stdout) == pytest.approx(math.exp(-2.0), rel=1e-5)
+        assert float(said["./main"]) == pytest.approx(math.exp(-2.0), rel=1e-5)
 
 
 def test_links():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 from dataclasses import replace
 from functools import cache
@@ -11,6 +13,8 @@ import pytest
 
 import rankone as ro
 from rankone.tensors.train import Train
+from tests.export import node
+from tests.export.node import needs_node
 from tests.export.test_models import (
     COMPILER,
     SANITIZED,
@@ -227,7 +231,82 @@ def test_c(name, tmp_path):
         assert f"#define MODEL_T_{event}_{len(instants) - 1} " in header
 
 
-@pytest.mark.parametrize("file", ["model.js", "model.fmu", "page.html"])
+JAVASCRIPT = """
+const p = {point};
+const instants = m.events.flatMap((event) => [...m.eventTimes(event, p)]);
+const times = [{start}, ...instants.filter((t) => t <= {end}), {end}, m.end(p), {middle}];
+const attempt = (call) => {
+  try { return call(); } catch (error) { return [error.name, error.message]; }
+};
+const out = new Float64Array(9).fill(7);
+const plain = (values) => [...values].map((value) => (Number.isNaN(value) ? null : value));
+console.log(JSON.stringify({
+  exports: Object.keys(m),
+  times: Object.fromEntries(m.events.map((event) => [event, plain(m.eventTimes(event, p))])),
+  end: m.end(Object.values(p)),
+  curveTimes: times,
+  curve: plain(m.curve(p, times)),
+  singly: m.names.flatMap((_, i) => plain(times.map((t) => m.evaluate(t, p)[i]))),
+  same: m.eventTimes(m.events[0], p, out) === out && out[8] === 7,
+  event: attempt(() => m.eventTimes("bonce", p)),
+  missing: attempt(() => m.end({})),
+}));
+"""
+
+
+@needs_node
+@pytest.mark.parametrize("name", NAMES)
+def test_javascript(name, tmp_path):
+    solution = solved(name)
+    solution.export(tmp_path / "model.mjs")
+    where = points(solution)
+    values, batch, slopes, rates = node.run_driver(tmp_path, solution, where)
+    assert_close(values, solution(where))
+    np.testing.assert_array_equal(batch, values)
+    assert_close(slopes, solution.gradient(where), 1e-8)
+    model = imported(solution.export(tmp_path / "model.py"))
+    assert_close(rates, model.gradient(where)[:, 0], 1e-8)
+    plain = node.run_driver(tmp_path, solution, where, "plain")
+    for ours, theirs in zip((values, batch, slopes, rates), plain):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@needs_node
+@pytest.mark.parametrize("name", NAMES)
+def test_times_of_events_in_javascript(name, tmp_path):
+    """Also values at the very instants, in one curve and singly."""
+    solution = solved(name)
+    solution.export(tmp_path / "model.mjs")
+    at = without_time(solution, points(solution))
+    point = {key: float(values[7]) for key, values in at.items()}
+    start, end = solution.time
+    fields = {"point": json.dumps(point), "start": start, "end": end, "middle": 0.4 * end}
+    text = re.sub(r"{(point|start|end|middle)}", lambda match: str(fields[match[1]]), JAVASCRIPT)
+    said = node.script(tmp_path, text)
+    types = (tmp_path / "model.d.mts").read_text()
+    declared = re.findall(r"^export (?:const|class|function) (\w+)", types, re.M)
+    assert set(declared) == set(said["exports"])
+    assert f"EventName = {' | '.join(json.dumps(e) for e in solution.timeline.events)};" in types
+    assert said["times"].keys() == set(solution.timeline.events)
+    for event, times in said["times"].items():
+        wanted = solution.event_times(event, point)
+        np.testing.assert_allclose(np.array(times, dtype=float), wanted, rtol=1e-12)
+    np.testing.assert_allclose(said["end"], solution.end(point), rtol=1e-12)
+    shape = len(solution.unknowns), len(said["curveTimes"])
+    curve, singly = (np.reshape(np.array(said[kind], float), shape) for kind in ("curve", "singly"))
+    assert_close(curve, singly)
+    # an instant that differs by rounding has the value before the event: ask a little later
+    python = imported(solution.export(tmp_path / "model.py"))
+    times, last = np.array(said["curveTimes"]), said["end"]
+    later = np.where(times <= last, np.minimum(times + 1e-9, last - 1e-9), times)
+    assert_close(curve, python.value({"t": later, **point}), 1e-6)
+    assert said["same"]
+    assert said["event"][0] == "UnknownEventError"
+    assert said["event"][1].startswith('no event "bonce"; the events are ')
+    assert said["missing"][0] == "MissingParameterError"
+
+
+@pytest.mark.parametrize("file", ["model.fmu", "page.html"])
 def test_other_models_say_that_they_do_not_take_events(file, tmp_path):
     with pytest.raises(ro.RankoneError, match="does not take solutions over stretches"):
         solved("ball").export(tmp_path / file)

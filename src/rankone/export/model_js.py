@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from rankone.discretization import Scale
 from rankone.discretization.coordinates import round_off
-from rankone.export.packing import PackedModel
+from rankone.export.packing import PackedModel, PackedTimeline
 from rankone.export.scales import scale_expressions
-from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string
+from rankone.export.templates import LINE, TERMS, comment, filled, js_comment, js_string, wrapped
 from rankone.support import __version__
 from rankone.support.arrays import Array
 from rankone.support.errors import ExportError
@@ -62,7 +62,10 @@ def javascript_model(model: PackedModel, path: Path) -> dict[Path, Content]:
         **_tables(model),
         "scaled": "yes" if model.is_scaled else "",
         "scales": "\n".join(map(_scale, model.scales)),
+        **_timeline(model.timeline, model.borders),
     }
+    evaluation = "model_stretches.js.in" if model.timeline else "model_slabs.js.in"
+    fields["evaluation"] = filled(evaluation, fields)
     module = filled("model.js.in", fields) + filled("model_train.js.in", fields)
     declarations = path.with_suffix(path.suffix.replace(".", ".d.").replace("js", "ts"))
     return {path: module, declarations: filled("model.d.ts.in", fields)}
@@ -97,6 +100,25 @@ def _scale(scale: Scale) -> str:
     return f"  {{ coordinate: (x) => {coordinate}, slope: {argument} => {slope} }},"
 
 
+def _timeline(timeline: PackedTimeline | None, borders: Sequence[int]) -> dict[str, str]:
+    """The stretches between events, or nothing."""
+    if timeline is None:
+        return {"events": "", "event_example": ""}
+    names = list(map(js_string, timeline.events))
+    instants = (", ".join(map(js_string, instant)) for instant in timeline.instants)
+    return {
+        "events": "yes",
+        "event_names": ", ".join(names),
+        "event_example": js_comment(names[0]) if names else "",
+        "event_type": " | ".join(names) or "never",
+        "first_slabs": wrapped(map(str, timeline.first_slabs)),
+        "border_cores": wrapped(map(str, borders)),
+        "ends_there": str(timeline.ends_there).lower(),
+        "terminal": str(timeline.terminal).lower(),
+        "instants": wrapped(f"[{each}]" for each in instants),
+    }
+
+
 def _tables(model: PackedModel) -> dict[str, str]:
     """The layout of the cores and their coefficients."""
     rows: list[str] = []
@@ -112,9 +134,10 @@ def _tables(model: PackedModel) -> dict[str, str]:
         if core.edges:
             place = [_list(core.lowers), _list(core.scales)]
         rows.append(f"  [{', '.join([*place, *map(str, core.tensor.shape), str(int(sparse))])}],")
+    runs_of_slabs = [[k] for k in model.timeline.runs] if model.timeline else [[]] * len(positions)
     slabs = [
-        f"  [{', '.join([_number(start), *map(str, places)])}],"
-        for start, places in zip(model.starts, positions, strict=True)
+        f"  [{', '.join([_number(start), *map(str, [*run, *places])])}],"
+        for start, run, places in zip(model.starts, runs_of_slabs, positions, strict=True)
     ]
     return {
         "cores": "\n".join(rows),
