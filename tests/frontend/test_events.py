@@ -46,6 +46,22 @@ def test_events_are_printed():
     assert r"\text{event\_1}:\; & \frac{d x}{d t} \leftrightarrows 0" in latex
 
 
+def test_delays_and_priorities_are_printed():
+    made = ball(
+        ro.Event(x, "falling", {v: -e * v}, delay=k / 10, persistent=False, name="late"),
+        ro.Event(v, "falling", {v: 0}, priority=2 * k),
+    )
+    assert repr(made).splitlines()[-2:] == [
+        "  late: where x falls through 0, 0.1*k later, unless it turns back: dx/dt -> -dx/dt*e",
+        "  event_1: where dx/dt falls through 0, of priority 2*k: dx/dt -> 0",
+    ]
+    latex = made._repr_latex_()
+    assert r"x \searrow 0,\; \text{after } 0.1 k" in latex
+    assert r"\text{priority } 2 k" in latex
+    assert pickle.loads(pickle.dumps(made)).events == made.events
+    assert "falls through 0, 0.1*k later, unless it" in repr(ro.compile(made).first_order)
+
+
 def test_text_is_the_same():
     made = ro.Problem.from_strings(
         {"x": "v", "v": "-9.81"},
@@ -55,14 +71,21 @@ def test_text_is_the_same():
         events=[
             {"when": "x", "direction": "falling", "then": {"v": "-e*v"}, "name": "bounce"},
             {"when": "t - k", "then": {"x": 2, "v": "v + x*t"}, "terminal": True},
-            {"when": "v"},
+            {
+                "when": "v",
+                "direction": "rising",
+                "then": {"v": 0},
+                "delay": "k/2",
+                "priority": 1,
+                "persistent": False,
+            },
         ],
     )
     height, speed = (sp.Function(name)(t) for name in "xv")
     assert made.events == (
         ro.Event(height, "falling", {speed: -e * speed}, False, "bounce"),
         ro.Event(t - k, "both", {height: 2, speed: speed + height * t}, True, "event_1"),
-        ro.Event(speed, "both", None, False, "event_2"),
+        ro.Event(speed, "rising", {speed: 0}, False, "event_2", k / 2, sp.Integer(1), False),
     )
 
 
@@ -81,6 +104,8 @@ name = "bounce"
 [[events]]
 when = "t - 3"
 terminal = true
+delay = "e/2"
+priority = 2
 """
 
 
@@ -90,7 +115,7 @@ def test_a_file(tmp_path):
     height, speed = (sp.Function(name)(t) for name in "xv")
     assert load_problem(path).events == (
         ro.Event(height, "falling", {speed: -e * speed}, False, "bounce"),
-        ro.Event(t - 3, "both", None, True, "event_1"),
+        ro.Event(t - 3, "both", None, True, "event_1", e / 2, sp.Integer(2)),
     )
 
 
@@ -102,6 +127,7 @@ def test_a_file(tmp_path):
         ('when = "x"', "when = true", r"`when` in \[events\] is True, neither text nor a"),
         ('then = { v = "-e*v" }', 'then = "v"', "`then` is 'v', not a table; remedy: write then ="),
         ('then = { v = "-e*v" }', "then = { v = inf }", r"`v` in \[events\] is inf"),
+        ('delay = "e/2"', "delay = [1]", r"`delay` in \[events\] is \[1\], neither text nor a"),
         ("direction", "diretion", r"unknown key `diretion` \(did you mean `direction`"),
     ],
 )
@@ -133,6 +159,13 @@ def test_bad_files(tmp_path, old, new, message):
         ([ro.Event(x, "raising")], r"is 'raising' \(did you mean `rising`"),
         ([ro.Event(x, 1)], "the direction of event `event_0` is 1;"),
         ([ro.Event(x, terminal="yes")], "`terminal` of event `event_0` is 'yes'"),
+        ([ro.Event(x, persistent=0)], "`persistent` of event `event_0` is 0; remedy: give True or"),
+        ([ro.Event(x, persistent=False)], "`event_0` is not persistent, and happens in both dire"),
+        ([ro.Event(x, then={x: 1}, delay=-1)], "the delay of event `event_0` is `-1`; remedy: giv"),
+        ([ro.Event(x, delay=1)], "event `event_0` has a delay, and resets nothing"),
+        ([ro.Event(x, then={x: 1}, delay="1")], "`delay` of event `event_0` is '1', not an expre"),
+        ([ro.Event(x, then={x: 1}, priority=y)], r"`priority` of event `event_0`, `y\(t\)`, names"),
+        ([ro.Event(x, then={x: 1}, priority=sp.oo)], "is not a finite real number"),
         ([ro.Event(x, then={})], "event `event_0` has an empty `then`; remedy: leave it out"),
         ([ro.Event(x, then=[v])], "`then` of event `event_0` is .*, not a mapping"),
         ([ro.Event(x, then={y: 1})], r"event `event_0` resets y\(t\), which is not a state"),

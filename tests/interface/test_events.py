@@ -23,6 +23,7 @@ def solved(name):
 
 
 BOUNCE = {"when": "y", "direction": "falling", "then": {"y": 0, "v": "-e*v"}, "name": "bounce"}
+UP = {"when": "x - 0.5", "direction": "rising"}
 PROBLEMS = {
     # two to three bounces before the end, as the height is
     "ball": problem(
@@ -59,12 +60,26 @@ PROBLEMS = {
         [],
         jumps={"lag": {"A": "A + D"}, 3: {"A": "A + 1"}},
     ),
+    # one reset that lags, one that is withdrawn, and two at one instant
+    "late": problem(
+        {"x": "w*cos(w*t)", "y": "-k*y"},
+        {"x": 0, "y": 1},
+        {"w": (3, 3.1), "k": (0.1, 0.2)},
+        1.8,
+        [
+            {**UP, "then": {"y": "y + x"}, "delay": "k + w/10", "name": "soon"},
+            {**UP, "then": {"y": 9}, "delay": 1, "persistent": False, "name": "late"},
+            {"when": "t - 1.2", "direction": "rising", "then": {"y": "y + w"}, "name": "add"},
+            {"when": "t - 1.2", "then": {"y": "y/2"}, "priority": "w", "name": "halve"},
+        ],
+    ),
 }
 ENDINGS = {
     "ball": (Ending.EVENT, 4),
     "projectile": (Ending.EVENT, 1),
     "relay": (Ending.EVENT, 6),
     "dose": (Ending.HORIZON, 3),
+    "late": (Ending.HORIZON, 5),
 }
 
 
@@ -223,7 +238,6 @@ def test_statistics_are_over_what_still_runs():
     ("call", "what"),
     [
         (lambda s, _: s.to_canonical(), "to_canonical"),
-        (lambda s, path: s.export(path / "model.js"), "a model in JavaScript"),
         (lambda s, path: s.explore(path / "page.html"), "a page"),
     ],
 )

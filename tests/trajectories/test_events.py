@@ -7,7 +7,8 @@ import rankone as ro
 from rankone.ir.events import SystemEvent
 from rankone.support.budget import OutOfWorkError, limited
 from rankone.trajectories.choice import span_integrator_for
-from rankone.trajectories.events import MOST_ROUNDS, integrate_to_events
+from rankone.trajectories.events import integrate_to_events
+from rankone.trajectories.instants import MOST_ROUNDS
 from rankone.trajectories.integrator import Tolerances
 
 INTEGRATORS = ["stack", "single", "auto"]

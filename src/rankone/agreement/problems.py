@@ -253,8 +253,16 @@ class _ProblemCheck:
         columns = np.concatenate([t[None], p, u])
         for form, event in zip(first_order.events, self.system.events, strict=True):
             what = f"event {quote(form.name)}"
-            heights = np.broadcast_to(np.asarray(event.when(t, u, p), dtype=float), t.shape)
-            self._check_value(f"{quote(form.when)} of {what}", form.when, leaves, heights, columns)
+            pairs = (
+                (form.when, event.when),
+                (form.delay, event.delay),
+                (form.priority, event.priority),
+            )
+            for written, function in pairs:
+                if written is not None and function is not None:
+                    values = np.broadcast_to(np.asarray(function(t, u, p), dtype=float), t.shape)
+                    subject = f"{quote(written)} of {what}"
+                    self._check_value(subject, written, leaves, values, columns)
             if form.at is not None and event.at is not None:
                 subject = f"the time of {what}, {quote(form.at)},"
                 self._check_value(subject, form.at, self.symbols, event.at(p), p)

@@ -278,14 +278,31 @@ def _events(writer: PointwiseWriter, events: Sequence[EventForm]) -> list[Block]
     names = [state.name for state in writer.states]
     known = [i for i, e in enumerate(events) if e.at is not None]
     times = f"Times of events of parameters p (d, ...): ({len(known)}, ...)."
+    delayed = [i for i, e in enumerate(events) if e.delay is not None]
+    delays = f"Time from an event to its resets, at u ({n}, ...): ({len(delayed)}, ...)."
+    ranked = [i for i, e in enumerate(events) if e.priority is not None]
+    priorities = f"Which event at one instant is first, at u ({n}, ...): ({len(ranked)}, ...)."
+    withdrawn = [i for i, e in enumerate(events) if not e.persistent]
     return [
         [
             "# name, direction, whether it ends the trajectory, whether it resets states",
             *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
             *([f"KNOWN_EVENTS = {tuple(known)}"] if known else []),
+            *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),
+            *([f"RANKED_EVENTS = {tuple(ranked)}"] if ranked else []),
+            *([f"WITHDRAWN_EVENTS = {tuple(withdrawn)}"] if withdrawn else []),
         ],
         writer.vector("known_event_times", "p", times, [e.at for e in events if e.at is not None]),
         writer.vector("event_heights", "t, u, p", heights, [e.when for e in events]),
+        writer.vector(
+            "event_delays", "t, u, p", delays, [e.delay for e in events if e.delay is not None]
+        ),
+        writer.vector(
+            "event_priorities",
+            "t, u, p",
+            priorities,
+            [e.priority for e in events if e.priority is not None],
+        ),
         *(
             writer.vector(f"after_event_{i}", "t, u, p", after, e.then, names)
             for i, e in enumerate(events)

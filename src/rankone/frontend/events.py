@@ -29,6 +29,8 @@ _DIRECTIONS = {"both": "crosses", "rising": "rises through", "falling": "falls t
 _ARROWS = {"both": r"\leftrightarrows", "rising": r"\nearrow", "falling": r"\searrow"}
 _LIST_REMEDY = "give a list of them: events=[rankone.Event(x, then={x: 1})]"
 _WHEN_REMEDY = "give what crosses zero, an expression of unknowns, time and parameters: x - level"
+_DELAY_REMEDY = "give a time that is not negative, from the crossing to the event"
+_PRIORITY_REMEDY = "give a number, or an expression of unknowns, time and parameters"
 _THEN_REMEDY = "give {unknown: value after it}, for example {v: -e*v}"
 
 
@@ -55,6 +57,16 @@ class Event:
         Whether the trajectory ends there.
     name : str, optional
         A Python identifier; by default ``event_0``, ``event_1``, ..., by the position in the list.
+    delay : Expr, optional
+        The time from the crossing to the event, an expression in the values at the crossing. It is
+        not negative. States are reset, and time ends, at the later time, from the values then.
+    priority : Expr, optional
+        Of several events at one instant, the one of the highest priority is the first; priorities
+        are taken anew after each of them, and those that are equal go by the list. Without one it
+        is 0.
+    persistent : bool
+        Whether the event still happens if ``when`` crosses zero back before the delay is over, or
+        is turned back by an event before it at the same instant. ``False`` needs a direction.
 
     Examples
     --------
@@ -70,11 +82,15 @@ class Event:
     then: Mapping[Any, Any] | None = None
     terminal: bool = False
     name: str | None = None
+    delay: Any = None
+    priority: Any = None
+    persistent: bool = True
 
     @property
     def expressions(self) -> list[sp.Expr]:
-        """What crosses zero, and the values after it."""
-        return [self.when, *(self.then or {}).values()]
+        """What crosses zero, the values after it, delay and priority."""
+        further = [e for e in (self.delay, self.priority) if e is not None]
+        return [self.when, *(self.then or {}).values(), *further]
 
 
 def event_name(name: object, position: int) -> str:
@@ -162,11 +178,16 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
             term=direction,
             remedy=f"choose from {listing(_DIRECTIONS)}",
         )
-    if not isinstance(terminal, bool):
+    for field, value in (("terminal", terminal), ("persistent", event.persistent)):
+        if not isinstance(value, bool):
+            raise ProblemError(
+                f"`{field}` of {subject} is {shown(value)}", term=value, remedy="give True or False"
+            )
+    if not event.persistent and direction == "both":
         raise ProblemError(
-            f"`terminal` of {subject} is {shown(terminal)}",
-            term=terminal,
-            remedy="give True or False",
+            f"{subject} is not persistent, and happens in both directions",
+            term=event,
+            remedy="give the direction of the crossing that starts it; the other one withdraws it",
         )
     when = check_of_states(event.when, f"`when` of {subject}", symbols, _WHEN_REMEDY)
     if not when.has(AppliedUndef) and symbols.time[0] not in when.free_symbols:
@@ -175,7 +196,28 @@ def _checked(event: object, position: int, symbols: Symbols) -> Event:
             term=event.when,
             remedy=_WHEN_REMEDY,
         )
-    return Event(closed(when), direction, _then(event, subject, symbols), terminal, name)
+    then = _then(event, subject, symbols)
+    delay, priority = (
+        None
+        if value is None
+        else closed(check_of_states(value, f"`{field}` of {subject}", symbols, remedy))
+        for field, value, remedy in (
+            ("delay", event.delay, _DELAY_REMEDY),
+            ("priority", event.priority, _PRIORITY_REMEDY),
+        )
+    )
+    if delay is not None:
+        if delay.is_negative:
+            raise ProblemError(
+                f"the delay of {subject} is {quote(delay)}", term=event.delay, remedy=_DELAY_REMEDY
+            )
+        if then is None and not terminal:
+            raise ProblemError(
+                f"{subject} has a delay, and resets nothing",
+                term=event,
+                remedy="give `then` or `terminal`, or leave out the delay to mark the crossing",
+            )
+    return Event(closed(when), direction, then, terminal, name, delay, priority, event.persistent)
 
 
 def _then(event: Event, subject: str, symbols: Symbols) -> dict[sp.Expr, sp.Expr] | None:
@@ -201,7 +243,11 @@ def event_texts(events: Iterable[Event]) -> Iterator[str]:
     for event in events:
         changes = change_texts((event.then or {}).items()) + ["time ends"] * event.terminal
         what = f": {', '.join(changes)}" if changes else ""
-        yield f"{event.name}: where {text_of(event.when)} {_DIRECTIONS[event.direction]} 0{what}"
+        later = "" if event.delay is None else f", {text_of(event.delay)} later"
+        later += "" if event.persistent else ", unless it turns back"
+        first = "" if event.priority is None else f", of priority {text_of(event.priority)}"
+        where = f"where {text_of(event.when)} {_DIRECTIONS[event.direction]} 0"
+        yield f"{event.name}: {where}{later}{first}{what}"
 
 
 def event_latex(events: Iterable[Event]) -> Iterator[str]:
@@ -209,6 +255,12 @@ def event_latex(events: Iterable[Event]) -> Iterator[str]:
     for event in events:
         changes = change_latex((event.then or {}).items())
         changes += [r"\text{time ends}"] * event.terminal
+        if event.delay is not None:
+            changes = [rf"\text{{after }} {latex_of(event.delay)}", *changes]
+        if event.priority is not None:
+            changes = [*changes, rf"\text{{priority }} {latex_of(event.priority)}"]
+        if not event.persistent:
+            changes = [*changes, r"\text{unless it turns back}"]
         name = str(event.name).replace("_", r"\_")
         crossing = rf"{latex_of(event.when)} {_ARROWS[event.direction]} 0"
         yield rf"\text{{{name}}}:\; & " + r",\; ".join([crossing, *changes])

@@ -16,7 +16,7 @@ import scipy
 from rankone.frontend.crossings import Crossing, Sides
 from rankone.frontend.numeric import NumericEquations
 from rankone.support.arrays import Array
-from rankone.support.errors import BlowUpError, ConvergenceError
+from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
 from rankone.support.wording import quote
 
 LEAST_RTOL, MOST_RTOL = 1e-12, 0.1
@@ -63,6 +63,7 @@ class Integration:
         self._instant = _SAME_INSTANT * (self._end - self._start)
         self.values = np.full((len(equations.states), times.size), np.nan)
         self._occurrences: list[list[float]] = [[] for _ in equations.events.names]
+        self._due: list[list[float]] = [[] for _ in equations.events.names]
         self._sides = Sides(equations.events, point)
         self._steps = self._rounds = 0
         self._interrupted, self._ended = -np.inf, False
@@ -93,9 +94,13 @@ class Integration:
                 fired += self._known_at_start()
             self._react(a, fired)
             while self._goes_on() and self._time < b:
-                self._follow(b)
+                due = min(itertools.chain(*self._due), default=b)
+                self._follow(min(b, due))
+                if self._goes_on() and self._time == due < b - self._instant:
+                    self._react(due, [])
             if not self._goes_on():
                 return
+        self._react(self._end, [])
 
     def _goes_on(self) -> bool:
         return not self._ended and self._time <= self.times[-1]
@@ -199,9 +204,11 @@ class Integration:
         interrupting = [c.time for c in counting if events.interrupts(c.event)]
         if not interrupting:
             self._record(counting)
+            self._withdraw(crossings, end)
             self._sides.pass_until(end)
             return False
         time = interrupting[0]
+        self._withdraw(crossings, time)
         self._record([c for c in counting if c.time < time - self._instant])
         self._sides.pass_until(time - self._instant)
         now = [c for c in crossings if abs(c.time - time) <= self._instant]
@@ -244,7 +251,11 @@ class Integration:
         if not self._occurrences:
             return []
         rates = self._rates(self._time, self._state)
-        return self._sides.settle(self._time, self._state, rates, unmoved)
+        fired = self._sides.settle(self._time, self._state, rates, unmoved)
+        for k, side in enumerate(self._sides.sides.tolist()):
+            if self.equations.events.turned(k, side):
+                self._due[k] = []
+        return fired
 
     def _known_at_start(self) -> list[int]:
         """The events at known times that happen at the start."""
@@ -253,26 +264,80 @@ class Integration:
         return [k for k, known in enumerate(events.known) if known and heights[k] == 0.0]
 
     def _react(self, time: float, fired: list[int], on_surface: Collection[int] = ()) -> None:
-        """Apply events in the order listed, then those that they set off, round after round."""
+        """Apply events, and those that are due, and then what they set off, round after round."""
         events = self.equations.events
-        while fired and not self._ended:
+        while (fired or self._any_due(time)) and not self._ended:
             at_once = time - self._interrupted <= self._instant
             self._rounds = self._rounds + 1 if at_once else 1
             self._interrupted = time
+            now = self._started(time, fired)
             if self._rounds > _MOST_ROUNDS:
-                raise self._stuck(fired[0], f"more than {_MOST_ROUNDS} times at one instant")
+                raise self._stuck(
+                    (*fired, *now)[0], f"more than {_MOST_ROUNDS} times at one instant"
+                )
             before = events.when(time, self._state, self.point)
-            for k in fired:
-                self._record([Crossing(time, k, 0)])
-                reset = events.then[k]
-                if reset is not None:
-                    self._state = reset(time, self._state, self.point)
-                self._ended |= events.terminal[k]
+            self._reset(time, now, before)
             after = events.when(time, self._state, self.point)
             unmoved = [k for k in on_surface if before[k] == after[k]]
             self._sides.return_to([*fired, *on_surface])
             fired, on_surface = self._settled(unmoved), ()
         self.values[:, self.times == time] = self._state[:, None]
+
+    def _any_due(self, time: float) -> bool:
+        return any(due <= time + self._instant for due in itertools.chain(*self._due))
+
+    def _started(self, time: float, fired: Sequence[int]) -> list[int]:
+        """The events that happen now: those that have no delay, and those whose delay is over."""
+        delays = self.equations.events.delays
+        now = []
+        for k in fired:
+            delay = delays[k]
+            if delay is None:
+                now.append(k)
+                continue
+            (later,) = delay(time, self._state, self.point)
+            if not later >= 0.0:
+                name = quote(self.equations.events.names[k])
+                raise ProblemError(
+                    f"the delay of event {name} is {later:.6g} at {self._place()}",
+                    remedy="let it be a time that is not negative, everywhere in the box",
+                )
+            self._due[k] = sorted([*self._due[k], time + later])
+        for k, due in enumerate(self._due):
+            if due and due[0] <= time + self._instant:
+                now.append(k)
+                self._due[k] = due[1:]
+        return now
+
+    def _reset(self, time: float, waiting: list[int], first: Array) -> None:
+        """Apply events by their priority, and then as listed, unless another one turns them back.
+
+        ``first`` is what crosses zero (events,) before any of them.
+        """
+        events = self.equations.events
+        waiting = sorted(waiting)
+        while waiting:
+            heights = events.when(time, self._state, self.point) - first
+            waiting = [k for k in waiting if not events.turned(k, int(np.sign(heights[k])))]
+            ranks = [self._priority(k) for k in waiting]
+            if not waiting:
+                return
+            k = waiting.pop(int(np.argmax(ranks)))
+            self._record([Crossing(time, k, 0)])
+            reset = events.then[k]
+            if reset is not None:
+                self._state = reset(time, self._state, self.point)
+            self._ended |= events.terminal[k]
+
+    def _priority(self, event: int) -> float:
+        priority = self.equations.events.priorities[event]
+        return 0.0 if priority is None else float(priority(self._time, self._state, self.point)[0])
+
+    def _withdraw(self, crossings: Sequence[Crossing], end: float) -> None:
+        """Give up what is due but has turned back by the end of a step."""
+        for crossing in crossings:
+            if crossing.time <= end and self.equations.events.turned(crossing.event, crossing.side):
+                self._due[crossing.event] = []
 
     # -- errors -----------------------------------------------------------------------------------
 

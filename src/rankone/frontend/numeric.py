@@ -100,6 +100,10 @@ class NumericEvents:
         For each event the states (n,) after it; None if it resets nothing.
     known : list of bool
         Whether its time depends on parameters alone.
+    delays, priorities : list of callable or None
+        For each event one number (1,), at the same arguments; None if it has none.
+    withdrawn : list of bool
+        Whether it does not happen once its ``when`` has turned back.
     """
 
     def __init__(self, equations: NumericEquations, events: Sequence[Event]) -> None:
@@ -107,6 +111,14 @@ class NumericEvents:
         self._directions = [_SIDES[event.direction] for event in events]
         self.terminal = [event.terminal for event in events]
         self.known = [known_time(event, equations.time[0]) is not None for event in events]
+        self.withdrawn = [not event.persistent for event in events]
+        self.delays, self.priorities = (
+            [None if each is None else equations.function([each]) for each in expressions]
+            for expressions in (
+                [event.delay for event in events],
+                [event.priority for event in events],
+            )
+        )
         self.when = equations.function([event.when for event in events])
         self.then = [
             equations.function([event.then.get(state, state) for state in equations.states])
@@ -129,6 +141,10 @@ class NumericEvents:
     def interrupts(self, event: int) -> bool:
         """Whether a trajectory does not go on after an event as if nothing had been."""
         return self.terminal[event] or self.then[event] is not None
+
+    def turned(self, event: int, side: int) -> bool:
+        """Whether a crossing to a side turns back an event that does not persist."""
+        return self.withdrawn[event] and self._directions[event] == -side
 
     def slopes(self, time: float, rates: Array, states: Array, parameters: Array) -> Array:
         """How fast each ``when`` changes along a trajectory (events,); NaN if that is not known.

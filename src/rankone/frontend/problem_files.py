@@ -46,6 +46,9 @@ x = "x + 1"                # the value right after it
 # then = { y = "y/2" }     # the values right after it
 # terminal = false         # whether time ends there
 # name = "harvest"
+# delay = "1/4"            # from the crossing to the reset
+# priority = 1             # the highest one is first at one instant
+# persistent = true        # whether it happens though `when` turns back
 
 [units]                    # texts for t, parameters and unknowns; may be left out
 t = "years"
@@ -173,8 +176,9 @@ def _events(tables: object) -> list[dict[str, Any]]:
     events = []
     for table in _tables("events", tables, remedy):
         event = {**table}
-        if "when" in event:
-            event["when"] = _formula("events", "when", event["when"])
+        for key in ("when", "delay", "priority"):
+            if key in event:
+                event[key] = _formula("events", key, event[key])
         if "then" in event:
             then = _table(event, "then", remedy='write then = { x = "0" }')
             event["then"] = {name: _formula("events", name, f) for name, f in then.items()}

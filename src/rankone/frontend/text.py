@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import numbers
 import unicodedata
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from rankone.support.wording import did_you_mean, listing, quote, shown
 
 Entry = TypeVar("Entry")
 Names = Mapping[str, sp.Expr]
-_EVENT_KEYS = ("when", "direction", "then", "terminal", "name")
+_EVENT_KEYS = tuple(field.name for field in dataclasses.fields(Event))
 
 
 def jumps_of_text(jumps: object, names: Names, unknowns: Names) -> Any:
@@ -56,13 +57,13 @@ def _event_of_text(event: object, position: int, names: Names, unknowns: Names) 
             term=event,
             remedy='give what crosses zero, for example "when": "x - 1"',
         )
-    return Event(
-        formula(event["when"], names, f"`when` of {subject}", None),
-        event.get("direction", "both"),
-        _reset_of_text(event.get("then"), subject, names, unknowns),
-        event.get("terminal", False),
-        event.get("name"),
-    )
+    formulas = {
+        key: formula(event[key], names, f"`{key}` of {subject}", None)
+        for key in ("when", "delay", "priority")
+        if key == "when" or event.get(key) is not None
+    }
+    then = _reset_of_text(event.get("then"), subject, names, unknowns)
+    return Event(**{**event, **formulas, "then": then})
 
 
 def _reset_of_text(reset: object, subject: str, names: Names, unknowns: Names) -> Any:

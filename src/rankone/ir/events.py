@@ -21,8 +21,10 @@ class SystemEvent:
 
     ``then`` maps the states before it to those after it; it ends the trajectory if ``terminal``.
     ``at`` maps parameters (d, N) to its times (N,) where they are known; then it happens once,
-    unless that is before the start. It is ``timed`` if it is no event of the user; rates jump at a
-    ``switch``.
+    unless that is before the start. With a ``delay`` the states are reset that much later, unless
+    ``when`` turns back and the event is not ``persistent``. Of several at one instant the one of
+    the highest ``priority`` is first. It is ``timed`` if it is no event of the user; rates jump at
+    a ``switch``; it ``starts`` or ``cancels`` the event at that position, which has no root.
     """
 
     when: OfTrajectory
@@ -33,11 +35,17 @@ class SystemEvent:
     at: Callable[[Array], Array] | None = None
     timed: bool = False
     switch: bool = False
+    delay: OfTrajectory | None = None
+    priority: OfTrajectory | None = None
+    persistent: bool = True
+    starts: int | None = None
+    cancels: int | None = None
 
     @property
     def interrupts(self) -> bool:
         """Whether the trajectory does not go on as if nothing had been."""
-        return self.terminal or self.switch or self.then is not None
+        delays = self.starts is not None or self.cancels is not None
+        return self.terminal or self.switch or self.then is not None or delays
 
     @property
     def jumps(self) -> bool:

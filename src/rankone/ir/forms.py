@@ -91,7 +91,8 @@ class EventForm:
 
     ``when`` and ``then`` are in time, the values of the states before, ``x(t)``, and the
     parameters. ``then`` has a value for each differential state, or is None. ``at`` is the time of
-    the event, of the parameters, where it is known beforehand, or None.
+    the event, of the parameters, where it is known beforehand, or None. ``delay`` and ``priority``
+    are like ``when``, or None.
     """
 
     name: str
@@ -100,6 +101,15 @@ class EventForm:
     then: tuple[sp.Expr, ...] | None
     terminal: bool
     at: sp.Expr | None = None
+    delay: sp.Expr | None = None
+    priority: sp.Expr | None = None
+    persistent: bool = True
+
+    @property
+    def expressions(self) -> tuple[sp.Expr, ...]:
+        """What it is made of, but for ``at``."""
+        extra = (e for e in (self.delay, self.priority) if e is not None)
+        return (self.when, *(self.then or ()), *extra)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from typing import Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
-from rankone.ir.events import EventOrder, SystemEvent
+from rankone.ir.events import EventOrder, OfTrajectory, SystemEvent
 from rankone.ir.features import (
     GAP_REMEDY,
     Features,
@@ -292,19 +292,33 @@ def system_of(names: Mapping[str, object]) -> System:
 def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     """The events of a generated module."""
     listed = cast("Sequence[tuple[str, int, bool, bool]]", names.get("EVENTS", ()))
-    known = cast("Sequence[int]", names.get("KNOWN_EVENTS", ()))
+    known, delayed, ranked, withdrawn = (
+        cast("Sequence[int]", names.get(f"{kind}_EVENTS", ()))
+        for kind in ("KNOWN", "DELAYED", "RANKED", "WITHDRAWN")
+    )
+
+    def row(function: str, i: int) -> OfTrajectory:
+        def value(t: Array, u: Array, p: Array) -> Array:
+            return np.asarray(cast(OfStates, names[function])(t, u, p)[i])
+
+        return value
 
     def event(k: int, name: str, direction: int, terminal: bool, resets: bool) -> SystemEvent:
-        def when(t: Array, u: Array, p: Array) -> Array:
-            heights = cast(OfStates, names["event_heights"])
-            return np.asarray(heights(t, u, p)[k])
-
         def at(p: Array) -> Array:
             times = cast(OfParameters, names["known_event_times"])
             return np.broadcast_to(times(p)[known.index(k)], p.shape[1:])
 
-        then = cast("OfStates | None", names[f"after_event_{k}"] if resets else None)
-        return SystemEvent(when, direction, then, terminal, name, at if k in known else None)
+        return SystemEvent(
+            row("event_heights", k),
+            direction,
+            cast("OfStates | None", names[f"after_event_{k}"] if resets else None),
+            terminal,
+            name,
+            at if k in known else None,
+            delay=row("event_delays", delayed.index(k)) if k in delayed else None,
+            priority=row("event_priorities", ranked.index(k)) if k in ranked else None,
+            persistent=k not in withdrawn,
+        )
 
     return tuple(event(k, *each) for k, each in enumerate(listed))
 

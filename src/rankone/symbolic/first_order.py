@@ -96,7 +96,7 @@ class FirstOrderSystem(Stage):
     @property
     def event_expressions(self) -> tuple[sp.Expr, ...]:
         """What the events are made of."""
-        return tuple(e for event in self.events for e in (event.when, *(event.then or ())))
+        return tuple(e for event in self.events for e in event.expressions)
 
     def piecewise(self) -> Iterator[tuple[str, int | None, sp.Expr]]:
         """Rates, initial values and values after jumps that have piecewise functions.
@@ -143,7 +143,16 @@ class FirstOrderSystem(Stage):
             if form.then is not None:
                 pairs = zip(self.functions, form.then, strict=True)
                 then = {state: after for state, after in pairs if state != after}
-            yield Event(form.when, words[form.direction], then, form.terminal, form.name)
+            yield Event(
+                form.when,
+                words[form.direction],
+                then,
+                form.terminal,
+                form.name,
+                delay=form.delay,
+                priority=form.priority,
+                persistent=form.persistent,
+            )
 
 
 def first_order(problem: Problem) -> FirstOrderSystem:
@@ -200,8 +209,20 @@ def _event(event: Event, functions: Mapping[sp.Expr, sp.Expr], time: sp.Symbol) 
         after = {states[u]: value.xreplace(states) for u, value in event.then.items()}
         then = tuple(after.get(u, u) for u in states.values())
     when, direction = event.when.xreplace(states), _DIRECTIONS[event.direction]
-    at = known_time(event, time)
-    return EventForm(str(event.name), when, direction, then, event.terminal, at)
+    delay, priority = (
+        None if each is None else each.xreplace(states) for each in (event.delay, event.priority)
+    )
+    return EventForm(
+        name=str(event.name),
+        when=when,
+        direction=direction,
+        then=then,
+        terminal=event.terminal,
+        at=known_time(event, time),
+        delay=delay,
+        priority=priority,
+        persistent=event.persistent,
+    )
 
 
 @dataclass(frozen=True, repr=False)

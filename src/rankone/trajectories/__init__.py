@@ -18,6 +18,8 @@ Read in this order:
 ``compiled``       heyoka's, by Taylor series, a batch of trajectories with steps of their own
 ``series``         the rates of a generated module as what heyoka compiles
 ``defects``        defect control: whether a step missed something
+``event_trajectory``  a trajectory with events: what it has met, and what it has ahead
+``instants``       what events do at one instant, and what they trigger
 ``events``         roots of functions along trajectories, which end them or reset their states
 ``diagnosis``      why trajectories end, and which states are numerically zero
 ``workers``        chunks of trajectories on several processes

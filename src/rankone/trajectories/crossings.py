@@ -111,7 +111,7 @@ class Crossings:
     """The crossings of events on paths, each at its own point (d,) of points (m, d).
 
     Every path has made a step. ``fired`` are for each of them the events at its very start, and
-    ``first`` says whether they were the first ones there.
+    ``first`` says whether they were the first ones there. Times within an ``instant`` are the same.
     """
 
     def __init__(
@@ -121,8 +121,9 @@ class Crossings:
         points: Array,
         fired: Sequence[frozenset[int]],
         first: NDArray[np.bool_],
+        instant: float,
     ) -> None:
-        self.system, self.fired, self.first = system, fired, first
+        self.system, self.fired, self.first, self.instant = system, fired, first, instant
         self.steps, self.count = _Steps.of(paths, points), len(paths)
 
     def of(self, k: int, event: SystemEvent) -> list[Array]:
@@ -136,7 +137,11 @@ class Crossings:
         heights = steps.heights(event, NODES, steps.nodal)
         instants = [steps.begin[:0]] * self.count
         firsts = np.searchsorted(steps.owner, np.arange(self.count))
-        began = firsts[[k in fired for fired in self.fired]]
+        was_here = np.array([k in fired for fired in self.fired])
+        began = firsts[was_here]
+        if event.then is None:  # nothing but rounding moved it away
+            since = steps.end - steps.begin[firsts][steps.owner]
+            heights[was_here[steps.owner] & (since <= self.instant)] = 0.0
         # a reset may have moved the state away from the surface
         moved = np.abs(heights[began, 1] - heights[began, 0])
         began = began[np.abs(heights[began, 0]) <= _ON_SURFACE * moved]

@@ -12,119 +12,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rankone.ir.events import BOTH, SystemEvent
+from rankone.ir.events import SystemEvent
 from rankone.ir.system import System
 from rankone.support.arrays import Array
 from rankone.support.budget import OutOfBudgetError, Reached, charge
 from rankone.trajectories.crossings import Crossings
+from rankone.trajectories.event_trajectory import EventTrajectory
+from rankone.trajectories.instants import SAME_INSTANT, Instants
 from rankone.trajectories.integrator import SpanIntegrator, Spans, Tolerances
-from rankone.trajectories.paths import NODES, Path, Paths, joined
+from rankone.trajectories.paths import NODES, Path, Paths
 
-MOST_ROUNDS = 100
-"""Events of a trajectory at one instant, after which it ends."""
-_INSTANT = 1e-12  # Part of the horizon within which times are the same instant
 _EVENT_COST = 1.5e5  # Operations of following a path to an event or its end
-_STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
-_LEAST_STRETCH = 1e-3  # The same at least, in horizons
 _LONGER = 4.0  # Factor from a stretch without a reset to the next one
-
-
-@dataclass(frozen=True)
-class Occurrence:
-    """An event of a trajectory: which one, when, and the states (n,) before and after it."""
-
-    event: int
-    time: float
-    before: Array
-    after: Array
-
-
-@dataclass
-class EventTrajectory:
-    """A trajectory from event to event. It ``ends`` early at a terminal event, or where it cannot
-    go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
-    them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
-    time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
-    such events to the next ones. ``ahead`` (events,) are known times that it has not reached,
-    infinite for other events.
-    """
-
-    paths: list[Path]
-    interrupted: float
-    ahead: Array
-    stretch: float = math.inf
-    met: tuple[int, ...] = ()
-    gaps: dict[tuple[int, ...], float] = field(default_factory=dict)
-    occurrences: list[Occurrence] = field(default_factory=list)
-    ends: bool = False
-    stuck: bool = False
-    rounds: int = 0
-    returned: bool = False
-
-    @property
-    def end(self) -> float:
-        return self.paths[-1].end
-
-    @property
-    def state(self) -> Array:
-        """The last state (n,), after a reset there."""
-        at_end = self.occurrences and self.occurrences[-1].time == self.end
-        return self.occurrences[-1].after if at_end else self.paths[-1].state
-
-    @property
-    def steps(self) -> int:
-        return sum(path.steps for path in self.paths)
-
-    def next_end(self, edge: float) -> float:
-        """The end of what is integrated next, on the way to an edge: no known time is within."""
-        edge = min(edge, self.ahead.min(initial=math.inf))
-        far = edge - self.end > _STRETCH * self.stretch
-        return self.end + self.stretch if far else edge
-
-    @property
-    def fired(self) -> frozenset[int]:
-        """The events where it is now."""
-        return frozenset(each.event for each in self.occurrences if each.time == self.end)
-
-    def copy(self) -> EventTrajectory:
-        """One that may go on by itself."""
-        own = replace(self, paths=[*self.paths], occurrences=[*self.occurrences])
-        own.gaps, own.ahead = {**self.gaps}, self.ahead.copy()
-        return own
-
-    def happen(self, event: int, time: float, before: Array, after: Array) -> None:
-        """Keep an event at a time."""
-        self.occurrences.append(Occurrence(event, time, before, after))
-        self.ahead[event] = math.inf
-
-    def reach(self, path: Path, returned: bool) -> None:
-        """Follow a path up to an event, and whether it was there at once."""
-        if path.steps:
-            self.paths.append(path)
-        self.returned = returned
-        self.rounds = self.rounds if returned else 0
-
-    def leave(self, time: float, met: tuple[int, ...], least: float) -> None:
-        """Go on after events: as long as after the same ones before, or as after the last ones."""
-        gap, self.interrupted = time - self.interrupted, time
-        self.gaps[self.met], self.met = gap, met
-        self.stretch = max(_STRETCH * self.gaps.get(met, gap), least)
-
-    def times_of(self, event: int) -> Array:
-        """The times of an event, in order."""
-        return np.array([each.time for each in self.occurrences if each.event == event])
-
-    def __call__(self, times: Array) -> Array:
-        """States (n, T), after an event at its time; NaN after the end."""
-        path = joined(self.paths)
-        states = path(times)
-        states[:, times > self.end] = np.nan
-        states[:, times == self.end] = self.state[:, None]
-        return states
 
 
 def integrate_to_events(
@@ -144,7 +47,7 @@ def integrate_to_events(
     ``enough`` on the way to the next edge. An OutOfBudgetError says which time all trajectories
     have reached.
     """
-    search = _Search(system, tuple(events), edges[-1] - edges[0], tolerances)
+    search = _Search(system, Instants(tuple(events), edges[-1] - edges[0]), tolerances)
     trajectories = [each.copy() for each in begun] or search.begin(points, edges[0])
     for a, b in itertools.pairwise(edges):
         search.jump(trajectories, points, a)
@@ -181,9 +84,16 @@ class _Search:
     """Integrates from event to event, and looks for the next ones."""
 
     system: System
-    events: tuple[SystemEvent, ...]
-    horizon: float
+    instants: Instants
     tolerances: Tolerances
+
+    @property
+    def events(self) -> tuple[SystemEvent, ...]:
+        return self.instants.events
+
+    @property
+    def horizon(self) -> float:
+        return self.instants.horizon
 
     def begin(self, points: Array, time: float) -> list[EventTrajectory]:
         """Trajectories at their first time, after the known events there."""
@@ -193,7 +103,7 @@ class _Search:
         for k, event in enumerate(self.events):
             if event.at is not None:
                 ahead[k] = event.at(columns)
-        instant = _INSTANT * self.horizon
+        instant = SAME_INSTANT * self.horizon
         ahead[~(ahead >= time - instant)] = math.inf
         nothing = np.zeros((0, NODES.size, len(states)))
         trajectories = [
@@ -203,9 +113,9 @@ class _Search:
         at_once = np.flatnonzero((ahead <= time + instant).any(axis=0))
         if at_once.size:
             some = [trajectories[k] for k in at_once.tolist()]
-            fired = [np.flatnonzero(each.ahead <= time + instant).tolist() for each in some]
+            fired = [self.instants.due(each, time) for each in some]
             times = np.full(at_once.size, time)
-            self._apply(some, fired, times, states[:, at_once], columns[:, at_once])
+            self.instants.apply(some, fired, times, states[:, at_once], columns[:, at_once])
             for each in some:
                 each.stretch = math.inf
         return trajectories
@@ -259,7 +169,10 @@ class _Search:
         moving = Paths.of([paths[k] for k in moved])
         fired = [each.fired for each in some]
         first = np.array([not each.returned for each in some])
-        crossings = Crossings(self.system, [paths[k] for k in moved], points[moved], fired, first)
+        instant = SAME_INSTANT * self.horizon
+        crossings = Crossings(
+            self.system, [paths[k] for k in moved], points[moved], fired, first, instant
+        )
         of_events = [
             crossings.of(k, event) if event.at is None else self._known(k, some, moving)
             for k, event in enumerate(self.events)
@@ -273,7 +186,7 @@ class _Search:
             each, k = some[place], moved[place]
             each.paths.append(paths[k])
             each.stretch, each.rounds = _LONGER * each.stretch, 0
-            each.ends = not interrupted.size and each.end < ends[k] - _INSTANT * self.horizon
+            each.ends = not interrupted.size and each.end < ends[k] - SAME_INSTANT * self.horizon
         if interrupted.size:
             at = next_times[interrupted]
             met = moving.chosen(interrupted)
@@ -283,11 +196,13 @@ class _Search:
                 some[place].reach(cut, self._at_once(cut))
             fired_now = [self._fired(crossed[k], next_times[k]) for k in interrupted.tolist()]
             at_points = np.ascontiguousarray(points[moved][interrupted].T)
-            self._apply([some[k] for k in interrupted.tolist()], fired_now, at, before, at_points)
+            self.instants.apply(
+                [some[k] for k in interrupted.tolist()], fired_now, at, before, at_points
+            )
 
     def _known(self, k: int, trajectories: Sequence[EventTrajectory], paths: Paths) -> list[Array]:
         """For each path the known time of event ``k``, if the path reaches it."""
-        reach = paths.ends + _INSTANT * self.horizon
+        reach = paths.ends + SAME_INSTANT * self.horizon
         pairs = zip(trajectories, paths.ends, reach, strict=True)
         return [
             np.minimum(each.ahead[k : k + 1], end)[each.ahead[k : k + 1] <= far]
@@ -301,95 +216,17 @@ class _Search:
 
     def _fired(self, crossings: Sequence[Array], time: float) -> list[int]:
         """The events at a time."""
-        first, last = (time + sign * _INSTANT * self.horizon for sign in (-1.0, 1.0))
+        first, last = (time + sign * SAME_INSTANT * self.horizon for sign in (-1.0, 1.0))
         return [k for k, xs in enumerate(crossings) if any(first <= x <= last for x in xs)]
 
-    def _apply(
-        self,
-        trajectories: Sequence[EventTrajectory],
-        fired: list[list[int]],
-        times: Array,
-        states: Array,
-        points: Array,
-    ) -> None:
-        """Apply the events that each trajectory has met at its time, and what they trigger.
-
-        Times are (m,), states (n, m) and points (d, m).
-        """
-        active, all_fired = np.arange(len(trajectories)), [[*each] for each in fired]
-        before, last = states, states.copy()
-        while active.size:
-            after = self._reset(fired, times[active], before, points[:, active])
-            last[:, active] = after
-            for place, each, *pair in zip(active.tolist(), fired, before.T, after.T, strict=True):
-                trajectory = trajectories[place]
-                here = trajectory.end
-                for k in each:
-                    trajectory.happen(k, here, *pair)
-                trajectory.rounds += 1
-            triggered = self._triggered(fired, times[active], (before, after), points[:, active])
-            goes_on = np.array(
-                [
-                    bool(further)
-                    and not any(self.events[k].terminal for k in each)
-                    and trajectories[place].rounds < MOST_ROUNDS
-                    for place, each, further in zip(active.tolist(), fired, triggered, strict=True)
-                ]
-            )
-            fired = [each for each, on in zip(triggered, goes_on, strict=True) if on]
-            active, before = active[goes_on], after[:, goes_on]
-            for place, each in zip(active.tolist(), fired, strict=True):
-                all_fired[place] += each
-        pairs = zip(trajectories, times.tolist(), last.T, all_fired, strict=True)
-        for trajectory, time, state, each in pairs:
-            trajectory.stuck = trajectory.rounds >= MOST_ROUNDS
-            trajectory.leave(time, tuple(each), _LEAST_STRETCH * self.horizon)
-            terminal = any(self.events[k].terminal for k in each)
-            trajectory.ends = terminal or trajectory.stuck or not np.isfinite(state).all()
-
-    def _reset(
-        self, fired: Sequence[Sequence[int]], times: Array, states: Array, points: Array
-    ) -> Array:
-        """The states (n, m) after events at times (m,), applied in their order."""
-        states = states.copy()
-        for k, event in enumerate(self.events):
-            met = np.array([k in each for each in fired], dtype=bool)
-            if event.then is not None and met.any():
-                now = event.then(times[met], states[:, met], points[:, met])
-                states[:, met] = np.asarray(now, dtype=float).reshape(len(states), -1)
-        return states
-
-    def _triggered(
-        self,
-        fired: Sequence[Sequence[int]],
-        times: Array,
-        states: tuple[Array, Array],
-        points: Array,
-    ) -> list[list[int]]:
-        """The events whose surface a reset, from some states (n, m) to others, jumps across."""
-        triggered: list[list[int]] = [[] for _ in fired]
-        for k, event in enumerate(self.events):
-            with np.errstate(all="ignore"):
-                before, after = (
-                    np.broadcast_to(np.sign(event.when(times, each, points)), times.shape)
-                    for each in states
-                )
-            crossed = before * after < 0.0
-            if event.direction != BOTH:
-                crossed &= after == event.direction
-            for place in np.flatnonzero(crossed).tolist():
-                if k not in fired[place]:
-                    triggered[place].append(k)
-        return triggered
-
     def _at_once(self, path: Path) -> bool:
-        return bool(path.end - path.breaks[0] <= _INSTANT * self.horizon)
+        return bool(path.end - path.breaks[0] <= SAME_INSTANT * self.horizon)
 
     def _record(
         self, trajectory: EventTrajectory, path: Path, crossings: Sequence[Array], time: float
     ) -> None:
         """Record the events on a path that change nothing, before those at a time."""
-        end = time - _INSTANT * self.horizon
+        end = time - SAME_INSTANT * self.horizon
         passed = sorted((x, k) for k, xs in enumerate(crossings) for x in xs.tolist() if x < end)
         if passed:
             states = path(np.array([time for time, _ in passed])).T

@@ -13,7 +13,7 @@ from rankone.ir.system import Clock, System
 from rankone.ir.timeline import CLOCK_STATES
 from rankone.support.arrays import Array
 from rankone.trajectories.event_order import SAME_INSTANT, end_error, follow, stretch_borders
-from rankone.trajectories.events import EventTrajectory
+from rankone.trajectories.event_trajectory import EventTrajectory
 from rankone.trajectories.integrator import (
     EARLY_STEPS,
     SampledTrajectories,

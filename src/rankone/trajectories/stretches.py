@@ -57,11 +57,33 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
         return known(at, "a switch", None)
 
     switches = map(moving, range(system.features.n_moving_cuts))
-    events = (*system.events, *(event(time) for time in times), *switches)
+    events = (*_put_off(system.events), *(event(time) for time in times), *switches)
     features = replace(system.features, cuts=((), *system.features.cuts[1:]), n_moving_cuts=0)
     features = replace(features, n_moving_steps=0)
     features = replace(features, periodic_cuts=((), *system.features.periodic_cuts[1:]))
     return replace(system, events=events, jumps=Jumps(), features=features)
+
+
+def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
+    """Events where those with a delay are started, and perhaps cancelled, by further ones."""
+    put_off, further = [*events], []
+
+    def never(p: Array) -> Array:
+        return np.full(p.shape[1], np.inf)
+
+    def without_root(t: Array, _u: Array, _p: Array) -> Array:
+        return np.ones_like(t)
+
+    for k, event in enumerate(events):
+        if event.delay is None:
+            continue
+        put_off[k] = replace(event, when=without_root, at=never, delay=None, persistent=True)
+        start = replace(event, name=f"the start of {event.name}", timed=True, starts=k)
+        further.append(replace(start, then=None, terminal=False, priority=None, persistent=True))
+        if not event.persistent:
+            end = SystemEvent(event.when, -event.direction, name=f"the withdrawal of {event.name}")
+            further.append(replace(end, timed=True, cancels=k))
+    return [*put_off, *further]
 
 
 def in_stretches(clock: Clock) -> System:

@@ -1,0 +1,114 @@
+"""A trajectory with events: what it has met, and what it still has ahead."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rankone.support.arrays import Array
+from rankone.trajectories.paths import Path, joined
+
+_STRETCH = 1.2  # Length of what is integrated after a reset, over the time it took before
+
+
+@dataclass(frozen=True)
+class Occurrence:
+    """An event of a trajectory: which one, when, and the states (n,) before and after it."""
+
+    event: int
+    time: float
+    before: Array
+    after: Array
+
+
+@dataclass
+class EventTrajectory:
+    """A trajectory from event to event. It ``ends`` early at a terminal event, or where it cannot
+    go on; it is ``stuck`` where events accumulate at one instant, after so many ``rounds`` of
+    them; it has ``returned`` if it was at the last event at once. It was ``interrupted`` last at a
+    time by the events ``met``, and goes on for a ``stretch`` at once; ``gaps`` are the times from
+    such events to the next ones. ``ahead`` (events,) are known times that it has not reached,
+    infinite for other events; ``due`` are the times at which events with a delay reset states.
+    """
+
+    paths: list[Path]
+    interrupted: float
+    ahead: Array
+    due: dict[int, list[float]] = field(default_factory=dict)
+    stretch: float = math.inf
+    met: tuple[int, ...] = ()
+    gaps: dict[tuple[int, ...], float] = field(default_factory=dict)
+    occurrences: list[Occurrence] = field(default_factory=list)
+    ends: bool = False
+    stuck: bool = False
+    rounds: int = 0
+    returned: bool = False
+
+    @property
+    def end(self) -> float:
+        return self.paths[-1].end
+
+    @property
+    def state(self) -> Array:
+        """The last state (n,), after a reset there."""
+        at_end = self.occurrences and self.occurrences[-1].time == self.end
+        return self.occurrences[-1].after if at_end else self.paths[-1].state
+
+    @property
+    def steps(self) -> int:
+        return sum(path.steps for path in self.paths)
+
+    def next_end(self, edge: float) -> float:
+        """The end of what is integrated next, on the way to an edge: no known time is within."""
+        edge = min(edge, self.ahead.min(initial=math.inf))
+        far = edge - self.end > _STRETCH * self.stretch
+        return self.end + self.stretch if far else edge
+
+    @property
+    def fired(self) -> frozenset[int]:
+        """The events where it is now."""
+        return frozenset(each.event for each in self.occurrences if each.time == self.end)
+
+    def copy(self) -> EventTrajectory:
+        """One that may go on by itself."""
+        own = replace(self, paths=[*self.paths], occurrences=[*self.occurrences])
+        own.gaps, own.ahead = {**self.gaps}, self.ahead.copy()
+        own.due = {event: [*times] for event, times in self.due.items()}
+        return own
+
+    def happen(self, event: int, time: float, before: Array, after: Array) -> None:
+        """Keep an event at a time."""
+        self.occurrences.append(Occurrence(event, time, before, after))
+        self.put_off(event, self.due.get(event, [])[1:])
+
+    def put_off(self, event: int, times: list[float]) -> None:
+        """Let an event with a delay be due at times, and at no others."""
+        self.due[event] = sorted(times)
+        self.ahead[event] = min(times, default=math.inf)
+
+    def reach(self, path: Path, returned: bool) -> None:
+        """Follow a path up to an event, and whether it was there at once."""
+        if path.steps:
+            self.paths.append(path)
+        self.returned = returned
+        self.rounds = self.rounds if returned else 0
+
+    def leave(self, time: float, met: tuple[int, ...], least: float) -> None:
+        """Go on after events: as long as after the same ones before, or as after the last ones."""
+        gap, self.interrupted = time - self.interrupted, time
+        self.gaps[self.met], self.met = gap, met
+        self.stretch = max(_STRETCH * self.gaps.get(met, gap), least)
+
+    def times_of(self, event: int) -> Array:
+        """The times of an event, in order."""
+        return np.array([each.time for each in self.occurrences if each.event == event])
+
+    def __call__(self, times: Array) -> Array:
+        """States (n, T), after an event at its time; NaN after the end."""
+        path = joined(self.paths)
+        states = path(times)
+        states[:, times > self.end] = np.nan
+        states[:, times == self.end] = self.state[:, None]
+        return states
