@@ -2,6 +2,7 @@
 
 import pickle
 
+import numpy as np
 import pytest
 import sympy as sp
 
@@ -118,7 +119,11 @@ def test_bad_jumps(jumps, message):
 @pytest.mark.parametrize(
     ("rate", "message"),
     [
-        (sp.DiracDelta(t - k), "equation 1: .* is at a time that depends on `k`"),
+        (sp.DiracDelta(x - k), r"equation 1: .* is at a time that depends on `x\(t\)`"),
+        (x * sp.DiracDelta(t - k), r"equation 1: .*multiplied by `x\(t\)`, which jumps there"),
+        (sp.Heaviside(t - 1) * sp.DiracDelta(t - k), "equation 1: .* may switch at the same"),
+        (sp.DiracDelta(t - k) ** 2, "equation 1: .* does not enter as a product"),
+        (sp.DiracDelta(t**2 - k), "equation 1: .* is not at one time"),
         (sp.DiracDelta(t * 1e-310 - 1), "equation 1: .* is at no finite time"),
         (x.diff(t) * sp.DiracDelta(t - 1), "equation 1: an impulse, .* is in front of"),
         (
@@ -135,6 +140,28 @@ def test_bad_jumps(jumps, message):
 def test_bad_impulses(rate, message):
     with pytest.raises(ro.ProblemError, match=message):
         ro.compile(problem(rate=rate - k * x + dose))
+
+
+def test_impulses_at_times_of_parameters_are_events():
+    """A kick of a mass on a spring, and a dose beside it: exact solutions."""
+    y, m = sp.Function("y")(t), sp.Symbol("m", positive=True)
+    kicked = ro.Problem(
+        [
+            sp.Eq(m * x.diff(t, 2) + x, t * sp.DiracDelta(2 * t - 2 * k)),
+            sp.Eq(y.diff(t), dose * sp.DiracDelta(t - k) + sp.DiracDelta(t - 4)),
+        ],
+        (t, 0, 6), {m: (1, 2), k: (1, 2), dose: (1, 2)}, {x: 0, x.diff(t): 0, y: 0},
+    )  # fmt: skip
+    (jump,) = kicked.events
+    assert jump.name == "jump_0"
+    assert jump.when == t - k
+    assert jump.then == {x.diff(t): x.diff(t) + k / (2 * m), y: y + dose}
+    assert pickle.loads(pickle.dumps(kicked)).events == kicked.events
+    times = np.array([0.5, 1.5, 3.0, 5.0])
+    found = kicked.trajectory(times, m=1.44, k=1.5, dose=1.2)
+    since = np.maximum(times - 1.5, 0) / 1.2
+    np.testing.assert_allclose(found[x], 0.75 / 1.2 * np.sin(since), atol=1e-7)
+    np.testing.assert_allclose(found[y], [0, 1.2, 1.2, 2.2])
 
 
 def test_both_at_one_time():

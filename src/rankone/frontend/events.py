@@ -15,6 +15,7 @@ from rankone.expressions.derivatives import slope
 from rankone.expressions.notation import latex_of, text_of
 from rankone.frontend.equations import Symbols, check_names
 from rankone.frontend.jumps import (
+    MovingImpulses,
     change_latex,
     change_texts,
     check_of_states,
@@ -156,6 +157,20 @@ def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
             name = f"jump_{len(moving)}"
             moving.append(Event(symbols.time[0] - at, "rising", reset, name=name))
     return known, moving
+
+
+def impulse_events(impulses: MovingImpulses, symbols: Symbols, first: int) -> list[Event]:
+    """Impulses at times of parameters as events, named ``jump_n`` from a first number on."""
+    states = list(symbols.states)
+    return [
+        Event(
+            symbols.time[0] - at,
+            "rising",
+            {states[i]: states[i] + size for i, size in sizes.items()},
+            name=f"jump_{number}",
+        )
+        for number, (at, sizes) in enumerate(impulses.items(), first)
+    ]
 
 
 def _checked(event: object, position: int, symbols: Symbols) -> Event:

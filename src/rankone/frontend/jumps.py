@@ -23,6 +23,8 @@ Resets = Mapping[float, Mapping[sp.Expr, sp.Expr]]
 """For each time the states that jump, as the user writes them, and their values after it."""
 Impulses = dict[float, dict[int, sp.Expr]]
 """For each time what is added to states, by the index of the state."""
+MovingImpulses = dict[sp.Expr, dict[int, sp.Expr]]
+"""The same for times that depend on parameters."""
 
 _SEVERAL = (tuple, range, frozenset, sp.Tuple)  # Keys that stand for several times
 _SWITCHING = (sp.Heaviside, sp.sign, sp.floor, sp.ceiling, sp.Piecewise, sp.Mod)
@@ -152,12 +154,13 @@ def check_of_states(written: object, subject: str, symbols: Symbols, remedy: str
     return exact(expression)
 
 
-def _value_at(expression: sp.Expr, time: sp.Symbol, at: float) -> sp.Expr:
+def _value_at(expression: sp.Expr, time: sp.Symbol, at: float | sp.Expr) -> sp.Expr:
     """The value at a time; unknowns and their derivatives stay."""
     unknowns = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
     stand_ins = {u: sp.Dummy() for u in unknowns}
     written_back = {dummy: u for u, dummy in stand_ins.items()}
-    at_time: sp.Expr = expression.xreplace(stand_ins).subs(time, exact(sp.Float(at)))
+    when = at if isinstance(at, sp.Expr) else exact(sp.Float(at))
+    at_time: sp.Expr = expression.xreplace(stand_ins).subs(time, when)
     return at_time.xreplace(written_back)
 
 
@@ -241,19 +244,17 @@ def without_impulses(
     added: Impulses = {}
     smooth_rates: list[sp.Expr] = []
     for i, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
-        impulses = sorted(rate.atoms(sp.DiracDelta), key=sp.default_sort_key)
-        stand_ins = {impulse: sp.Dummy() for impulse in impulses}
-        smooth, factors = _split(rate.xreplace(stand_ins), set(stand_ins.values()))
-        for impulse, stand_in in stand_ins.items():
-            at, size = _impulse(impulse, time[0], origin)
-            factor = factors[stand_in]
-            if factor.has(*stand_ins.values()):
-                raise ProblemError(
-                    f"{quote(impulse)} does not enter as a product with what is finite",
-                    equation=origin,
-                    term=impulse,
-                    remedy=_ADD_IMPULSE,
+        smooth, products = _impulses(rate, origin)
+        for impulse, factor in products.items():
+            when, size = _impulse(impulse, time[0], origin)
+            if when.free_symbols:
+                listed = listing(sorted(map(str, when.free_symbols)))
+                raise _wrong_time(
+                    impulse, f"is at a time that depends on {listed}", time[0], origin
                 )
+            at = float(when)
+            if not math.isfinite(at):
+                raise _wrong_time(impulse, "is at no finite time", time[0], origin)
             if at < time[1]:
                 warn(
                     f"{quote(impulse)} is before the start of time, {time[1]:g}, and does nothing",
@@ -270,17 +271,83 @@ def without_impulses(
             sizes[i] = sizes.get(i, sp.S.Zero) + size * _value_at(factor, time[0], at)
         smooth_rates.append(smooth)
     for at, sizes in added.items():
-        for i, j in itertools.product(sizes, repeat=2):
-            if sizes[i].has(functions[j]):
-                raise ProblemError(
-                    f"the impulse at {time[0]} = {at:g} is multiplied by `{functions[j]}`, which "
-                    "jumps there itself",
-                    equation=origins[i],
-                    term=sizes[i],
-                    remedy=_AS_JUMPS,
-                )
+        _check_alone(sizes, f"{at:g}", functions, origins, time[0])
     _check_apart(added, time)
     return tuple(smooth_rates), added
+
+
+def moving_impulses(
+    rates: Sequence[sp.Expr],
+    functions: Sequence[sp.Expr],
+    origins: Sequence[int | None],
+    time: sp.Symbol,
+    parameters: Iterable[sp.Symbol],
+) -> tuple[set[sp.DiracDelta], MovingImpulses]:
+    """The ``DiracDelta`` of time at times that depend on parameters, and what they add to states.
+
+    They have to be added to rates, and what they are multiplied by may not switch with time.
+    """
+    found: set[sp.DiracDelta] = set()
+    added: MovingImpulses = {}
+    known = {time, *parameters}
+    for i, (rate, origin) in enumerate(zip(rates, origins, strict=True)):
+        _, products = _impulses(rate, origin)
+        for impulse, factor in products.items():
+            if impulse.free_symbols == {time} or not impulse.free_symbols <= known:
+                continue
+            at, size = _impulse(impulse, time, origin)
+            switches = factor.atoms(*_SWITCHING, Table)
+            for switch in sorted(switches, key=sp.default_sort_key):
+                if time in switch.free_symbols:
+                    raise ProblemError(
+                        f"{quote(impulse)} is multiplied by {quote(switch)}, which may switch at "
+                        "the same time",
+                        equation=origin,
+                        term=switch,
+                        remedy=_AS_JUMPS,
+                    )
+            found.add(impulse)
+            sizes = added.setdefault(at, {})
+            sizes[i] = sizes.get(i, sp.S.Zero) + size * _value_at(factor, time, at)
+    for at, sizes in added.items():
+        _check_alone(sizes, str(at), functions, origins, time)
+    return found, added
+
+
+def _impulses(rate: sp.Expr, origin: int | None) -> tuple[sp.Expr, dict[sp.DiracDelta, sp.Expr]]:
+    """A rate without its impulses, and what each of them is multiplied by."""
+    impulses = sorted(rate.atoms(sp.DiracDelta), key=sp.default_sort_key)
+    stand_ins = {impulse: sp.Dummy() for impulse in impulses}
+    smooth, factors = _split(rate.xreplace(stand_ins), set(stand_ins.values()))
+    products = {impulse: factors[stand_in] for impulse, stand_in in stand_ins.items()}
+    for impulse, factor in products.items():
+        if factor.has(*stand_ins.values()):
+            raise ProblemError(
+                f"{quote(impulse)} does not enter as a product with what is finite",
+                equation=origin,
+                term=impulse,
+                remedy=_ADD_IMPULSE,
+            )
+    return smooth, products
+
+
+def _check_alone(
+    sizes: Mapping[int, sp.Expr],
+    at: str,
+    functions: Sequence[sp.Expr],
+    origins: Sequence[int | None],
+    time: sp.Symbol,
+) -> None:
+    """Raise if what is added at one time, by the index of the state, depends on what jumps then."""
+    for i, j in itertools.product(sizes, repeat=2):
+        if sizes[i].has(functions[j]):
+            raise ProblemError(
+                f"the impulse at {time} = {at} is multiplied by `{functions[j]}`, which "
+                "jumps there itself",
+                equation=origins[i],
+                term=sizes[i],
+                remedy=_AS_JUMPS,
+            )
 
 
 def _split(rate: sp.Expr, impulses: set[sp.Dummy]) -> tuple[sp.Expr, dict[sp.Dummy, sp.Expr]]:
@@ -295,31 +362,33 @@ def _split(rate: sp.Expr, impulses: set[sp.Dummy]) -> tuple[sp.Expr, dict[sp.Dum
     return sp.Add(*smooth), factors
 
 
-def _impulse(impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None) -> tuple[float, sp.Expr]:
+def _impulse(
+    impulse: sp.DiracDelta, time: sp.Symbol, origin: int | None
+) -> tuple[sp.Expr, sp.Expr]:
     """When an impulse is, and its size."""
     argument = impulse.args[0]
-
-    def error(message: str) -> ProblemError:
-        return ProblemError(
-            f"{quote(impulse)} {message}",
-            equation=origin,
-            term=impulse,
-            remedy=f"write DiracDelta({time} - 8) with a number; a dose at a time of parameters is "
-            "a jump: jumps={lag: {x: x + dose}}",
-        )
-
     if len(impulse.args) > 1 and impulse.args[1] != 0:
-        raise error("is a derivative of an impulse")
-    strangers = (argument.free_symbols - {time}) | argument.atoms(AppliedUndef)
+        raise _wrong_time(impulse, "is a derivative of an impulse", time, origin)
+    strangers = argument.atoms(AppliedUndef)
     if strangers:
-        raise error(f"is at a time that depends on {listing(sorted(map(str, strangers)))}")
+        listed = listing(sorted(map(str, strangers)))
+        raise _wrong_time(impulse, f"is at a time that depends on {listed}", time, origin)
     slope = argument.diff(time)
     if slope.has(time) or slope == 0:
-        raise error("is not at one time")
-    at = float(-argument.subs(time, 0) / slope)
-    if not math.isfinite(at):
-        raise error("is at no finite time")
-    return at, 1 / sp.Abs(slope)
+        raise _wrong_time(impulse, "is not at one time", time, origin)
+    return -argument.subs(time, 0) / slope, 1 / sp.Abs(slope)
+
+
+def _wrong_time(
+    impulse: sp.DiracDelta, message: str, time: sp.Symbol, origin: int | None
+) -> ProblemError:
+    return ProblemError(
+        f"{quote(impulse)} {message}",
+        equation=origin,
+        term=impulse,
+        remedy=f"write DiracDelta({time} - 8) with a number or parameters; what happens at a time "
+        "that the solution tells is an Event",
+    )
 
 
 def _check_steady(

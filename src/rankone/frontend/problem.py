@@ -25,9 +25,22 @@ from rankone.frontend.equations import (
     check_unknowns,
     state_expressions,
 )
-from rankone.frontend.events import Event, check_events, event_latex, event_texts, moving_jumps
+from rankone.frontend.events import (
+    Event,
+    check_events,
+    event_latex,
+    event_texts,
+    impulse_events,
+    moving_jumps,
+)
 from rankone.frontend.integration import LEAST_RTOL, MOST_RTOL, Integration
-from rankone.frontend.jumps import check_jumps, jump_latex, jump_texts, system_jumps
+from rankone.frontend.jumps import (
+    check_jumps,
+    jump_latex,
+    jump_texts,
+    moving_impulses,
+    system_jumps,
+)
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.text import events_of_text, formula, has_names, jumps_of_text, normalised
@@ -77,8 +90,8 @@ class Problem:
         Times at which unknowns are reset, such as doses: ``{8.0: {x: x + dose}}`` gives the values
         right after that time in terms of those right before it. A tuple of times stands for
         several. A ``DiracDelta(t - 8)`` in an equation means the same. At such a time a solution
-        has its value after the jump. A time that depends on parameters, ``{lag: {x: x + dose}}``,
-        makes an event of the jump, named ``jump_0``, ``jump_1``, ...
+        has its value after the jump. A time that depends on parameters, ``{lag: {x: x + dose}}``
+        or ``DiracDelta(t - lag)``, makes an event of the jump, named ``jump_0``, ``jump_1``, ...
     units : mapping to str, optional
         Units of time, parameters, unknowns and derivatives that are states, by symbols, functions
         or names: ``{x: "m", t: "s", k: "1/s"}``. They are shown with results; nothing is
@@ -198,6 +211,32 @@ class Problem:
         for name, attribute in checked.items():
             object.__setattr__(self, name, attribute)
         object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
+        self._take_out_impulses(symbols, len(moving))
+
+    def _take_out_impulses(self, symbols: Symbols, first: int) -> None:
+        """Make events of the impulses at times of parameters, numbered from ``first`` on."""
+        if not any(residual.has(sp.DiracDelta) for residual in self.residuals):
+            return
+        time = self.time[0]
+        solved, origins = self.mass.solved()
+        highest = dict(zip(self.mass.leading, zip(solved, origins, strict=True), strict=True))
+        pairs = [highest.get(state.diff(time), (sp.S.Zero, None)) for state in symbols.states]
+        rates, numbers = [rate for rate, _ in pairs], [number for _, number in pairs]
+        found, impulses = moving_impulses(rates, symbols.states, numbers, time, self.parameters)
+        if not found:
+            return
+        gone = dict.fromkeys(found, sp.S.Zero)
+        residuals = tuple(residual.xreplace(gone) for residual in self.residuals)
+        changed = {
+            "equations": tuple(equation.xreplace(gone) for equation in self.equations),
+            "residuals": residuals,
+            "events": check_events(
+                [*self.events, *impulse_events(impulses, symbols, first)], symbols
+            ),
+            "mass": check_mass(residuals, self.unknowns, self.coordinates),
+        }
+        for name, attribute in changed.items():
+            object.__setattr__(self, name, attribute)
 
     @classmethod
     def from_strings(
