@@ -234,6 +234,14 @@ def test_statistics_are_over_what_still_runs():
     assert np.isfinite(mean).all()
 
 
+@pytest.mark.filterwarnings("ignore::rankone.RankoneWarning")
+def test_sobol_indices_are_there_while_all_run():
+    """Parameters of those that still run are not independent."""
+    indices = solved("projectile").sobol([1.0, 2.2])
+    assert indices.total[..., 0].sum(axis=1).min() >= 0.95
+    assert np.isnan(indices.total[..., 1]).all()
+
+
 @pytest.mark.parametrize(
     ("call", "what"),
     [

@@ -309,17 +309,8 @@ class StatisticsOverBox(SolutionCore):
         times = t if t is None else np.atleast_1d(np.asarray(t))
         if times is not None and times.ndim > 1:
             raise OptionError("times have more than one dimension", term=t, remedy="give a list")
-        variance = self._at(times, statistics.variance)
         clock = np.asarray([] if times is None else times, dtype=float)
-        ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
-        mean, square = self._at(ends, statistics.mean), self._at(ends, statistics.variance)
-        sizes = np.asarray(np.hypot(mean, np.sqrt(square)).reshape(len(mean), -1).max(axis=1))
-        errors = np.nan_to_num([self.errors[name] for name in self.unknowns], posinf=0.0)
-        errors = sizes * np.maximum(errors, ROUNDING_ERROR)
-        spread = np.sqrt(variance).reshape(len(errors), -1)
-        defined = (spread > errors[:, None]).reshape(variance.shape)
-        with np.errstate(all="ignore"):
-            share = np.where(defined, 1.0 / variance, np.nan)
+        share, spread, sizes, errors = self._shares_of_variance(times, statistics)
         first, total = self._at(times, statistics.first), self._at(times, statistics.total)
         second = self._at(times, statistics.second) * share[:, None, None]
         indices = first * share[:, None], total * share[:, None], second
@@ -327,6 +318,31 @@ class StatisticsOverBox(SolutionCore):
         when = np.full(1, np.nan) if times is None else clock[later]
         doubts = list(doubtful_shares(self.unknowns, when, spread[:, later], sizes, errors))
         return Sobol(self.metadata.parameters, self.unknowns, clock, *indices), doubts
+
+    def _first_and_total(self, times: Array, statistics: Statistics) -> tuple[Array, Array]:
+        """Sobol indices of first order and total ones, (unknowns, parameters, times) each."""
+        share = self._shares_of_variance(times, statistics)[0][:, None]
+        return statistics.first(times) * share, statistics.total(times) * share
+
+    def _shares_of_variance(
+        self, times: Array | None, statistics: Statistics
+    ) -> tuple[Array, Array, Array, Array]:
+        """One over the variance, NaN where it is below the error of the solution.
+
+        After it the standard deviations (unknowns, times), and sizes and errors of the unknowns.
+        """
+        variance = self._at(times, statistics.variance)
+        ends = None if self.metadata.timeless else np.linspace(*self.time, _SIZE_TIMES)
+        mean, square = self._at(ends, statistics.mean), self._at(ends, statistics.variance)
+        largest = np.hypot(mean, np.sqrt(square)).reshape(len(mean), -1)
+        sizes = np.asarray(np.fmax.reduce(largest, axis=1))  # all may have ended at the last times
+        errors = np.nan_to_num([self.errors[name] for name in self.unknowns], posinf=0.0)
+        errors = sizes * np.maximum(errors, ROUNDING_ERROR)
+        spread = np.sqrt(variance).reshape(len(errors), -1)
+        defined = (spread > errors[:, None]).reshape(variance.shape)
+        with np.errstate(all="ignore"):
+            share = np.where(defined, 1.0 / variance, np.nan)
+        return share, spread, sizes, errors
 
     def _main_effects(self, t: Times, count: int, statistics: Statistics) -> MainEffects:
         count = checked_count("count", count, 2, self._numbers_each())

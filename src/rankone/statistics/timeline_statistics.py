@@ -7,6 +7,7 @@ parameters may jump from one to the next: there are no integrals of products.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -67,13 +68,15 @@ class TimelineStatistics(Statistics):
         count = len(a)
         first = self.first(times)
         variances = np.zeros((len(self.rows), count, count, times.size))
-        for i in range(count):
-            for j in range(i + 1, count):
+        for begin in range(0, times.size, _TIMES_AT_ONCE):
+            here = slice(begin, begin + _TIMES_AT_ONCE)
+            at_b = self._states(times[here], b)
+            for i, j in combinations(range(count), 2):
                 mixed = a.copy()
                 mixed[[i, j]] = b[[i, j]]
-                closed = self._products(times, b, mixed)
-                both = closed - first[:, i] - first[:, j]
-                variances[:, i, j] = variances[:, j, i] = np.maximum(both, 0.0)
+                closed = _of_pairs(at_b, self._states(times[here], mixed), _covariance)
+                both = closed - first[:, i, here] - first[:, j, here]
+                variances[:, i, j, here] = variances[:, j, i, here] = np.maximum(both, 0.0)
         return variances
 
     def main_effect(self, times: Array, j: int, points: Array) -> Array:
@@ -155,37 +158,51 @@ class TimelineStatistics(Statistics):
         """Variances of first order and total ones, (states, parameters, times) each.
 
         Estimators of Jansen, "Analysis of variance designs for model output", Computer Physics
-        Communications 117, 1999, and of Saltelli et al., the same 181, 2010.
+        Communications 117, 1999, and of Saltelli et al., the same 181, 2010. They are kept for the
+        next call.
         """
+        latest = self._latest
+        if latest is not None and np.array_equal(latest[0], times):
+            return latest[1]
         a, b = self._samples()
         shape = len(self.rows), len(a), times.size
         first, total = np.empty(shape), np.empty(shape)
-        for i in range(len(a)):
-            mixed = a.copy()
-            mixed[i] = b[i]
-            first[:, i] = self._products(times, b, mixed)
-            total[:, i] = 0.5 * self._differences(times, a, mixed)
-        return np.maximum(first, 0.0), total
+        for begin in range(0, times.size, _TIMES_AT_ONCE):
+            here = slice(begin, begin + _TIMES_AT_ONCE)
+            at_a, at_b = self._states(times[here], a), self._states(times[here], b)
+            for i in range(len(a)):
+                mixed = a.copy()
+                mixed[i] = b[i]
+                at_mixed = self._states(times[here], mixed)
+                first[:, i, here] = _of_pairs(at_b, at_mixed, _covariance)
+                total[:, i, here] = 0.5 * _of_pairs(at_a, at_mixed, _mean_square)
+        self._latest = times.copy(), (np.maximum(first, 0.0), total)
+        return self._latest[1]
 
-    def _products(self, times: Array, one: Array, other: Array) -> Array:
-        """Covariances of states at two samples of points, (states, times)."""
-        return self._of_pairs(
-            times, one, other, lambda x, y: float(np.mean((x - np.mean(x)) * (y - np.mean(y))))
-        )
+    def _states(self, times: Array, points: Array) -> list[Array]:
+        """States (rows, N) at each of a few times."""
+        return [states for _, states in self._at_all(times, points, self.rows)]
 
-    def _differences(self, times: Array, one: Array, other: Array) -> Array:
-        """Mean squares of differences, (states, times)."""
-        return self._of_pairs(times, one, other, lambda x, y: float(np.mean((x - y) ** 2)))
+    _latest: tuple[Array, tuple[Array, Array]] | None = None
 
-    def _of_pairs(
-        self, times: Array, one: Array, other: Array, of: Callable[[Array, Array], float]
-    ) -> Array:
-        table = np.full((len(self.rows), times.size), np.nan)
-        pairs = zip(
-            self._at_all(times, one, self.rows), self._at_all(times, other, self.rows), strict=True
-        )
-        for (k, x), (_, y) in pairs:
-            run = np.isfinite(x).all(axis=0) & np.isfinite(y).all(axis=0)
-            if run.any():
-                table[:, k] = [of(p[run], q[run]) for p, q in zip(x, y, strict=True)]
-        return table
+
+def _covariance(x: Array, y: Array) -> float:
+    return float(np.mean((x - np.mean(x)) * (y - np.mean(y))))
+
+
+def _mean_square(x: Array, y: Array) -> float:
+    return float(np.mean((x - y) ** 2))
+
+
+def _of_pairs(
+    one: Sequence[Array], other: Sequence[Array], of: Callable[[Array, Array], float]
+) -> Array:
+    """A number of each state at two samples of points, (states, times).
+
+    NaN where some trajectory has ended: the parameters of the others are not independent.
+    """
+    table = np.full((len(one[0]), len(one)), np.nan)
+    for k, (x, y) in enumerate(zip(one, other, strict=True)):
+        if np.isfinite(x).all() and np.isfinite(y).all():
+            table[:, k] = [of(p, q) for p, q in zip(x, y, strict=True)]
+    return table
