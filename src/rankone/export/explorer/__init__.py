@@ -11,6 +11,7 @@ file            subject
 ``looks.js``    colours of the theme, texts of numbers
 ``curves.js``, ``phase.js``, ``shares.js``
                 curves over time, two unknowns against each other, Sobol indices
+``events.js``   events as ticks and times
 ``controls.js``, ``legend.js``
                 sliders and number fields; names and values of the unknowns
 ``state.js``    everything that changes
@@ -52,7 +53,7 @@ _FOLDER = Path(__file__).parent
 _VENDOR = _FOLDER.parent / "vendor"
 # In an order in which each one needs only those before it
 _SCRIPTS = (
-    *("values", "looks", "curves", "phase", "shares", "controls", "legend"),
+    *("values", "looks", "events", "curves", "phase", "shares", "controls", "legend"),
     *("state", "drawing", "actions", "main"),
 )
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)
@@ -134,6 +135,8 @@ def _page(
         ),
         "parameters": "yes" if data["parameters"] else "",
         "sobol": "yes" if data["sobol"] else "",
+        "events": "yes" if model.timeline and model.timeline.events else "",
+        "running": " of what still runs" if model.timeline and model.timeline.terminal else "",
         "phase": "yes" if len(data["unknowns"]) > 1 else "",
         "style": _read(_VENDOR / "uPlot.min.css") + "\n" + _read(_FOLDER / "page.css"),
         "licence": _read(_VENDOR / "uPlot.LICENSE").replace("*/", "* /"),

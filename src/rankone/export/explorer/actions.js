@@ -59,13 +59,14 @@ export async function copyLink() {
 
 /** The curves that are shown, and the parameters, as text. */
 export function table() {
-  const { unknowns, parameters, times, time } = data;
+  const { unknowns, parameters, time } = data;
   drawWaiting();
+  const times = state.times.filter((t) => t <= state.end);
   const rows = visibleRows();
   // names alone, as they are read again
   const heads = [time.name, ...rows.map((i) => unknowns[i].name), ...parameters.map((p) => p.name)];
   const fixed = parameters.map((_, j) => Array(times.length).fill(state.p[j]));
-  return toTable(heads, [times, ...rows.map((i) => state.curves[i]), ...fixed]);
+  return toTable(heads, [times, ...rows.map((i) => state.curves[i].subarray(0, times.length)), ...fixed]);
 }
 
 export function saveTable() {

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from rankone.ir.measures import LINEAR, with_measure
 from rankone.ir.metadata import Role
 from rankone.statistics.distributions import Measure, from_text, scale_of
 from rankone.support.arrays import Array
+from rankone.support.errors import RankoneWarning
 from rankone.support.wording import listing
+from rankone.tensors.timeline import TimelineEvaluator
 
 if TYPE_CHECKING:
     from rankone.statistics.densities import DistributionOverBox
@@ -31,6 +34,8 @@ _SENSITIVITY_TIMES = 121  # Evenly spaced times with Sobol indices
 _MOST_SENSITIVITY_TIMES = 600  # Most times with Sobol indices, so that a page stays small
 _MAX_HALVINGS = 8  # How often the intervals between times with Sobol indices are halved
 _SHARE_TOLERANCE = 0.003  # How far interpolated Sobol indices may be off: about a pixel
+_EVENT_SENSITIVITY_TIMES = 61  # The same with events: indices are from points there, to 2e-2
+_TIMES_IN_STRETCH = 16  # Times at least in each stretch between events
 _NARROWEST_INTERVAL = 1e-6  # Part of the horizon that is not halved: indices jump there
 _CURVE_DIGITS = 7  # Significant digits of bands
 _SHARE_DIGITS = 5  # Significant digits of Sobol indices
@@ -53,23 +58,26 @@ def content(
     """
     times = curve_times(solution)
     metadata = solution.metadata
-    units = dict(model.units)
+    units, distributions = dict(model.units), dict(metadata.distributions)
+    independent = len(metadata.parameters) > 1 and not metadata.correlations
 
     def named(name: str) -> dict[str, Any]:
         symbol, text = notation.symbol(name), notation.text(name)
         return {"name": name, "text": text, "symbol": symbol, "unit": units.get(name, "")}
 
     probabilities = (0.0, *_BAND_PROBABILITIES, 1.0)
-    lowest, low, high, highest = solution.quantile(probabilities, times, count=_BOX_POINTS)
-    distributions = dict(metadata.distributions)
-    independent = len(metadata.parameters) > 1 and not metadata.correlations
+    with warnings.catch_warnings():  # the page says itself that some may have ended
+        warnings.filterwarnings("ignore", ".* still running", RankoneWarning)
+        quantiles = solution.quantile(probabilities, times, count=_BOX_POINTS)
+        sobol = _sensitivities(solution) if independent else None
+    lowest, low, high, highest = quantiles
     return {
         "unknowns": [
             {
                 **named(name),
                 "derivative": name in notation.derivatives,
                 "error": None if np.isnan(model.errors[i]) else model.errors[i],
-                "extent": [float(lowest[i].min()), float(highest[i].max())],
+                "extent": [float(np.nanmin(lowest[i])), float(np.nanmax(highest[i]))],
                 "low": _rounded(low[i]) if metadata.parameters else None,
                 "high": _rounded(high[i]) if metadata.parameters else None,
             }
@@ -87,8 +95,25 @@ def content(
         ],
         "time": {**named(metadata.time), "range": list(model.intervals[0])},
         "times": times.tolist(),
-        "sobol": _sensitivities(solution) if independent else None,
+        "stretches": _stretches(model),
+        "terminal": model.timeline is not None and model.timeline.terminal,
+        "sobol": sobol,
     }
+
+
+def _stretches(model: PackedModel) -> list[list[float]] | None:
+    """Shares of each stretch between events at which curves are drawn, from 0 on."""
+    if model.timeline is None:
+        return None
+    stretches = []
+    for i, (first, last) in enumerate(pairwise(model.timeline.first_slabs)):
+        slabs = [i, *model.starts[first + 1 : last], i + 1]
+        if len(model.starts) > _MOST_SLABS:
+            slabs = [i, i + 1]
+        each = max(_TIMES_IN_SLAB, math.ceil(_TIMES_IN_STRETCH / (len(slabs) - 1)))
+        shares = [np.linspace(a, b, each, endpoint=False) - i for a, b in pairwise(slabs)]
+        stretches.append(np.concatenate(shares).tolist())
+    return stretches
 
 
 def _median(name: str, ends: tuple[float, float], distribution: str | None) -> float:
@@ -110,12 +135,13 @@ def _scale(ends: tuple[float, float], distribution: str | None) -> str:
 def curve_times(solution: DistributionOverBox) -> Array:
     """Times at which curves are drawn: evenly spaced, further ones in each slab.
 
-    Each slab has its beginning and the last time before its end, so that jumps are steep.
+    Each slab has its beginning and the last time before its end, so that jumps are steep. With
+    events the page adds its own times in each stretch.
     """
     start, end = solution.time
     times = [np.linspace(start, end, _CURVE_TIMES)]
-    slabs = solution.outcome.slabs_over_clock_time("a page")
-    if len(slabs) <= _MOST_SLABS:
+    slabs = solution.outcome.slabs
+    if solution.outcome.timeline is None and len(slabs) <= _MOST_SLABS:
         times += [
             np.linspace(slab.start, slab.end, _TIMES_IN_SLAB, endpoint=False) for slab in slabs
         ]
@@ -123,27 +149,47 @@ def curve_times(solution: DistributionOverBox) -> Array:
 
 
 def _with_both_sides(solution: DistributionOverBox, times: Array) -> Array:
-    """Times, the beginnings of slabs and the last times before them, ascending."""
+    """Times, the beginnings of slabs and the last times before them, ascending.
+
+    With events times around those that are the same for all parameters.
+    """
     start, end = solution.time
-    inner = [slab.start for slab in itertools.islice(solution.outcome.slabs, 1, None)]
-    merged = np.unique(np.concatenate([times, inner, np.nextafter(inner, start)]))
+    evaluator = solution._evaluator
+    if isinstance(evaluator, TimelineEvaluator):
+        inner = _around_fixed_borders(evaluator, solution.parameters)
+    else:
+        starts = [slab.start for slab in solution.outcome.slabs[1:]]
+        inner = np.concatenate([starts, np.nextafter(starts, start)])
+    merged = np.unique(np.concatenate([times, inner]))
     return merged[(merged >= start) & (merged <= end)]
+
+
+def _around_fixed_borders(
+    evaluator: TimelineEvaluator, box: Mapping[str, tuple[float, float]]
+) -> Array:
+    """Times around the borders of stretches that are the same at two corners and in the middle."""
+    ends = np.array(list(box.values())).reshape(-1, 2)
+    borders = evaluator.borders(ends @ np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0]]))
+    aside = _NARROWEST_INTERVAL * (evaluator.horizon[1] - evaluator.horizon[0])
+    fixed = borders[np.ptp(borders, axis=1) <= aside]
+    return np.concatenate([fixed.min(axis=1) - aside, fixed.max(axis=1) + aside])
 
 
 def _sensitivities(solution: DistributionOverBox) -> dict[str, Any]:
     """Sobol indices over time: (unknowns, parameters, times) each; null where not defined.
 
     The page interpolates: intervals between times are halved until that is accurate in their
-    middles, or there are too many times.
+    middles, or there are too many times. With events times are even.
     """
 
     def shares_at(times: Array) -> Array:
-        indices, _ = solution._indices(times, solution._statistics())
-        return np.stack([indices.first, indices.total])
+        return np.stack(solution._first_and_total(times, solution._statistics()))
 
-    times = _with_both_sides(solution, np.linspace(*solution.time, _SENSITIVITY_TIMES))
+    eventful = solution.outcome.timeline is not None
+    count = _EVENT_SENSITIVITY_TIMES if eventful else _SENSITIVITY_TIMES
+    times = _with_both_sides(solution, np.linspace(*solution.time, count))
     shares = shares_at(times)
-    for _ in range(_MAX_HALVINGS):
+    for _ in range(0 if eventful else _MAX_HALVINGS):
         middles = 0.5 * (times[1:] + times[:-1])
         wide = np.diff(times) > _NARROWEST_INTERVAL * (times[-1] - times[0])
         exact, between = shares_at(middles), 0.5 * (shares[..., 1:] + shares[..., :-1])
@@ -218,6 +264,13 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
     if measured.drift is not None:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
+    if measured.time_error is not None:
+        lines.append(f"Times of events are met to {measured.time_error:.2g} of the horizon.")
+    if model.timeline is not None and model.timeline.terminal:
+        lines.append(
+            "Where some trajectories have ended, bands are those of the others, and Sobol indices "
+            "are not defined."
+        )
     if model.reduction is not None:
         lines.append(f"{model.reduction} The errors of the table are those of both together.")
     # lines break at a hyphen, but not at a minus sign

@@ -1,7 +1,8 @@
 /** Curves over time, with bands behind them and a mark at the present time. */
 
-import { around } from "./values.js";
-import { axis, colour, dashOf, follow, ownColour } from "./looks.js";
+import { around, between, jumpsAt } from "./values.js";
+import { axis, colour, dashOf, digitsOf, follow, ownColour } from "./looks.js";
+import { drawTicks } from "./events.js";
 
 /** How strong the bands are; weaker where there are many. */
 const band = (count) => (count > 3 ? 0.09 : 0.17);
@@ -12,7 +13,8 @@ const band = (count) => (count > 3 ? 0.09 : 0.17);
  * @param {HTMLElement} place where it goes
  * @param {object} data what the page shows
  * @param {number[]} rows the unknowns
- * @param {object} state the present values: `time`, `curves`; `together` if lines are dashed
+ * @param {object} state the present values: `time`, `times`, `curves`, `happenings`; `together` if
+ *   lines are dashed
  * @param {number} height
  * @param {(t: number) => void} onTime called when somebody points at a time
  */
@@ -21,19 +23,23 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
   let range = around(rows.map((i) => unknowns[i].extent));
   const series = [{}];
   const bands = [];
-  const columns = [times];
+  const edges = []; // of bands: the position among the columns, and values at the times of the data
+  const columns = [state.times];
+  const paths = data.stretches ? { paths: brokenLine } : {};
   for (const i of rows) {
     const hidden = { width: 0, points: { show: false }, stroke: "transparent" };
     if (unknowns[i].low) {
       bands.push({ series: [series.length, series.length + 1], fill: () => ownColour(i, band(rows.length)) });
       series.push({ ...hidden }, { ...hidden });
+      edges.push([columns.length, unknowns[i].high], [columns.length + 1, unknowns[i].low]);
       columns.push(unknowns[i].high, unknowns[i].low);
     }
   }
+  fitBands();
   const first = series.length;
   for (const i of rows) {
     const dash = state.together ? dashOf(i).map((length) => length * devicePixelRatio) : [];
-    series.push({ stroke: () => ownColour(i), dash, width: 2.2, pxAlign: 0, points: { show: false } });
+    series.push({ stroke: () => ownColour(i), dash, width: 2.2, pxAlign: 0, points: { show: false }, ...paths });
     columns.push(state.curves[i]);
   }
   const plot = new uPlot(
@@ -64,8 +70,16 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
     onTime(Math.min(time.range[1], Math.max(time.range[0], plot.posToVal(event.clientX - left, "x"))));
   }
 
+  /** Bands at the times of curves, which events move. */
+  function fitBands() {
+    if (!data.stretches) return;
+    columns[0] = state.times;
+    for (const [k, edge] of edges) columns[k] = Array.from(state.times, (t) => between(times, edge, t));
+  }
+
   function drawMark(u) {
     const { ctx, bbox } = u;
+    drawTicks(u, state.happenings, digitsOf(time.range));
     const x = u.valToPos(state.time, "x", true);
     ctx.save();
     ctx.strokeStyle = colour("soft", 0.7);
@@ -82,6 +96,7 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
   return {
     /** Draw the present curves; the range grows where they leave it. */
     update() {
+      fitBands();
       rows.forEach((i, k) => (columns[first + k] = state.curves[i]));
       for (const i of rows) {
         for (const value of state.curves[i]) {
@@ -99,6 +114,21 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
       plot.destroy();
     },
   };
+}
+
+/** The path of a line that begins anew after a jump; where there is no value there is no line. */
+function brokenLine(plot, k) {
+  const [xs, ys] = [plot.data[0], plot.data[k]];
+  const jumps = jumpsAt(xs);
+  const stroke = new Path2D();
+  let last = NaN;
+  ys.forEach((value, i) => {
+    const [x, y] = [plot.valToPos(xs[i], "x", true), plot.valToPos(value, "y", true)];
+    if (Number.isNaN(last) || (jumps[i] && Math.abs(y - last) >= 1)) stroke.moveTo(x, y);
+    else stroke.lineTo(x, y);
+    last = y;
+  });
+  return { stroke, fill: null, clip: null, band: null, gaps: null, flags: 0 };
 }
 
 /** A dot with a rim of the colour behind it. */

@@ -7,12 +7,12 @@ import { symbolWithUnit } from "./legend.js";
 import { $, data, evaluateModel, state, visibleRows } from "./state.js";
 
 /** The parts of the page that show values; some pages have no phase plot or no shares. */
-export const views = { plots: [], phase: null, shares: null, legend: [], controls: [] };
+export const views = { plots: [], phase: null, shares: null, events: null, legend: [], controls: [] };
 
 /** Milliseconds from what somebody did to the end of the drawing. */
 export const latencies = [];
 
-const timeDigits = digitsOf(data.time.range);
+export const timeDigits = digitsOf(data.time.range);
 let waiting = null;
 
 /** Draw once before the next picture: everything, or what depends on time alone. */
@@ -42,6 +42,7 @@ function draw(kind) {
     if (kind === "all" || part === shares) part?.update();
     else part?.mark();
   }
+  if (kind === "all") views.events?.show(state.happenings);
   showTime();
 }
 

@@ -39,6 +39,9 @@ export function legendEntry(place, unknown, i, visible, toggle) {
   place.append(item);
   const noise = noiseOf(unknown);
   return {
-    show: (number) => (value.textContent = shown(Math.abs(number) < noise ? 0 : number)),
+    show(number) {
+      const ended = Number.isNaN(number);
+      value.textContent = ended ? "–" : shown(Math.abs(number) < noise ? 0 : number);
+    },
   };
 }

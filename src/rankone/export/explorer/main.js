@@ -6,11 +6,12 @@ import { phasePlot } from "./phase.js";
 import { sharesBars } from "./shares.js";
 import { parameterControl } from "./controls.js";
 import { legendEntry } from "./legend.js";
+import { eventList } from "./events.js";
 import { $, data, evaluateModel, start, state } from "./state.js";
-import { arrange, drawWaiting, latencies, recolour, schedule, setTime, showAll, views } from "./drawing.js";
+import { arrange, drawWaiting, latencies, recolour, schedule, setTime, showAll, timeDigits, views } from "./drawing.js";
 import { copyLink, play, presentParameters, readLink, reset, saveTable, set, table } from "./actions.js";
 
-const { unknowns, parameters, times } = data;
+const { unknowns, parameters } = data;
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
 const systemTheme = () => (systemDark.matches ? "dark" : "light");
 
@@ -58,6 +59,7 @@ views.controls = parameters.map((parameter, j) =>
 );
 if (!parameters.length) $("controls-title").textContent = "This solution";
 arrange();
+views.events = $("events") && eventList($("events"), model.events, timeDigits);
 views.phase = $("phase") && phasePlot($("phase-plot"), data, state);
 views.shares = $("shares") && sharesBars($("bars"), data, state);
 if (views.phase) {
@@ -98,20 +100,22 @@ readLink();
  * For scripts: what the page shows.
  *
  * `values()` is what is drawn: `time`, `parameters` by name, `values` of the unknowns at that time,
- * `times` and `curves` by unknown, `shares` (first, total) by parameter. `set({name: value})` sets
- * parameters and time, or throws and changes nothing. `latencies` are milliseconds from what
- * somebody did to the end of the drawing.
+ * `times` and `curves` by unknown, `shares` (first, total) by parameter; with events `events` (times
+ * and names) and `end`, after which values are NaN. `set({name: value})` sets parameters and time,
+ * or throws and changes nothing. `latencies` are milliseconds from what somebody did to the end of
+ * the drawing.
  */
 window.rankone = {
   values: () => (drawWaiting(), {
     time: state.time,
     parameters: presentParameters(),
     values: Object.fromEntries(unknowns.map(({ name }, i) => [name, state.values[i]])),
-    times: [...times],
+    times: [...state.times],
     curves: Object.fromEntries(unknowns.map(({ name }, i) => [name, [...state.curves[i]]])),
     shares: views.shares
       ? Object.fromEntries(views.shares.values().map((s, j) => [parameters[j].name, s]))
       : null,
+    ...(data.stretches && { events: state.happenings, end: state.end }),
   }),
   set,
   table,

@@ -4,10 +4,9 @@ import { around, jumpsAt } from "./values.js";
 import { axis, colour, follow } from "./looks.js";
 import { dot } from "./curves.js";
 
-/** @param {object} state the present values: `time`, `curves`, `values`, `phase` (two unknowns) */
+/** @param {object} state the present values: `time`, `times`, `curves`, `values`, `phase` (two unknowns) */
 export function phasePlot(place, data, state) {
-  const { times, unknowns } = data;
-  const jumps = jumpsAt(times);
+  const { unknowns } = data;
   let ranges = [];
   let shownPair = "";
   const text = (k) => unknowns[state.phase[k]].text;
@@ -51,6 +50,8 @@ export function phasePlot(place, data, state) {
 
   function draw(u) {
     const [xs, ys] = state.phase.map((i) => state.curves[i]);
+    const { times } = state;
+    const jumps = jumpsAt(times);
     let now = 0;
     while (now < times.length && times[now] <= state.time) now += 1;
     const { ctx, bbox } = u;

@@ -13,6 +13,7 @@ export function sharesBars(place, data, state) {
     place.append(row);
     return row;
   });
+  const absent = data.terminal ? "not defined" : "nothing varies"; // some may have ended
   const of = (kind, j) => between(sobol.times, sobol[kind][state.sharesOf][j], state.time);
   return {
     /** Shares (first, total) of each parameter; null where the variance vanishes. */
@@ -22,7 +23,7 @@ export function sharesBars(place, data, state) {
         const [first, total] = [of("first", j), of("total", j)];
         row.querySelector(".first").style.width = `${100 * (first ?? 0)}%`;
         row.querySelector(".total").style.width = `${100 * (total ?? 0)}%`;
-        const text = first === null ? "nothing varies" : `${percent(first)}, ${percent(total)}`;
+        const text = first === null ? absent : `${percent(first)}, ${percent(total)}`;
         row.querySelector(".numbers").textContent = text;
       });
     },

@@ -1,15 +1,19 @@
 /** What the page has from Python, and everything that changes. */
 
+import { timesWithEvents } from "./values.js";
+
 export const $ = (id) => document.getElementById(id);
 export const data = JSON.parse($("data").textContent);
 
-const count = data.times.length;
-const flat = new Float64Array(data.unknowns.length * count);
+let flat;
 
 export const state = {
   p: new Float64Array(data.parameters.length),
   time: 0,
-  curves: data.unknowns.map((_, i) => flat.subarray(i * count, (i + 1) * count)),
+  times: data.times, // of the curves; events move them
+  curves: [],
+  happenings: [], // times of events, with their names
+  end: Infinity, // after it there are no values
   values: new Float64Array(data.unknowns.length),
   visible: data.unknowns.map((_, i) => i < 8),
   together: true,
@@ -19,9 +23,30 @@ export const state = {
   frame: 0, // the next one of playing
 };
 
+/** Room for curves at the present times. */
+function makeRoom() {
+  const count = state.times.length;
+  flat = new Float64Array(data.unknowns.length * count);
+  state.curves = data.unknowns.map((_, i) => flat.subarray(i * count, (i + 1) * count));
+}
+
+makeRoom();
+
+/** Events move with the parameters, and with them the times of curves. */
+function moveEvents() {
+  const borders = model.borders(state.p);
+  state.end = model.end(state.p);
+  state.times = timesWithEvents(data.times, data.stretches, borders, data.time.range);
+  state.happenings = model.instants
+    .map((names, i) => ({ time: borders[i + 1], names: names.filter((name) => model.events.includes(name)) }))
+    .filter(({ time, names }) => names.length && time <= state.end);
+  makeRoom();
+}
+
 /** Ask the model for the values at the present time, and for the curves where `all` changed. */
 export function evaluateModel(all) {
-  if (all) model.curve(state.p, data.times, flat);
+  if (all && data.stretches) moveEvents();
+  if (all) model.curve(state.p, state.times, flat);
   model.evaluate(state.time, state.p, state.values);
 }
 

@@ -54,6 +54,23 @@ export function jumpsAt(times) {
   return times.map((t, i) => i > 0 && t - times[i - 1] <= 1e-12 * span + 2 * Number.EPSILON * Math.abs(t));
 }
 
+/** A number just below x, as close as there is but one. */
+const below = (x) => x - Math.abs(x) * Number.EPSILON || -Number.MIN_VALUE;
+
+/**
+ * Times of curves that events move: even ones, and the given shares of each stretch between events.
+ * Where one stretch ends and the next one begins there is a time on either side.
+ */
+export function timesWithEvents(even, shares, borders, [first, end]) {
+  const times = [...even, borders.at(-1)];
+  shares.forEach((ofStretch, i) => {
+    const length = borders[i + 1] - borders[i];
+    times.push(below(borders[i]), ...ofStretch.map((share) => borders[i] + share * length));
+  });
+  const ascending = Float64Array.from(times.filter((t) => t >= first && t <= end)).sort();
+  return ascending.filter((t, i) => i === 0 || t > ascending[i - 1]);
+}
+
 /** Piecewise linear between (xs, ys); null where an end of the piece has no value. */
 export function between(xs, ys, x) {
   let last = xs.length - 1;
