@@ -73,6 +73,7 @@ def test_what_is_written(name, pages):
         assert lower - room <= np.nanmin(curves) <= np.nanmax(curves) <= upper + room
     text = pages[name].read_text()
     assert "Times of events are met to" in text
+    assert "Sobol indices are from points" not in text
     assert ("bands are those of the others" in text) == solution.timeline.terminal
     assert ("what still runs" in text) == solution.timeline.terminal
 
@@ -104,7 +105,9 @@ def test_events_at_one_time_have_both_sides_in_the_bands(tmp_path):
 @pytest.mark.filterwarnings("error")
 def test_sobol_indices_are_there_while_all_run(tmp_path):
     solution = solved("rocket")
-    sobol = data_of(solution.explore(tmp_path / "page.html"))["sobol"]
+    page = solution.explore(tmp_path / "page.html")
+    assert "Sobol indices are from points" in page.read_text()
+    sobol = data_of(page)["sobol"]
     first = solution.end(
         {name: np.linspace(*ends, 9) for name, ends in solution.parameters.items()}
     )

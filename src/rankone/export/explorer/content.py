@@ -59,7 +59,6 @@ def content(
     times = curve_times(solution)
     metadata = solution.metadata
     units, distributions = dict(model.units), dict(metadata.distributions)
-    independent = len(metadata.parameters) > 1 and not metadata.correlations
 
     def named(name: str) -> dict[str, Any]:
         symbol, text = notation.symbol(name), notation.text(name)
@@ -69,7 +68,7 @@ def content(
     with warnings.catch_warnings():  # the page says itself that some may have ended
         warnings.filterwarnings("ignore", ".* still running", RankoneWarning)
         quantiles = solution.quantile(probabilities, times, count=_BOX_POINTS)
-        sobol = _sensitivities(solution) if independent else None
+        sobol = _sensitivities(solution) if _has_indices(solution) else None
     lowest, low, high, highest = quantiles
     return {
         "unknowns": [
@@ -99,6 +98,11 @@ def content(
         "terminal": model.timeline is not None and model.timeline.terminal,
         "sobol": sobol,
     }
+
+
+def _has_indices(solution: DistributionOverBox) -> bool:
+    """Whether there are shares of the variance."""
+    return len(solution.metadata.parameters) > 1 and not solution.metadata.correlations
 
 
 def _stretches(model: PackedModel) -> list[list[float]] | None:
@@ -266,6 +270,8 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
     if measured.time_error is not None:
         lines.append(f"Times of events are met to {measured.time_error:.2g} of the horizon.")
+    if model.timeline is not None and _has_indices(solution):
+        lines.append("Sobol indices are from points, and good to 0.02.")
     if model.timeline is not None and model.timeline.terminal:
         lines.append(
             "Where some trajectories have ended, bands are those of the others, and Sobol indices "
