@@ -310,9 +310,3 @@ def test_times_of_events_in_javascript(name, tmp_path):
     assert said["event"][0] == "UnknownEventError"
     assert said["event"][1].startswith('no event "bonce"; the events are ')
     assert said["missing"][0] == "MissingParameterError"
-
-
-def test_fmus_say_that_they_do_not_take_events(tmp_path):
-    with pytest.raises(ro.RankoneError, match="does not take solutions over stretches"):
-        solved("ball").export(tmp_path / "model.fmu")
-    assert not list(tmp_path.iterdir())

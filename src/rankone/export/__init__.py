@@ -131,8 +131,6 @@ def export_model(
         ".mjs": javascript_model,
         ".fmu": partial(fmu_model, fmi=version, timeless=solution.metadata.timeless),
     }
-    if target.suffix == ".fmu":
-        solution.outcome.slabs_over_clock_time(f"a {MODELS[target.suffix]}")
     if target.suffix == ".html":
         check_states(states)
         return export_page(

@@ -1,0 +1,100 @@
+"""FMUs of solutions with events: steps over them, and the end at a terminal one."""
+
+from __future__ import annotations
+
+import zipfile
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.export.test_event_models import solved
+from tests.export.test_fmu import both, compile_strictly, fmpy, runs
+
+if fmpy is not None:
+    from fmpy.fmi1 import FMICallException
+    from fmpy.validation import validate_fmu
+
+    from tests.export.fmu_slaves import slave
+
+BALL = {"h": 1.0, "c": 0.05, "e": 0.8}
+ROCKET = {"f": 3000.0, "d": 105.0}  # is back before the horizon ends
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """The file of a solution for a version of FMI, and the folder that it is extracted to."""
+
+    @cache
+    def made(name, fmi):
+        folder = tmp_path_factory.mktemp("fmu")
+        path = solved(name).export(folder / "model.fmu", fmi=fmi)
+        zipfile.ZipFile(path).extractall(folder / "inside")
+        return path, folder / "inside"
+
+    return made
+
+
+@runs
+@both
+def test_steps_over_events(fmi, archive):
+    path, folder = archive("ball", fmi)
+    assert validate_fmu(str(path)) == []
+    solution = solved("ball")
+    found = fmpy.simulate_fmu(str(path), start_values=BALL, output_interval=0.05)
+    np.testing.assert_allclose(found["time"][-1], 1.6)
+    for name in ("y", "v"):
+        wanted = solution[name](found["time"], BALL)
+        np.testing.assert_allclose(found[name], wanted, atol=1e-9)
+    first = solution.event_times("bounce", BALL)[0]
+    with slave(folder, **BALL) as one:
+        for at, wanted in ((first - 1e-3, -1), (first + 1e-3, 1)):
+            one.step(one.get("t")[0], at - one.get("t")[0])
+            assert np.sign(one.get("v")) == wanted
+
+
+@runs
+@both
+def test_the_end_at_a_terminal_event(fmi, archive):
+    """FMI 2.0 goes to the end and discards the rest of the step; FMI 3.0 holds the outputs."""
+    path, folder = archive("rocket", fmi)
+    assert validate_fmu(str(path)) == []
+    solution = solved("rocket")
+    (end,) = solution.event_times("ground", ROCKET)
+    landed = solution(end - 1e-9, ROCKET)
+    with slave(folder, **ROCKET) as one:
+        one.step(0.0, end - 0.5)
+        assert one.ends() == (False, end - 0.5)
+        for _ in range(2):  # and again, from there
+            now = one.get("t")[0]
+            if fmi == "2.0":
+                with pytest.raises(FMICallException) as caught:
+                    one.step(now, 1.0)
+                assert caught.value.status == 2
+                assert one.ends() == (True, pytest.approx(end, rel=1e-12))
+                assert f"the solution ends at {end:.10g}" in one.messages[-1]
+            else:
+                one.step(now, 0.8)
+                assert one.ends() == (True, now + 0.8)
+                assert not one.messages
+            np.testing.assert_allclose(one.get("h", "v", "m"), landed[:3], rtol=1e-6, atol=1e-6)
+        one.set(f=3400.0, d=100.0)  # which is still up there
+        now = one.get("t")[0]
+        np.testing.assert_allclose(one.get("h"), solution["h"](now, f=3400.0, d=100.0), rtol=1e-9)
+    said = []  # also keeps FMPy from calling a logger that is gone
+    found = fmpy.simulate_fmu(
+        str(path),
+        start_values=ROCKET,
+        output_interval=0.5,
+        logger=lambda *text: said.append(text[-1]),
+    )
+    assert [b"the solution ends at" in text for text in said] == [True] * (fmi == "2.0")
+    assert end - 1e-9 <= found["time"][-1] < end + 0.5
+    assert not np.isnan(found["h"]).any()
+
+
+@runs
+@both
+def test_strict_c(fmi, archive, tmp_path):
+    _, folder = archive("rocket", fmi)
+    compile_strictly(folder / "sources", "-O2", "-o", str(tmp_path / "library"))
