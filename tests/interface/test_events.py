@@ -275,10 +275,10 @@ def test_events_that_accumulate_are_refused():
         ro.solve(ball, 1e-3)
 
 
-def test_methods_that_need_separated_terms_say_that_they_take_no_events():
-    compiled = ro.compile(PROBLEMS["dose"])
+def test_methods_that_need_separated_terms_say_that_they_take_no_events_of_states():
+    compiled = ro.compile(PROBLEMS["relay"])
     assert compiled.methods["cross"] is None
-    with pytest.raises(ro.OptionError, match="'train' does not take events"):
+    with pytest.raises(ro.OptionError, match="'train' takes events at known times only"):
         compiled.solve(1e-3, method="train")
 
 

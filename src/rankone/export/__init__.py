@@ -72,9 +72,12 @@ def export_solver(
     ``methods``, ``form_for`` a method, ``user_functions`` and ``metadata``.
     """
     target = solver_target(path, overwrite)
-    form = compiled.separated
+    separated = compiled.separated
     engine, *_ = engines_for(
-        method, (), len(form.coordinates) - 1, separated=not form.general or method != AUTO
+        method,
+        (),
+        len(separated.coordinates) - 1,
+        separated=not separated.general or method != AUTO,
     )
     reason = compiled.methods[engine.name]
     if reason is not None:
@@ -89,8 +92,15 @@ def export_solver(
             term=name,
             remedy="give it as a formula or a table (rankone.table)",
         )
+    form = compiled.form_for(engine.name)
+    if form.system.separated_stretches is not None:
+        raise ExportError(
+            f"a solver by method={engine.name!r} cannot be exported: it would need SymPy to write "
+            "the equations over stretches between events",
+            remedy="export with method='cross'",
+        )
     metadata = compiled.metadata(method=engine.name)
-    text = standalone_source(compiled.problem.name, compiled.form_for(engine.name).source, metadata)
+    text = standalone_source(compiled.problem.name, form.source, metadata)
     write_files({target: text}, overwrite, ExportError)
     return target
 

@@ -39,6 +39,7 @@ from rankone.codegen.module import general_source, generated_module
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
 from rankone.interface.solution import Solution
+from rankone.interface.stretched import StretchedProblem, known_times
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import SolutionMetadata
@@ -131,28 +132,41 @@ class CompiledProblem:
             return None
         return lifted_problem(self.first_order, self.system, self.problem.name or "")
 
-    def form_for(self, method: str) -> CompiledProblem | LiftedProblem:
+    @cached_property
+    def _stretched(self) -> StretchedProblem | None:
+        """The form over stretches, where all events are at known times."""
+        if self.quadratic is not None or not known_times(self.first_order, self.system):
+            return None
+        name = self.problem.name or ""
+        return StretchedProblem(self.first_order, self.system, self.separated, self.source, name)
+
+    def form_for(self, method: str) -> CompiledProblem | LiftedProblem | StretchedProblem:
         """What a method takes: an object with ``separated``, ``source`` and ``system``.
 
         Raises
         ------
+        OptionError
+            If the method needs separated terms, and there are events of the states.
         SeparationError
-            If the method needs separated terms, and there is no lifted form.
+            If it needs them, and there is no lifted form.
         """
         if method in _ANY_SYSTEM or self.quadratic is not None:
             return self
+        if self.lifted is not None:
+            return self.lifted
+        if self._stretched is not None:
+            return self._stretched
         if self.first_order.events:
             raise OptionError(
-                f"method={method!r} does not take events", remedy="leave method= out, or take cross"
+                f"method={method!r} takes events at known times only",
+                remedy="leave method= out, or take cross",
             )
-        if self.lifted is None:
-            raise SeparationError(
-                str(self.methods[method]),
-                equation=self.separated.general[0].origin,
-                term=self._lifting,
-                remedy=_without_lifting(self._lifting),
-            )
-        return self.lifted
+        raise SeparationError(
+            str(self.methods[method]),
+            equation=self.separated.general[0].origin,
+            term=self._lifting,
+            remedy=_without_lifting(self._lifting),
+        )
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
@@ -161,11 +175,18 @@ class CompiledProblem:
 
     @property
     def methods(self) -> dict[str, str | None]:
-        """For each method None if it applies, else the reason why not."""
+        """For each method None if it applies, else the reason why not.
+
+        With events at known times the order of events, found by :meth:`solve`, tells whether
+        equations that depend on time separate over the stretches between them.
+        """
         reason = None
-        if self.first_order.events:
-            reason = "events are followed by trajectories, which cross samples"
-        elif self.quadratic is None and self.lifted is None:
+        applies = self.quadratic is not None or self.lifted is not None
+        if applies or self._stretched is not None:
+            pass
+        elif self.first_order.events:
+            reason = "events of the states are followed by trajectories, which cross samples"
+        else:
             reason = (
                 f"{self.separated.general[0].reason}; {quote(self._lifting)} has no lifted form"
             )
@@ -179,7 +200,7 @@ class CompiledProblem:
         return tuple(engine.name for engine in tried)
 
     def __getstate__(self) -> dict[str, object]:
-        rebuilt = ("system", "_lifting")
+        rebuilt = ("system", "_lifting", "_stretched")
         return {name: stage for name, stage in self.__dict__.items() if name not in rebuilt}
 
     def __repr__(self) -> str:
@@ -313,14 +334,14 @@ class CompiledProblem:
         self,
         request: SolveRequest,
         engines: Sequence[Engine],
-        form: CompiledProblem | LiftedProblem,
+        form: CompiledProblem | LiftedProblem | StretchedProblem,
         progress: bool | Report,
     ) -> Solution:
         """Solve in one of the forms; a BlowUpError where a trajectory blows up."""
         if request.domain != Domain.of(form.system):
             self._check_gaps(request.domain)
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
-        truth = None if form is self else self.system
+        truth = self.system if isinstance(form, LiftedProblem) else None
         began = time.perf_counter()
         # Small products run fastest on one thread, and two busy pools slow each other down
         with (

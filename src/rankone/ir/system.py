@@ -58,6 +58,8 @@ from rankone.support.wording import listing
 
 Kernel: TypeAlias = Callable[..., Array]
 """One of the functions of the table above."""
+Box: TypeAlias = Sequence[tuple[float, float]]
+"""An interval for each parameter."""
 UserFunction: TypeAlias = Callable[..., object]
 """A function that the user gave for an expression."""
 Answer = TypeVar("Answer")
@@ -120,7 +122,8 @@ class System:
     ``features`` say where the system is not smooth, ``jumps`` where its states are reset, ``gaps``
     where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
     from, if rankone compiled it. ``events`` reset its trajectories or end them; a system in
-    stretches between them has the ``clock`` that it runs by.
+    stretches between them has the ``clock`` that it runs by. ``separated_stretches`` makes a
+    separated system of that kind, of a clock and a box, where that is asked for.
     """
 
     separated: bool
@@ -150,6 +153,7 @@ class System:
     specification: ModuleSpecification | None = None
     events: tuple[SystemEvent, ...] = ()
     clock: Clock | None = None
+    separated_stretches: Callable[[Clock, Box], System] | None = None
 
     @property
     def unknowns(self) -> tuple[str, ...]:

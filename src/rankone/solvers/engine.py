@@ -55,7 +55,7 @@ class Engine:
         Where there are no events, but times at which rates jump or peak move with the parameters,
         these are events as long as all trajectories meet them in the same order.
         """
-        if system.events:
+        if system.events or system.separated_stretches is not None:
             return self._solve_over_stretches(system, request, report)
         if system.features.n_moving_steps and not system.separated:
             try:

@@ -45,6 +45,6 @@ def clock_of(system: System, request: SolveRequest, more: int = 0) -> Clock:
 
 def over_stretches(clock: Clock, request: SolveRequest) -> tuple[System, SolveRequest]:
     """The system and the request over the pseudo-time of its stretches."""
-    system = in_stretches(clock)
-    domain = request.domain
+    domain, separated = request.domain, clock.system.separated_stretches
+    system = in_stretches(clock) if separated is None else separated(clock, domain.box)
     return system, replace(request, domain=Domain(system.horizon, domain.box, domain.scales))

@@ -28,10 +28,14 @@ from rankone.support.costs import function_cost
 Answer = TypeVar("Answer")
 
 
+def fixed_times(system: System, cuts: Sequence[float]) -> list[float]:
+    """The times of jumps, and cuts of time, that are the same for all parameters."""
+    return sorted({*cuts, *system.jumps.inside(*system.horizon)})
+
+
 def timed_events(system: System, cuts: Sequence[float]) -> System:
     """The system with its jumps, and with cuts of its time that may move, as events."""
-    jumps = system.jumps
-    times = sorted({*cuts, *jumps.inside(*system.horizon)})
+    jumps, times = system.jumps, fixed_times(system, cuts)
 
     def known(at: Callable[[Array], Array], name: str, then: OfTrajectory | None) -> SystemEvent:
         def when(t: Array, _u: Array, p: Array) -> Array:

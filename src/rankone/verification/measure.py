@@ -182,7 +182,8 @@ class ReferenceSet:
             times = np.concatenate([times, times_within(a, b, _JUMP_SHARES)])
         states = self.system.with_products(self.reference(times))
         if (clock := self.system.clock) is not None:  # what comes after the horizon does not count
-            states = np.where(states[-CLOCK_STATES] <= clock.horizon[1], states, 0.0)
+            now = states[self.system.n_differential - CLOCK_STATES]
+            states = np.where(now <= clock.horizon[1], states, 0.0)
         sizes = np.abs(self._without_corners(states, axis=1)).max(axis=(1, 2))
         n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
