@@ -26,7 +26,12 @@ class Slave:
     """
 
     def __init__(
-        self, folder: Path, name: str = "one", token: str | None = None, logging: bool = True
+        self,
+        folder: Path,
+        name: str = "one",
+        token: str | None = None,
+        logging: bool = True,
+        early: bool = False,
     ) -> None:
         about = fmpy.read_model_description(str(folder))
         self.two = about.fmiVersion == "2.0"
@@ -47,7 +52,8 @@ class Slave:
             callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
             self.fmu.instantiate(callbacks=callbacks, loggingOn=logging)
         else:
-            self.fmu.instantiate(logMessage=self._log3, loggingOn=logging)
+            self.early = early
+            self.fmu.instantiate(logMessage=self._log3, loggingOn=logging, earlyReturnAllowed=early)
 
     def _log(self, environment, name, status, category, message) -> None:
         assert category == {2: b"logStatusDiscard", 3: b"logStatusError"}[status]
@@ -92,7 +98,9 @@ class Slave:
             ends = self.fmu.getBooleanStatus(fmi2.fmi2Terminated)
             return bool(ends), self.fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime)
         event, ends, early, reached = (value.value for value in self.outputs)
-        assert (event, early) == (False, False)
+        assert not event
+        assert self.early or not early
+        self.returned_early = early
         return ends, reached
 
     def free(self) -> None:
@@ -102,9 +110,9 @@ class Slave:
 
 
 @contextmanager
-def slave(folder: Path, *at: float, **values: float) -> Iterator[Slave]:
+def slave(folder: Path, *at: float, early: bool = False, **values: float) -> Iterator[Slave]:
     """An instance that is ready for the first step, freed at the end."""
-    one = Slave(folder)
+    one = Slave(folder, early=early)
     try:
         one.begin(*at, **values)
         yield one

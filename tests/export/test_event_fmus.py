@@ -56,7 +56,7 @@ def test_steps_over_events(fmi, archive):
 @runs
 @both
 def test_the_end_at_a_terminal_event(fmi, archive):
-    """FMI 2.0 goes to the end and discards the rest of the step; FMI 3.0 holds the outputs."""
+    """Steps beyond it stop there: FMI 2.0 discards them, FMI 3.0 takes them as they are."""
     path, folder = archive("rocket", fmi)
     assert validate_fmu(str(path)) == []
     solution = solved("rocket")
@@ -74,9 +74,10 @@ def test_the_end_at_a_terminal_event(fmi, archive):
                 assert one.ends() == (True, pytest.approx(end, rel=1e-12))
                 assert f"the solution ends at {end:.10g}" in one.messages[-1]
             else:
-                one.step(now, 0.8)
-                assert one.ends() == (True, now + 0.8)
+                one.step(now, 1.0)
+                assert one.ends() == (True, pytest.approx(end, rel=1e-12))
                 assert not one.messages
+            assert one.get("t")[0] == pytest.approx(end, rel=1e-12)
             np.testing.assert_allclose(one.get("h", "v", "m"), landed[:3], rtol=1e-6, atol=1e-6)
         one.set(f=3400.0, d=100.0)  # which is still up there
         now = one.get("t")[0]
@@ -91,6 +92,37 @@ def test_the_end_at_a_terminal_event(fmi, archive):
     assert [b"the solution ends at" in text for text in said] == [True] * (fmi == "2.0")
     assert end - 1e-9 <= found["time"][-1] < end + 0.5
     assert not np.isnan(found["h"]).any()
+
+
+@runs
+def test_early_return_at_the_end(archive):
+    """Allowed or not, a step beyond the end stops there, and the next may begin at either time."""
+    path, folder = archive("rocket", "3.0")
+    assert fmpy.read_model_description(str(path)).coSimulation.mightReturnEarlyFromDoStep
+    ball = fmpy.read_model_description(str(archive("ball", "3.0")[0]))
+    assert not ball.coSimulation.mightReturnEarlyFromDoStep
+    (end,) = solved("rocket").event_times("ground", ROCKET)
+    for early in (False, True):
+        with slave(folder, early=early, **ROCKET) as one:
+            one.step(0.0, end - 0.1)
+            assert one.ends() == (False, end - 0.1)
+            assert not one.returned_early
+            one.step(end - 0.1, 0.3)
+            assert one.ends() == (True, pytest.approx(end, rel=1e-12))
+            assert one.returned_early == early
+            state = one.fmu.getFMUState()
+            for begin in (end, end + 0.2):
+                one.fmu.setFMUState(state)
+                one.step(begin, 0.1)
+                assert one.ends() == (True, pytest.approx(end, rel=1e-12))
+            with pytest.raises(FMICallException):
+                one.step(end + 1.0, 0.1)  # where no step has been
+            assert "the step begins at" in one.messages[-1]
+            one.fmu.freeFMUState(state)
+    table = fmpy.simulate_fmu(
+        str(path), start_values=ROCKET, output_interval=0.5, early_return_allowed=True
+    )
+    np.testing.assert_allclose(table["time"][-1], end, rtol=1e-12)
 
 
 @runs

@@ -688,17 +688,17 @@ def test_states(fmi, archive):
 @runs
 @both
 def test_corrupt_states(fmi, archive):
-    """Each part of a state is looked at: time, stop, mode, whether there is a start, parameters."""
+    """Each part of a state is looked at: its three times, mode, start known or not, parameters."""
     with slave(archive("decay", fmi)[1], 0.0, k=2.0) as one:
         one.step(0.0, 1.0)
         state = one.fmu.getFMUState()
-        layout = struct.Struct("ddiid")
+        layout = struct.Struct("dddiid")
         parts = list(layout.unpack(one.fmu.serializeFMUState(state)))
         one.fmu.freeFMUState(state)
-        assert parts == [1.0, sys.float_info.max, 4, 1, 2.0]
+        assert parts == [1.0, sys.float_info.max, 1.0, 4, 1, 2.0]
 
         def set_state(**changes):
-            names = ("time", "stop", "mode", "set_up", "k")
+            names = ("time", "stop", "until", "mode", "set_up", "k")
             values = (changes.get(name, part) for name, part in zip(names, parts, strict=True))
             copy = one.fmu.deserializeFMUState(layout.pack(*values))
             try:
@@ -710,6 +710,7 @@ def test_corrupt_states(fmi, archive):
             *({"mode": mode} for mode in (0, 3, 5, 15, 16, -1)),
             *({"stop": stop} for stop in (math.nan, -math.inf, 2.5, -1.0)),
             *({"time": time} for time in (math.nan, math.inf, 2.5)),
+            *({"until": until} for until in (math.nan, math.inf, 0.9)),
             *({"k": k} for k in (math.nan, 9.0)),
             *({"set_up": 0, "mode": mode} for mode in (2, 4, 8)),
             {"set_up": 7, "mode": 1},

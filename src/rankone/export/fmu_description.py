@@ -57,6 +57,11 @@ class Description:
         """Names of time, the parameters and the outputs, each in a form that FMI allows."""
         return _distinct((*self.model.coordinates, *self.model.unknowns))
 
+    @property
+    def ends(self) -> bool:
+        """Whether an event may end the solution."""
+        return self.model.timeline is not None and self.model.timeline.terminal
+
     def unit(self, reference: int) -> str:
         """Unit of a variable, empty if there is none."""
         name = (*self.model.coordinates, *self.model.unknowns)[reference]
@@ -85,6 +90,8 @@ def model_description(about: Description, token: str) -> bytes:
         },
     )
     flags = dict.fromkeys(_CAPABILITIES[about.fmi], "true")
+    if about.fmi == "3.0" and about.ends:
+        flags["mightReturnEarlyFromDoStep"] = "true"
     interface = SubElement(root, "CoSimulation", {"modelIdentifier": about.identifier, **flags})
     if about.fmi == "2.0":
         files = SubElement(interface, "SourceFiles")

@@ -109,7 +109,7 @@ def _wrapper(about: Description, token: str) -> dict[str, str]:
         "timeless": str(int(about.timeless)),
         "start": ", ".join(map(repr, start_values(about.model))) or "0.0",
         "text": str(_LONGEST_MESSAGE + longest),
-        "ends": "1" if about.model.timeline and about.model.timeline.terminal else "",
+        "ends": "1" if about.ends else "",
     }
     name = f"fmi{about.fmi[0]}"
     templates = {
