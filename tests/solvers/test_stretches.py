@@ -49,6 +49,14 @@ PROBLEMS = {
         jumps={"sqrt(a + b)": {"A": "A + b"}},
     ),
     "kink": problem({"A": "t*Abs(t - lag) - k*A**2"}, {"A": 1}, {**RATE, **LAG}, 3),
+    # functions of time and of an unknown are lifted over stretches
+    "lifted": problem(
+        {"A": "exp(-t)*Heaviside(t - lag) - k*A/(1 + A)"},
+        {"A": 1},
+        {**RATE, **LAG},
+        4,
+        jumps={"lag": {"A": "A + 1"}, "lag + 1": {"A": "A**2"}},
+    ),
     # two events at one instant, the second of which reads what the first one made, and an end
     "together": problem(
         {"x": "y", "y": "-w*x"},
@@ -62,7 +70,7 @@ PROBLEMS = {
         ],
     ),
 }
-STRETCHES = dict(zip(PROBLEMS, (3, 3, 3, 4, 2, 2, 2), strict=True))
+STRETCHES = dict(zip(PROBLEMS, (3, 3, 3, 4, 2, 2, 3, 2), strict=True))
 
 
 def largest_error(name, solution):
@@ -92,7 +100,7 @@ def test_train_solves_over_stretches_between_known_times(name):
     assert largest_error(name, solution) < RTOL
 
 
-@pytest.mark.parametrize("name", ["dose", "together"])
+@pytest.mark.parametrize("name", ["dose", "lifted", "together"])
 def test_greedy_solves_over_stretches_between_known_times(name):
     solution = solved(name, "greedy")
     assert solution.success, solution.outcome.message
@@ -152,11 +160,17 @@ def test_events_of_states_are_left_to_cross():
 
 
 def test_what_does_not_separate_over_stretches_is_named():
-    forced = problem(
-        {"A": "exp(-t) - k*A"}, {"A": 1}, {**RATE, **LAG}, 4, jumps={"lag": {"A": "A + 1"}}
-    )
-    with pytest.raises(ro.SeparationError, match="over the stretches between events"):
+    forced = problem({"A": "k - abs(A)"}, {"A": 1}, RATE | LAG, 4, jumps={"lag": {"A": "A + 1"}})
+    with pytest.raises(ro.SeparationError, match=r"over the stretches between events, .*Abs"):
         ro.solve(forced, 1e-3, method="train")
+
+
+def test_a_march_that_stops_between_events_solves_nothing():
+    solution = ro.solve(PROBLEMS["dose"], RTOL, method="train", max_slabs=2)
+    assert not solution.success
+    assert "limit of time slabs" in solution.outcome.message
+    with pytest.raises(ro.EvaluationError, match="nothing was solved"):
+        solution(1, k=0.3, lag=1.5, D=1.5)
 
 
 def test_a_standalone_solver_by_train_is_refused(tmp_path):

@@ -55,10 +55,9 @@ class StretchedProblem:
         bounds = np.array(box, dtype=float).reshape(-1, 2)
         points = check_points(bounds, _POINTS, every_corner=True)
         form = over_stretches(first_order, self._stretches(clock), np.ascontiguousarray(points.T))
-        for term in form.general:
-            if not term.initial:
-                raise _does_not_separate(term)
-        source = generate_source(quadratic_system(form), self.name)
+        if form.coupled is not None:
+            raise _does_not_separate(form.coupled)
+        source = generate_source(quadratic_system(form.separated), self.name, form.meanings)
         functions = self.first_order.user_functions
         name = f"{self.name or 'system'} over stretches"
         system = ModuleSpecification(source, name, functions).load()
@@ -67,7 +66,7 @@ class StretchedProblem:
         return replace(
             system,
             states=(*whole.states, *system.states[n:]),
-            rhs=whole.rhs,
+            rhs=system.rhs if form.meanings else whole.rhs,
             specification=whole.specification,
             clock=clock,
         )

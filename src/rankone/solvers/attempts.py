@@ -218,9 +218,11 @@ def solve_in_attempts(
     if status is not Status.CONVERGED:
         if best.result.stopped is None:
             notes += unknowns_notes(request.rtol, best.measured, system.states)
-        else:
+        elif best.result.whole:
+            notes.append(NothingInterpolated())
+        elif system.clock is None:
             end = float(best.result.slabs[-1].end) if best.result.slabs else None
-            notes.append(NothingInterpolated() if best.result.whole else StoppedAt(end))
+            notes.append(StoppedAt(end))
     notes += reference_set.zeros
     if status is not Status.CONVERGED:
         notes += Budget.of(stages.named, stages.budget)
@@ -328,6 +330,8 @@ def _attempts(
                 result = MarchResult(stopped=Status.MEMORY_LIMIT)
             except OutOfBudgetError as out:
                 result = MarchResult(stopped=Status.of_limit(out))
+        if marcher.reference_set.system.clock is not None and result.stopped and not result.whole:
+            result.slabs = []  # without all stretches there is no clock time
         records += result.records
         stages.sampled += result.sampled
         before = marcher.reference_set

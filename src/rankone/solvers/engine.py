@@ -19,6 +19,7 @@ from rankone.solvers.stretches import clock_of, over_stretches
 from rankone.support.budget import OutOfBudgetError, limited, seconds_left, unlimited, work_left
 from rankone.support.options import Options
 from rankone.support.progress import Report, quiet
+from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.event_order import MoreEventsError, OrderError
 from rankone.trajectories.workers import Workers, open_workers
 from rankone.verification.measure import ReferenceSet, drift
@@ -74,8 +75,10 @@ class Engine:
             try:
                 with stages.of("reference"):
                     clock = clock_of(system, request, more)
-                outcome = self._solve(*over_stretches(clock, request), report)
-                return replace(outcome, timeline=Timeline.of(clock))
+                stretched, request_there = over_stretches(clock, request)
+                outcome = self._solve(stretched, request_there, report)
+                slabs = _without_last(outcome.slabs, stretched)
+                return replace(outcome, slabs=slabs, timeline=Timeline.of(clock))
             except OutOfBudgetError as out:
                 return out_at_reference(out, system, stages)
             except MoreEventsError as error:
@@ -179,6 +182,13 @@ def _share(engine: Engine, last: bool) -> tuple[float, float]:
     return _CROSS_SHARE * work, _CROSS_SHARE * seconds
 
 
+def _without_last(slabs: Sequence[SlabTrain], system: System) -> tuple[SlabTrain, ...]:
+    """The slabs without the lifted states of a system, which are the last ones."""
+    if not system.n_lifted:
+        return tuple(slabs)
+    return tuple(slab.with_first(slab.cores[0][: len(system.unknowns)]) for slab in slabs)
+
+
 def _without_lifted(
     outcome: Outcome, system: System, request: SolveRequest, truth: System | None
 ) -> Outcome:
@@ -187,7 +197,7 @@ def _without_lifted(
         return outcome
     with unlimited():
         drifted = drift(system, request.domain, outcome.slabs)
-    slabs = tuple(slab.with_first(slab.cores[0][: len(system.unknowns)]) for slab in outcome.slabs)
+    slabs = _without_last(outcome.slabs, system)
     measured = outcome.measured and replace(outcome.measured, drift=drifted)
     outcome = replace(outcome, slabs=slabs, measured=measured)
     if truth is None or outcome.status is Status.UNCHECKED or outcome.status.ends_early:

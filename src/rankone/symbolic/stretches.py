@@ -21,10 +21,12 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from rankone.expressions.stable import NUMPY
-from rankone.ir.forms import Coordinate, Jump, SeparatedForm, State
+from rankone.ir.forms import Coordinate, GeneralTerm, Jump, SeparatedForm, State
 from rankone.ir.functions import namespace_of
 from rankone.support.arrays import Array
+from rankone.support.errors import ProblemError
 from rankone.symbolic.first_order import FirstOrderSystem, weak_form
+from rankone.symbolic.lifting import NotLiftable, lift
 from rankone.symbolic.separation import separate
 
 _SHARES = (0.02, 0.3, 0.5, 0.7, 0.98)  # Times of a stretch at which switches are looked at
@@ -66,23 +68,44 @@ def exact(number: float) -> sp.Expr:
     return sp.Integer(int(number)) if float(number).is_integer() else sp.Float(number)
 
 
+@dataclass(frozen=True)
+class StretchedForm:
+    """The separated form over stretches, and what its last states stand for, if some are lifted.
+
+    The states are those over clock time, the clock, the length of the stretch, and lifted ones.
+    """
+
+    separated: SeparatedForm
+    meanings: tuple[sp.Expr, ...] = ()
+
+    @property
+    def coupled(self) -> GeneralTerm | None:
+        """A term of the rates that does not separate."""
+        return next((term for term in self.separated.general if not term.initial), None)
+
+
 def over_stretches(
     system: FirstOrderSystem, stretches: KnownStretches, points: Array
-) -> SeparatedForm:
+) -> StretchedForm:
     """The separated form of a system over the pseudo-time of its stretches.
 
-    Behind its states are the clock and the length of the stretch. ``points`` (d, m) of the box
-    show on which side switches are. The form has general terms if it does not separate. The length
-    and the clock are written as functions of the parameters, or, if these do not separate, as
-    states.
+    ``points`` (d, m) of the box show on which side switches are. The clock and the length are
+    written as functions of the parameters. Where these do not separate, they are states, and
+    functions of states are lifted. The form has general terms if that does not do either.
     """
     writer = _StretchWriter(system, stretches, points)
-    form = separate(weak_form(writer.system(as_states=False)))
-    if any(not term.initial for term in form.general):
-        with_states = separate(weak_form(writer.system(as_states=True)))
-        if not any(not term.initial for term in with_states.general):
-            return with_states
-    return form
+    first = StretchedForm(separate(weak_form(writer.system(as_states=False))))
+    if first.coupled is None:
+        return first
+    with_states = writer.system(as_states=True)
+    form = StretchedForm(separate(weak_form(with_states)))
+    if form.coupled is not None:
+        try:
+            lifting = lift(with_states)
+            form = StretchedForm(separate(weak_form(lifting.system)), lifting.meanings)
+        except (NotLiftable, ProblemError):
+            return first
+    return first if form.coupled is not None else form
 
 
 class _StretchWriter:
@@ -101,6 +124,9 @@ class _StretchWriter:
         states = [*system.states, *self.states]
         self.functions = [sp.Function(state.name)(self.pseudo) for state in states]
         self.moved = dict(zip(system.functions, self.functions, strict=False))
+        self.sided = [self._sided(i) for i in range(len(self.lengths))]
+        of_states = enumerate(zip(*self.sided, strict=True))
+        self.switched = {k for k, rates in of_states if len(set(rates)) > 1}
 
     def system(self, *, as_states: bool) -> FirstOrderSystem:
         """The system; its rates have the clock and the length ``as_states`` or as expressions."""
@@ -111,10 +137,12 @@ class _StretchWriter:
             inside = self._inside(i)
             duration = length if as_states else span
             now = clock if as_states else sp.expand(begin + (s - i) * span)
-            sided = self._sided(i)
-            for k, rate in enumerate(sided):
+            for k, rate in enumerate(self.sided[i]):
+                within = sp.S.One if as_states and k not in self.switched else inside
+                if i and within is sp.S.One:
+                    continue  # the same in all stretches
                 moved = rate.xreplace({**self.moved, self.time: now})
-                rates[k].append(sp.expand_mul(inside * duration * moved))
+                rates[k].append(sp.expand_mul(within * duration * moved))
             rates[n].append(inside * duration)
         initial = [*self.first_order.initial, self.borders[0], self.lengths[0]]
         coordinate = Coordinate(s.name, s, 0.0, float(len(self.lengths)))

@@ -23,14 +23,19 @@ from rankone.trajectories.integrator import (
 )
 from rankone.trajectories.paths import Path, Paths, joined
 
+_LIFTED_SAMPLES = 201  # Evenly spaced times that tell the sizes of lifted states
+
 
 @dataclass(frozen=True)
 class StretchTrajectories:
     """Trajectories over the pseudo-time of stretches. Fulfils :class:`DenseTrajectories`.
 
-    ``borders`` (m, stretches + 1) are the clock times at which stretches begin and end.
+    ``borders`` (m, stretches + 1) are the clock times at which stretches begin and end; ``points``
+    are (m, d). Lifted states of the ``system`` are what they stand for.
     """
 
+    system: System
+    points: Array
     trajectories: Sequence[EventTrajectory]
     clock: Clock
     borders: Array
@@ -78,7 +83,11 @@ class StretchTrajectories:
             np.max([path.largest(steps) for path in each.paths], axis=0)
             for each in self.trajectories
         ]
-        return np.concatenate([np.stack(states, axis=1), clock])
+        largest = np.concatenate([np.stack(states, axis=1), clock])
+        if not self.system.n_lifted:
+            return largest
+        lifted = self(np.linspace(0.0, self.end, _LIFTED_SAMPLES))[len(largest) :]
+        return np.concatenate([largest, np.abs(lifted).max(axis=2)])
 
     def __call__(self, times: Array) -> Array:
         """States, clock and length of the stretch (n + 2, m, T) at pseudo-times (T,)."""
@@ -91,7 +100,18 @@ class StretchTrajectories:
         for i in np.unique(stretch):
             here = stretch == i
             states[:n, :, here] = self._paths[i](at[:, here])
-        return states
+        return self._with_lifted(times, states)
+
+    def _with_lifted(self, times: Array, states: Array) -> Array:
+        """The states (n + 2, m, T), and behind them the lifted ones."""
+        count = self.system.n_lifted
+        if not count:
+            return states
+        lifted = np.concatenate([states, np.ones((count, *states.shape[1:]))])
+        points = np.ascontiguousarray(self.points.T)[:, :, None]
+        for _ in range(count):  # some stand for functions of others
+            lifted[len(states) :] = self.system.meanings(times, lifted, points)
+        return lifted
 
     def at(self, k: int, times: Array) -> Array:
         """States (n, T) of one trajectory at clock times (T,), NaN after its end."""
@@ -153,7 +173,7 @@ class StretchIntegrator:
         per_stretch = clock.length / order.stretches
         tolerances = replace(
             tolerances,
-            absolute=np.broadcast_to(tolerances.absolute, (n + CLOCK_STATES, 1))[:n],
+            absolute=np.broadcast_to(tolerances.absolute, (system.n_differential, 1))[:n],
             longest_step=tolerances.longest_step * per_stretch,
         )
         trajectories = follow(clock, self.integrator, points, tolerances, len(order.instants))
@@ -163,7 +183,7 @@ class StretchIntegrator:
         single = self.name == "single"
         method = "LSODA" if single else "DOP853"
         name = "single" if single else "stack"
-        return StretchTrajectories(trajectories, clock, borders, name, method)
+        return StretchTrajectories(system, points, trajectories, clock, borders, name, method)
 
     def sample(
         self,
