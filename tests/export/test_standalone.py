@@ -472,7 +472,7 @@ def test_tracebacks_and_pickles_name_the_modules_of_the_file(alone, folder):
         "s = solver.solve(rtol=1e-3)\n"
         "open('s.pickle', 'wb').write(pickle.dumps(s))\n"
         "np.save('pickled.npy', s(t=1.0, x0=9.0, y0=5.0))\n"
-        "assert type(s).__module__ == 'solver.solution.core'\n"
+        "assert type(s).__module__ == 'solver.solution.timeline'\n"
         "assert inspect.getsource(type(s).save).lstrip().startswith('def save')\n"
         "try:\n    solver.solve(rtol=2)\n"
         "except solver.OptionError as error:\n"

@@ -176,6 +176,7 @@ def test_smaller_solutions_and_files(tmp_path):
     np.testing.assert_allclose(part(t=1.0, h=1.1, **point), whole, rtol=1e-9)
     for kept in (
         ro.load(solution.save(tmp_path / "ball.npz")),
+        ro.load(solution.save(tmp_path / "ball.nc")),
         pickle.loads(pickle.dumps(solution)),
     ):
         np.testing.assert_array_equal(kept(t=1.0, h=1.1, **point), whole)

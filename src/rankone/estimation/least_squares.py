@@ -62,21 +62,24 @@ class LeastSquares:
         return residuals, slopes * scale[:, None] * self.free.width
 
     def minima(self, starts: Array, held: NDArray[np.bool_] | None = None) -> Minima:
-        """Minima from starts (K, n); held coordinates (K, n) stay at their start."""
+        """Minima from starts (K, n); held coordinates (K, n) stay at their start.
+
+        The cost is infinite at a start at which the solution has ended before some of the data.
+        """
         z = np.clip(starts, 0.0, 1.0)
         kept = np.zeros(z.shape, dtype=bool) if held is None else held
         residuals, jacobian = self.linearised(z)
-        cost = _squares(residuals)
+        cost = squares_of(residuals)
         damping = np.full(len(z), _FIRST_DAMPING)
         converged = np.zeros(len(z), dtype=bool)
-        going = np.arange(len(z))
-        for _ in range(_MOST_ITERATIONS):
+        going = np.flatnonzero(np.isfinite(cost))
+        for _ in range(_MOST_ITERATIONS if going.size else 0):
             step, promised = _step(
                 z[going], residuals[going], jacobian[going], kept[going], damping[going]
             )
             trial = np.clip(z[going] + step, 0.0, 1.0)
             trial_residuals, slopes = self.linearised(trial)
-            trial_cost, last_cost = _squares(trial_residuals), cost[going]
+            trial_cost, last_cost = squares_of(trial_residuals), cost[going]
             better = trial_cost < last_cost
             small = np.abs(trial - z[going]).max(axis=1) <= 1e-14
             ended = (promised <= _SETTLED_SHARE * last_cost) | small
@@ -94,8 +97,10 @@ class LeastSquares:
         return Minima(z, cost, residuals, jacobian, converged)
 
 
-def _squares(residuals: Array) -> Array:
-    return np.asarray(np.einsum("km,km->k", residuals, residuals))
+def squares_of(residuals: Array) -> Array:
+    """Sums of squares (K,), infinite where the solution has ended before some of the data."""
+    squares = np.einsum("km,km->k", residuals, residuals)
+    return np.where(np.isnan(squares), np.inf, squares)
 
 
 def _step(

@@ -14,13 +14,13 @@ from rankone.estimation.free_parameters import (
     free_parameters,
 )
 from rankone.estimation.identification import identify
-from rankone.estimation.least_squares import LeastSquares, Minima
+from rankone.estimation.least_squares import LeastSquares, Minima, squares_of
 from rankone.estimation.models import model_of
 from rankone.estimation.observations import Measurements, Observations, observed
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import NORMAL, operations_for
-from rankone.support.errors import OptionError
+from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import checked_number
 from rankone.support.wording import count, listing
 
@@ -95,7 +95,8 @@ def fit(
         If shapes do not fit, data are NaN, free parameters outnumber the data, sigma is not
         positive, a name is unknown, all parameters are fixed or a start is outside its bounds.
     EvaluationError
-        If a time is outside the horizon, or a value outside the box.
+        If a time is outside the horizon, or a value outside the box; or if an event ends the
+        solution before the last of the data at all points that are tried.
     """
     self._evaluator  # noqa: B018 - raises if nothing was solved
     free = free_parameters(self, fixed, bounds, start)
@@ -119,7 +120,8 @@ def fit(
     q = quantile_of(level, observations.sigma_known, dof)
     identification = identify(problem, z, cost, jacobian, q, unit)
     distinct = () if identification.flat else _others(problem, minima, k, (q * unit) ** 2)
-    largest = np.abs(residuals / observations.scale + observations.values).max(axis=0)
+    tried = residuals[np.isfinite(residuals).all(axis=1)]
+    largest = np.abs(tried / observations.scale + observations.values).max(axis=0)
     outputs = range(len(observations.names))
     sizes = np.array([largest[observations.owner == i].max() for i in outputs])
     return Fit(
@@ -168,7 +170,13 @@ def _starts(problem: LeastSquares, starts: int, screened: int) -> tuple[Array, A
     points = spread(screened, n, np.random.default_rng(7))
     points[0] = 0.5
     residuals = problem.residuals(points)
-    order = np.argsort(np.einsum("km,km->k", residuals, residuals))
+    squares = squares_of(residuals)
+    if not np.isfinite(squares).any():
+        raise EvaluationError(
+            "the solution ends before the last of the data, wherever it was tried",
+            remedy="leave out later data, or restrict the solution to parameters where it goes on",
+        )
+    order = np.argsort(squares)[: np.isfinite(squares).sum()]
     chosen: list[Array] = [] if problem.free.start is None else [problem.free.start]
     apart = 0.5 * starts ** (-1.0 / n) if starts else 0.0
     most = len(chosen) + starts

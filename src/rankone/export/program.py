@@ -19,6 +19,7 @@ from rankone.ir.outcome import SlabRecord
 from rankone.ir.request import SOLVE_ARGUMENTS, SolveRequest
 from rankone.ir.system import System
 from rankone.solution.core import SolutionCore, raise_blow_up
+from rankone.solution.timeline import EventTimes
 from rankone.solvers.engine import Engine, solve_with
 from rankone.storage.npz import read, target
 from rankone.support.arrays import Array
@@ -37,11 +38,11 @@ Parsed = TypeVar("Parsed")
 
 def solve_system(
     engine: Engine, system: System, metadata: SolutionMetadata, request: SolveRequest
-) -> SolutionCore:
+) -> EventTimes:
     """Solve the system on its own box and horizon, or on others."""
-    solution = SolutionCore(*solve_with([engine], system, request, metadata))
+    solution = EventTimes(*solve_with([engine], system, request, metadata))
 
-    def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> SolutionCore:
+    def on_box(intervals: Mapping[int, tuple[float, float]], factor: float) -> EventTimes:
         return solve_system(engine, system, metadata, request.on_box(intervals, factor))
 
     raise_blow_up(solution, on_box)
@@ -50,12 +51,12 @@ def solve_system(
 
 def load_solution(
     path: str, expected: SolutionMetadata, records: Mapping[str, type[SlabRecord]]
-) -> SolutionCore:
+) -> EventTimes:
     """Read a solution of the same equations."""
     outcome, metadata = read(path, records)
     if (metadata.equations, metadata.parameters) != (expected.equations, expected.parameters):
         raise StorageError(f"`{path}` holds the solution of other equations")
-    return SolutionCore(outcome, metadata)
+    return EventTimes(outcome, metadata)
 
 
 def run(solve: Callable[..., SolutionCore], load: Callable[[str], SolutionCore], about: str) -> int:

@@ -212,7 +212,7 @@ def _end(engine: Engine, home: str, metadata: SolutionMetadata) -> str:
             "METADATA = ir__metadata.SolutionMetadata(",
             *entries,
             ")",
-            "Solution = solution__core.SolutionCore",
+            "Solution = solution__timeline.EventTimes",
             f"{engine.options.__name__} = ENGINE.options",
             *(f"{name} = support__errors.{name}" for name in raised),
             "",

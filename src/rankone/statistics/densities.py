@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from rankone.solution.core import UnknownView
 from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.statistics.over_box import StatisticsOverBox, Times
 from rankone.support.arrays import Array
-from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.errors import EvaluationError, OptionError, RankoneWarning
 from rankone.support.options import checked_count
 from rankone.support.wording import listing, quote, shown
 
@@ -107,10 +108,20 @@ class DistributionOverBox(StatisticsOverBox):
             raise OptionError("t is not one time", term=t, remedy="ask for one after the other")
         statistics = self._statistics(under, correlation)
         points = statistics.parameters.even_points(count)
-        clock = np.array([float(times), *np.linspace(*self.time, 5)])
-        samples = statistics.over_points(clock, points, lambda states: states[0], [state.row])
-        sample = samples[:, 0]
-        if np.ptp(sample) <= _STILL * np.abs(samples).max():
+        sample = statistics.at_points(float(times), points, state.row)
+        if not sample.size:
+            raise EvaluationError(
+                f"all trajectories have ended before {self.metadata.time} = {times:g}",
+                term=t,
+                remedy="ask for an earlier time",
+            )
+        clock = np.linspace(*self.time, 5)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RankoneWarning)  # of trajectories that have ended
+            largest = statistics.over_points(
+                clock, points, lambda states: np.abs(states[0]).max(), [state.row]
+            )
+        if np.ptp(sample) <= _STILL * max(np.nanmax(largest), np.abs(sample).max()):
             raise EvaluationError(
                 f"{quote(state.name)} does not vary there, and has no density",
                 term=t,

@@ -171,6 +171,10 @@ class Statistics:
         points = self.parameters.even_points(count)
         return self.over_points(times, points, lambda s: np.quantile(s, probabilities, axis=1))
 
+    def at_points(self, time: float, points: Array, row: int) -> Array:
+        """One state at one time and points (d, N), as far as they have a value there."""
+        return self.over_points(np.array([time]), points, lambda states: states[0], [row])[:, 0]
+
     def over_points(
         self,
         times: Array,

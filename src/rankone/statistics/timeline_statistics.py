@@ -104,6 +104,13 @@ class TimelineStatistics(Statistics):
 
         return self._over_even_points(times, moments)
 
+    def at_points(self, time: float, points: Array, row: int) -> Array:
+        """One state at one time and points (d, N), where they are still running."""
+        states = self._states(np.array([time]), points, [row])[0][0]
+        runs = np.isfinite(states)
+        _warn_of_ends(float(runs.mean()))
+        return np.asarray(states[runs])
+
     def over_points(
         self,
         times: Array,
@@ -123,12 +130,7 @@ class TimelineStatistics(Statistics):
             share = min(share, float(runs.mean()))
             if runs.any():
                 table[..., k] = of(states[:, runs])
-        if share < 1.0:
-            warn(
-                f"statistics are over the trajectories that are still running: {100 * share:.3g} % "
-                "of the box at least",
-                remedy="ask for earlier times, or for what is left by `end`",
-            )
+        _warn_of_ends(share)
         return table
 
     def _at_all(
@@ -179,11 +181,23 @@ class TimelineStatistics(Statistics):
         self._latest = times.copy(), (np.maximum(first, 0.0), total)
         return self._latest[1]
 
-    def _states(self, times: Array, points: Array) -> list[Array]:
+    def _states(
+        self, times: Array, points: Array, rows: Sequence[int] | None = None
+    ) -> list[Array]:
         """States (rows, N) at each of a few times."""
-        return [states for _, states in self._at_all(times, points, self.rows)]
+        return [states for _, states in self._at_all(times, points, rows or self.rows)]
 
     _latest: tuple[Array, tuple[Array, Array]] | None = None
+
+
+def _warn_of_ends(share: float) -> None:
+    """Warn if no more than a share of the trajectories still run."""
+    if share < 1.0:
+        warn(
+            f"statistics are over the trajectories that are still running: {100 * share:.3g} % "
+            "of the box at least",
+            remedy="ask for earlier times, or for what is left by `end`",
+        )
 
 
 def _covariance(x: Array, y: Array) -> float:

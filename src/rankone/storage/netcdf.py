@@ -114,14 +114,18 @@ def _fill(file: Any, outcome: Outcome, metadata: SolutionMetadata, text: Any) ->
             add(name, dimensions, content, about)
     add("header", (), str(arrays["header"]), "what was asked and what came out, as JSON")
     add("digest", (), str(arrays["digest"]), "SHA-256 of header and cores")
+    row = "state" if outcome.timeline is None else "state_or_clock"
     for i, slab in enumerate(outcome.slabs):
         for j in range(len(slab.cores)):
-            add(f"core_{i}_{j}", _dimensions(i, j, len(slab.cores)), arrays[f"core_{i}_{j}"])
+            add(f"core_{i}_{j}", _dimensions(i, j, len(slab.cores), row), arrays[f"core_{i}_{j}"])
 
 
-def _dimensions(i: int, j: int, count: int) -> tuple[str, str, str]:
-    """Names of the dimensions of core j of slab i, which has ``count`` cores."""
-    left = "state" if j == 0 else f"rank_{i}_{j - 1}_{j}"
+def _dimensions(i: int, j: int, count: int, row: str) -> tuple[str, str, str]:
+    """Names of the dimensions of core j of slab i, which has ``count`` cores; the first has rows.
+
+    The rows of a solution with events are its states, the clock and the length of the stretch.
+    """
+    left = row if j == 0 else f"rank_{i}_{j - 1}_{j}"
     right = "one" if j == count - 1 else f"rank_{i}_{j}_{j + 1}"
     return left, f"time_mode_{i}" if j == 0 else f"mode_{i}_{j}", right
 
