@@ -366,3 +366,17 @@ def test_a_dose_may_be_at_the_start():
     np.testing.assert_allclose(
         solution.event_times("start", k=0.8, lag=[0, 1]), [[0, 1]], atol=1e-4
     )
+
+
+def test_the_error_at_equal_shares_of_a_stretch():
+    solution, worst = solved("ball"), 0.0
+    for point in points(solution):
+        instants = PROBLEMS["ball"].trajectory(1.6, point).events["bounce"][:2]
+        ours = solution.event_times("bounce", point)[:2]
+        shares = np.linspace(0.05, 0.95, 10)
+        times, at = (a + shares * (b - a) for a, b in (instants, ours))
+        exact = PROBLEMS["ball"].trajectory(times, point).values
+        missed = np.abs(solution(at, point) - exact).max(axis=1)
+        worst = max(worst, (missed / np.abs(exact).max(axis=1)).max())
+    assert worst <= 3.0 * solution.share_error < 3.0 * RTOL
+    assert np.isnan(solution.at(0.3).share_error)

@@ -144,7 +144,17 @@ def assert_close(found, wanted, tolerance):
 # --- values --------------------------------------------------------------------------------------
 
 
-@takes("success", "error", "errors", "corner_error", "rtol", "status", "message", "time_error")
+@takes(
+    "success",
+    "error",
+    "errors",
+    "corner_error",
+    "rtol",
+    "status",
+    "message",
+    "time_error",
+    "share_error",
+)
 @takes("unknowns", "states", "parameters", "time", "method", "history", "work", "timings")
 @takes("rank", "ranks", "nodes", "nbytes")
 def test_what_is_said_of_it(case):
@@ -154,6 +164,7 @@ def test_what_is_said_of_it(case):
     assert max(solution.errors.values()) <= RTOL
     assert solution.corner_error < 10 * RTOL
     assert 0.0 <= solution.time_error <= RTOL
+    assert 0.0 < solution.share_error <= 3.0 * RTOL
     assert solution.status.value in solution.message or solution.message
     assert solution.method == "cross"
     assert solution.unknowns == tuple(str(u.func) for u in case.problem.unknowns)

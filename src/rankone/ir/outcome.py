@@ -42,7 +42,9 @@ class Measured:
     ``method``; 95 % of those that count are no worse than ``quantile``, and ``worst`` is the worst
     of them. ``counted`` are the states that success is for, None for all. ``drift`` is the largest
     difference between lifted states and what they stand for, relative to their sizes; None where
-    none are lifted. ``time_error`` is the largest error of the time of an event, over the horizon.
+    none are lifted. ``time_error`` is the largest error of the time of an event, over the horizon,
+    and ``share_error`` the largest one of a state at equal shares of stretches, relative to its
+    size; both None without events.
     """
 
     interior: tuple[float, ...]
@@ -56,6 +58,7 @@ class Measured:
     drift: float | None = None
     integrator: str = "stack"
     time_error: float | None = None
+    share_error: float | None = None
 
     @property
     def error(self) -> float:

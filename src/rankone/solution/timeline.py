@@ -44,6 +44,18 @@ class EventTimes(SolutionCore):
         error = None if measured is None else measured.time_error
         return float("nan") if error is None else error
 
+    @property
+    def share_error(self) -> float:
+        """Largest measured error of a state at equal shares of the stretches between events.
+
+        It is relative to the size of the state, and compares what is solved: :attr:`error`, at
+        equal clock times, has the errors of the times of events in it as well. NaN if unchecked, or
+        without events.
+        """
+        measured = self.outcome.measured
+        error = None if measured is None else measured.share_error
+        return float("nan") if error is None else error
+
     def event_times(self, event: object, *at: object, **named: object) -> Array:
         """When an event occurs, for given values of the parameters.
 

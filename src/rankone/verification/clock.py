@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,12 +21,26 @@ _SHARES = np.array([0.0, 0.03, 0.2, 0.5, 0.8, 0.97, 1.0])  # Compared times of e
 _BESIDE = 1.001  # Distance of the nearest compared time from an event, in those left out
 
 
+@dataclass(frozen=True)
+class ClockErrors:
+    """Errors against trajectories, n states and m points.
+
+    ``states`` (n, m) are the largest ones at clock times, and ``largest`` (n, m) the largest states
+    there; ``at_shares`` (n, m) are those where both are at the same share of the same stretch, up
+    to the end of the horizon. ``time`` is the largest error of the time of an event before the end,
+    over the horizon.
+    """
+
+    states: Array
+    largest: Array
+    at_shares: Array
+    time: float
+
+
 def clock_errors(
     reference: Reference, clock: Clock, slabs: Sequence[SlabTrain], rtol: float
-) -> tuple[Array, Array, float]:
-    """Largest errors of the states at clock times, and largest states there, both (n, m).
-
-    The third is the largest error of the time of an event before the end, over the horizon.
+) -> ClockErrors:
+    """The errors of slabs over stretches.
 
     Times within ``rtol`` horizons of an event that resets states are left out. An error is
     infinite where the slabs have no value and the reference has one, or the other way round.
@@ -35,7 +50,8 @@ def clock_errors(
     n = clock.system.n_differential
     errors, largest = np.zeros((n, len(reference.points))), np.zeros((n, len(reference.points)))
     rows, time_error = slice(0, n), 0.0
-    borders = evaluator.borders(np.ascontiguousarray(reference.points.T))
+    columns = np.ascontiguousarray(reference.points.T)
+    borders = evaluator.borders(columns)
     for k, (point, (batch, at)) in enumerate(zip(reference.points, _each(reference), strict=True)):
         times = _compared(clock, batch, at, rtol)
         exact = batch.at(at, times)
@@ -52,7 +68,13 @@ def clock_errors(
         missed = np.abs(borders[:, k] - exact_borders)[inside].max(initial=0.0)
         time_error = max(time_error, float(missed) / clock.length)
         largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
-    return errors, largest, time_error
+    begins = np.arange(clock.order.stretches)[:, None]
+    pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
+    exact = np.swapaxes(reference(pseudo), 1, 2)
+    found = evaluator.trains.curves(pseudo[:, None], columns, rows)
+    before = exact[n] <= clock.horizon[1]  # the row behind the states is the clock
+    at_shares = np.where(before, np.abs(found - exact[:n]), 0.0).max(axis=1)
+    return ClockErrors(errors, largest, at_shares, time_error)
 
 
 def _each(reference: Reference) -> Iterator[tuple[StretchTrajectories, int]]:

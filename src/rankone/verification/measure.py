@@ -228,14 +228,17 @@ class ReferenceSet:
         unknowns = len(self.system.unknowns)
         slabs = [slab.with_first(slab.cores[0][:unknowns]) for slab in slabs]
         with unlimited():
-            errors, largest, time_error = clock_errors(self.reference, clock, slabs, self.rtol)
+            errors = clock_errors(self.reference, clock, slabs, self.rtol)
+        largest = errors.largest
         interior = self._without_corners(largest, axis=1).max(axis=1)
         units = np.repeat(np.where(interior > 0.0, interior, 1.0)[:, None], largest.shape[1], 1)
         corners = slice(1, 1 + self.corners)
         units[:, corners] = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))[
             :, None
         ]
-        return replace(self._measured(errors / units), time_error=time_error)
+        measured = self._measured(errors.states / units)
+        at_shares = float((errors.at_shares / units).max())
+        return replace(measured, time_error=errors.time, share_error=at_shares)
 
     def _measured(self, errors: Array) -> Measured:
         """What errors (unknowns, m) in units of the sizes amount to."""
