@@ -273,6 +273,7 @@ def test_a_report_without_matplotlib(run: Run, monkeypatch: pytest.MonkeyPatch) 
     assert sorted(os.listdir("out")) == TEXTS
 
 
+@pytest.mark.slow
 def test_a_report_of_correlated_parameters(run: Run) -> None:
     """There are no Sobol indices of them."""
     pytest.importorskip("matplotlib")

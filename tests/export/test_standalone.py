@@ -98,6 +98,7 @@ def test_the_library_and_the_solver_agree(alone, name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["decay", "coupled"])
+@pytest.mark.slow
 def test_the_classic_method_is_exported_as_well(alone, name, tmp_path):
     problem = compiled(name)
     problem.export(tmp_path / "solver.py", method="greedy")
@@ -363,6 +364,7 @@ def test_elements_of_unequal_size_are_read_and_written(alone, folder, tmp_path):
     assert [s.bases for s in again.outcome.slabs] == [s.bases for s in solution.outcome.slabs]
 
 
+@pytest.mark.slow
 def test_a_blow_up_leaves_what_comes_before_it(alone, tmp_path):
     problem = ro.Problem.from_strings(
         rhs={"x": "x**2"}, initial={"x": "a"}, parameters={"a": (1, 2)}, time=(0, 0.8)
@@ -416,7 +418,9 @@ def test_the_front_is_all_a_reader_needs(method):
     assert "rankone." not in "".join(line for line in source.splitlines() if "import " in line)
 
 
-@pytest.mark.parametrize("method", ["train", "cross", "greedy"])
+@pytest.mark.parametrize(
+    "method", ["cross", *(pytest.param(m, marks=pytest.mark.slow) for m in ("train", "greedy"))]
+)
 def test_the_runtime_is_whole_modules_of_the_library(method):
     """Each once, after those it imports, the same statements, each name declared global."""
     tree = ast.parse(source_of(compiled("decay"), method))

@@ -192,6 +192,7 @@ def test_one_time(ball):
         ball.at(1.0)
 
 
+@pytest.mark.slow
 def test_derivatives(ball):
     by_time, by_e, by_h = (ball.diff(name) for name in ("t", "e", "h"))
     at = {"h": H, "e": E}

@@ -209,6 +209,7 @@ def test_statistics_are_those_of_samples():
     assert indices.total.sum() >= 0.95
 
 
+@pytest.mark.slow
 def test_statistics_are_those_without_events():
     """A marker changes nothing; statistics are from points then."""
     rhs = {"x": "p", "y": "q", "p": "-c*p", "q": "-9.81 - c*q"}

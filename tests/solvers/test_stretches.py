@@ -100,7 +100,9 @@ def test_train_solves_over_stretches_between_known_times(name):
     assert largest_error(name, solution) < RTOL
 
 
-@pytest.mark.parametrize("name", ["dose", "lifted", "together"])
+@pytest.mark.parametrize(
+    "name", ["dose", pytest.param("lifted", marks=pytest.mark.slow), "together"]
+)
 def test_greedy_solves_over_stretches_between_known_times(name):
     solution = solved(name, "greedy")
     assert solution.success, solution.outcome.message

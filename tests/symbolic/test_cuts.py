@@ -170,7 +170,7 @@ def test_periodic_switches_move_with_a_parameter():
     [
         ("1e7*exp(-((t - 0.31234)/1e-7)**2)", math.sqrt(math.pi)),
         ("1e6*(tanh((t - 0.31234)*1e9) - tanh((t - 0.312341)*1e9))", 2.0),
-        ("1e7/(1 + ((t - 0.31234)*1e7)**2)", math.pi),
+        pytest.param("1e7/(1 + ((t - 0.31234)*1e7)**2)", math.pi, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("method", ["train", "cross"])

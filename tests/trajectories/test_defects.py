@@ -39,6 +39,7 @@ def test_nothing_narrow_is_stepped_over(shape, area, width):
     assert reference(np.array([3.0]))[1, 0, 0] == pytest.approx(1.0 + area - tails, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_what_no_event_tells_is_met_at_random_places():
     """A power of a cosine is narrow around the places where it is one."""
     rate = "1/(1 + 50*k*(0.5 + 0.5*cos(pi*(x - 0.5)/2))**50000)"

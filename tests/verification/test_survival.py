@@ -60,6 +60,7 @@ def test_nothing_is_left_of_the_box(rate, box):
     assert error.solution.time[1] < error.time < 2
 
 
+@pytest.mark.slow
 def test_the_work_is_bounded_and_the_same_each_time():
     problem = ro.compile(REFERENCE["coupled"]())
     messages, works = [], []

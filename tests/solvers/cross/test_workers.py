@@ -84,6 +84,7 @@ def test_functions_of_the_user_give_the_same_bits():
     assert bits(compiled.solve(1e-6, executor=1)) == bits(compiled.solve(1e-6, method="cross"))
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_bits(compiled, alone):
     distributed = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
@@ -165,6 +166,7 @@ def test_a_function_that_fails_in_a_worker(value, message):
         ro.solve(problem(value), rtol=1e-6, executor=1)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_once(tmp_path, monkeypatch):
     flag = tmp_path / "flag"
     flag.touch()

@@ -31,6 +31,7 @@ def rates(name: str, nodes: tuple[int, ...], **options: Any) -> list[float]:
     return [float(np.log2(a / b)) for a, b in pairwise(errors)]
 
 
+@pytest.mark.slow
 def test_the_slides_choice_has_order_two_on_decay() -> None:
     """Linear elements, Galerkin on u' + k u = 0, amplitudes alone: limited by the elements."""
     orders = rates("decay", (11, 21, 41), preset="slides")
