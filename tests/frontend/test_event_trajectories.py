@@ -188,6 +188,25 @@ def test_an_event_that_another_one_turns_back_at_once():
         assert made.trajectory(1.2, k=1.0)[n] == counted
 
 
+LATE = [
+    # x is 2 when the delays are over; the second event lowers it, within what counts or below it
+    ro.Event(x - 1, "rising", {n: n + 1}, delay=1, persistent=False, name="late"),
+    ro.Event(x - 1, "rising", {x: h * x}, delay=1, priority=1, name="lower"),
+]
+
+
+@pytest.mark.parametrize(("share", "counted"), [(0.9, 1), (0.4, 0)])
+def test_what_turns_back_at_the_very_end_of_the_delay(share, counted):
+    made = ro.Problem(
+        [sp.Eq(x.diff(t), 1), sp.Eq(n.diff(t), 0)],
+        (t, 0, 2.5), {h: (share, share + 0.05)}, {x: 0, n: 0}, events=LATE,
+    )  # fmt: skip
+    assert made.trajectory(2.3, h=share)[n] == counted
+    solution = ro.solve(made, 1e-3)
+    assert solution.success
+    assert solution[n](2.3, h=share) == pytest.approx(counted, abs=1e-6)
+
+
 def test_a_surface_that_is_passed_in_spite_of_the_reset():
     """A slow relay: x'' = u - 1 goes on through the surface after u is set; exact parabolas."""
     events = [

@@ -317,8 +317,9 @@ class Integration:
         events = self.equations.events
         waiting = sorted(waiting)
         while waiting:
-            heights = events.when(time, self._state, self.point) - first
-            waiting = [k for k in waiting if not events.turned(k, int(np.sign(heights[k])))]
+            heights = events.when(time, self._state, self.point)
+            sides = 1 * (heights > np.maximum(first, 0.0)) - (heights < np.minimum(first, 0.0))
+            waiting = [k for k in waiting if not events.turned(k, int(sides[k]))]
             ranks = [self._priority(k) for k in waiting]
             if not waiting:
                 return

@@ -24,7 +24,8 @@ class SystemEvent:
     unless that is before the start. With a ``delay`` the states are reset that much later, unless
     ``when`` turns back and the event is not ``persistent``. Of several at one instant the one of
     the highest ``priority`` is first. It is ``timed`` if it is no event of the user; rates jump at
-    a ``switch``; it ``starts`` or ``cancels`` the event at that position, which has no root.
+    a ``switch``; it ``starts`` or ``cancels`` the event at that position, whose times trajectories
+    tell one by one.
     """
 
     when: OfTrajectory
@@ -44,8 +45,8 @@ class SystemEvent:
     @property
     def interrupts(self) -> bool:
         """Whether the trajectory does not go on as if nothing had been."""
-        delays = self.starts is not None or self.cancels is not None
-        return self.terminal or self.switch or self.then is not None or delays
+        acts_later = self.starts is not None or self.cancels is not None
+        return self.terminal or self.switch or self.then is not None or acts_later
 
     @property
     def jumps(self) -> bool:

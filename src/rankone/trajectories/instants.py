@@ -95,10 +95,12 @@ class Instants:
         states = states.copy()
         happened: list[list[int]] = [[] for _ in fired]
         waiting = np.array([[k in each for each in fired] for k in range(len(self.events))])
-        first = self._heights(waiting, times, states, points)
+        for k, event in enumerate(self.events):
+            if event.cancels is not None:
+                waiting[event.cancels] &= ~waiting[k]
+        first = np.minimum(self._heights(waiting, times, states, points), 0.0)
         while waiting.any():
-            turned = self._heights(waiting, times, states, points) < first
-            waiting &= ~turned
+            waiting &= self._heights(waiting, times, states, points) >= first
             priorities = np.where(
                 waiting, self._priorities(waiting, times, states, points), -math.inf
             )
@@ -116,7 +118,7 @@ class Instants:
     def _heights(
         self, waiting: NDArray[np.bool_], times: Array, states: Array, points: Array
     ) -> Array:
-        """How far events that do not persist have crossed zero (events, m), 0 for all others."""
+        """How far events that do not persist are beyond zero (events, m), 0 for all others."""
         heights = np.zeros(waiting.shape)
         for k, event in enumerate(self.events):
             if not event.persistent and waiting[k].any():
@@ -176,6 +178,8 @@ class Instants:
         """The events whose surface a reset, from some states (n, m) to others, jumps across."""
         triggered: list[list[int]] = [[] for _ in fired]
         for k, event in enumerate(self.events):
+            if event.at is not None:
+                continue  # its time is known, whatever the states
             with np.errstate(all="ignore"):
                 before, after = (
                     np.broadcast_to(np.sign(event.when(times, each, points)), times.shape)

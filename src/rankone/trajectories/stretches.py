@@ -75,13 +75,10 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
     def never(p: Array) -> Array:
         return np.full(p.shape[1], np.inf)
 
-    def without_root(t: Array, _u: Array, _p: Array) -> Array:
-        return np.ones_like(t)
-
     for k, event in enumerate(events):
         if event.delay is None:
             continue
-        put_off[k] = replace(event, when=without_root, at=never, delay=None, persistent=True)
+        put_off[k] = replace(event, at=never, delay=None)
         start = replace(event, name=f"the start of {event.name}", timed=True, starts=k)
         further.append(replace(start, then=None, terminal=False, priority=None, persistent=True))
         if not event.persistent:
