@@ -70,10 +70,12 @@ class Path:
     def over_times(self, start: float, end: float) -> Path:
         """A path over the share of the way as one over times.
 
-        One that went all the way ends at the very end.
+        One that went all the way ends at the very end. Steps that are shorter than the rounding of
+        times are left out.
         """
-        breaks = start + (end - start) * self.breaks
-        return replace(self, breaks=np.where(self.breaks == 1.0, end, breaks))
+        breaks = np.where(self.breaks == 1.0, end, start + (end - start) * self.breaks)
+        long = np.diff(breaks) > 0.0
+        return replace(self, breaks=np.append(breaks[0], breaks[1:][long]), nodal=self.nodal[long])
 
 
 @dataclass(frozen=True)
