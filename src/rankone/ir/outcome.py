@@ -145,7 +145,7 @@ class Outcome:
         """
         if self.timeline is not None:
             raise EvaluationError(
-                f"{what} does not take solutions over stretches between events or switches yet",
+                f"{what} does not take solutions over stretches between events or switches",
                 remedy="give solution.in_clock_time(), which everything takes where events reset "
                 "nothing, or evaluate the solution at points",
             )

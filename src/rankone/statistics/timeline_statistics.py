@@ -32,6 +32,8 @@ class TimelineStatistics(Statistics):
     A warning gives their share where trajectories have ended.
     """
 
+    _latest: tuple[Array, tuple[Array, Array]] | None = None  # variances, and their times
+
     def __init__(
         self, evaluator: TimelineEvaluator, rows: Sequence[int], parameters: JointDistribution
     ) -> None:
@@ -187,15 +189,13 @@ class TimelineStatistics(Statistics):
         """States (rows, N) at each of a few times."""
         return [states for _, states in self._at_all(times, points, rows or self.rows)]
 
-    _latest: tuple[Array, tuple[Array, Array]] | None = None
-
 
 def _warn_of_ends(share: float) -> None:
-    """Warn if no more than a share of the trajectories still run."""
+    """Warn if a share of the trajectories alone still runs at the latest time."""
     if share < 1.0:
         warn(
             f"statistics are over the trajectories that are still running: {100 * share:.3g} % "
-            "of the box at least",
+            "of the box at the latest time",
             remedy="ask for earlier times, or for what is left by `end`",
         )
 
