@@ -230,12 +230,12 @@ class _Watch:
             return
         self.next_look = _NEXT_LOOK * spent
         if not self.paths:
-            self._integrate_pilots(spent)
+            self._integrate_pilots(min(_PILOTS / len(self.points) / _PATIENCE, 1.0) * spent)
         if spent > _PATIENCE * self.alone and self._left(time) * spent > self.alone:
             raise _StallError
 
     def _integrate_pilots(self, most: float) -> None:
-        """Integrate some trajectories alone, with at most as much work as the stack has had."""
+        """Integrate some trajectories alone, unless that is more work than single ones may take."""
         before = work_done()
         some = self.points[np.linspace(0, len(self.points) - 1, _PILOTS).astype(int)]
         try:

@@ -101,6 +101,10 @@ class EventTrajectory:
         self.gaps[self.met], self.met = gap, met
         self.stretch = max(_STRETCH * self.gaps.get(met, gap), least)
 
+    def expect(self, gap: float) -> None:
+        """Go on for no longer than so at first."""
+        self.stretch = min(self.stretch, gap)
+
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""
         return np.array([each.time for each in self.occurrences if each.event == event])

@@ -74,7 +74,9 @@ class Path:
         times are left out.
         """
         breaks = np.where(self.breaks == 1.0, end, start + (end - start) * self.breaks)
-        long = np.diff(breaks) > 0.0
+        long = breaks[1:] > breaks[:-1]
+        if long.all():
+            return Path(breaks, self.nodal, self.state)
         return replace(self, breaks=np.append(breaks[0], breaks[1:][long]), nodal=self.nodal[long])
 
 
@@ -104,7 +106,7 @@ class Paths:
         """States (n, m, T) at times (m, T) of each path, after a jump at its time."""
         charge(_READ_COST(times.size * self.nodal.shape[2]))
         steps = np.isfinite(self.breaks).sum(axis=1) - 1
-        place = (self.breaks[:, None, :] <= times[:, :, None]).sum(axis=2) - 1
+        place = _after(self.breaks, times) - 1
         place = np.clip(place, 0, steps[:, None] - 1)
         begin, end = (np.take_along_axis(self.breaks, place + k, axis=1) for k in (0, 1))
         powers = np.vander((2.0 * (times - begin) / (end - begin) - 1.0).ravel(), NODES.size, True)
@@ -136,6 +138,18 @@ class Paths:
                 nodal[-1] = last[:, k].T
             cut.append(Path(breaks, nodal, states[:, k]))
         return cut
+
+
+def _after(breaks: Array, times: Array) -> NDArray[np.intp]:
+    """How many of ascending breaks (m, S) are not after times (m, T), by bisection."""
+    low = np.zeros(times.shape, dtype=np.intp)
+    high = np.full(times.shape, breaks.shape[1])
+    for _ in range(breaks.shape[1].bit_length()):
+        middle = (low + high) // 2
+        before = np.take_along_axis(breaks, np.minimum(middle, breaks.shape[1] - 1), 1) <= times
+        before &= middle < high
+        low, high = np.where(before, middle + 1, low), np.where(before, high, middle)
+    return low
 
 
 def step_coefficients(nodal: Array) -> Array:

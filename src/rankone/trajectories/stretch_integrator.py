@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock, System
@@ -97,8 +99,9 @@ class StretchTrajectories:
         at = self.borders[:, stretch] + (times - stretch) * lengths
         states = np.empty((n + CLOCK_STATES, len(self.trajectories), times.size))
         states[n], states[n + 1] = at, lengths
-        for i in np.unique(stretch):
-            here = stretch == i
+        first = self._first_alike[stretch]
+        for i in np.unique(first):
+            here = first == i
             states[:n, :, here] = self._paths[i](at[:, here])
         return self._with_lifted(times, states)
 
@@ -127,7 +130,19 @@ class StretchTrajectories:
         events = self.clock.system.events
         each = zip(self.trajectories, self.borders, strict=True)
         paths = [_paths(trajectory, events, borders) for trajectory, borders in each]
-        return [Paths.of(stretch) for stretch in zip(*paths, strict=True)]
+        stretches: list[Paths] = []
+        before: tuple[Path, ...] = ()
+        for stretch in zip(*paths, strict=True):
+            alike = all(map(operator.is_, stretch, before)) if before else False
+            stretches.append(stretches[-1] if alike else Paths.of(stretch))
+            before = stretch
+        return stretches
+
+    @cached_property
+    def _first_alike(self) -> NDArray[np.intp]:
+        """For each stretch the first one whose paths serve it too."""
+        firsts: dict[int, int] = {}
+        return np.array([firsts.setdefault(id(each), i) for i, each in enumerate(self._paths)])
 
 
 def _paths(
