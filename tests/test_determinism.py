@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import sympy as sp
 
 import rankone as ro
@@ -55,6 +56,7 @@ def write(folder: Path) -> None:
     ro.compile(EXAMPLES["kirchhoff"].problem).export(folder / "solver.py")
 
 
+@pytest.mark.slow
 def test_the_same_bytes_under_another_hash_seed(tmp_path):
     """As another process writes them, whatever this one has computed before."""
     here, there = tmp_path / "here", tmp_path / "there"

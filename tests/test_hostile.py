@@ -78,6 +78,7 @@ def test_a_power_of_thousands_of_terms_stays_as_it_is(rate):
     assert compiled.solve(1e-3).success
 
 
+@pytest.mark.slow
 def test_a_power_beyond_all_reason_is_not_expanded():
     compiled = ro.compile(text("x**99999999*k"))
     assert len(compiled.source) < 10_000

@@ -52,7 +52,14 @@ class Wild:
         return 3600.0 * next(self.hours)
 
 
-@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+SLOW = ["two engines"]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [pytest.param(CALLS[c], marks=pytest.mark.slow if c in SLOW else ()) for c in CALLS],
+    ids=CALLS,
+)
 def test_neither_a_clock_nor_an_executor_changes_a_solve(call, monkeypatch):
     problem, rtol, options = call
     plain = ended(problem, rtol, options)

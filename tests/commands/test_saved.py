@@ -198,6 +198,7 @@ KINDS = ("trajectories", "bands", "sobol", "main_effects")
 TEXTS = ["report.json", "report.txt"]
 
 
+@pytest.mark.slow
 def test_a_report_has_plots(run: Run) -> None:
     pytest.importorskip("matplotlib")
     status, out, err = run("report", "u.nc")
@@ -209,6 +210,7 @@ def test_a_report_has_plots(run: Run) -> None:
     assert Path("u_report/report.txt").read_text() == out
 
 
+@pytest.mark.slow
 def test_a_report_in_a_directory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The plots are drawn at the centre and at the end of the horizon."""
     plotting = pytest.importorskip("rankone.plotting")

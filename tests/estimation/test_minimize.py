@@ -64,7 +64,13 @@ def found_least(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["rastrigin 4", "schwefel 4", "shekel", "two frequencies, two amplitudes"]
+    "name",
+    [
+        "rastrigin 4",
+        "schwefel 4",
+        "shekel",
+        pytest.param("two frequencies, two amplitudes", marks=pytest.mark.slow),
+    ],
 )
 def test_the_minimum_over_the_box(name):
     """Each has many minima, and one search from the best of a sample ends in another one."""

@@ -83,6 +83,7 @@ def test_narrow_posteriors(sigma):
     assert set(found.sample(3, seed=0)) == {"k", "a"}
 
 
+@pytest.mark.slow
 def test_by_a_chain():
     """Four parameters of a polynomial, whose posterior is normal."""
     pytest.importorskip("emcee")

@@ -24,6 +24,7 @@ DRIVER = Path(__file__).with_name("page_driver.mjs")
 SCRIPT = re.compile(r'<script type="module">\n(.*?)</script>', re.S)
 GHOSTS, TRAIL, EVERY = 50, 200, 8
 
+pytestmark = pytest.mark.slow
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js (node)")
 
 

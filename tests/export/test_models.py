@@ -300,7 +300,7 @@ def run_driver(program, solution, where):
     return values, np.moveaxis(gradients, 0, 2), batch.reshape(count, n).T
 
 
-LARGE = {"lotka_volterra", "kirchhoff", "chain", "free_fall", "linear", "robertson"}
+LARGE = {*EXAMPLES, "scaled"} - {"decay"}
 """Models in C that take long to compile, or say what others say."""
 
 

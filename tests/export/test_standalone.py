@@ -217,6 +217,7 @@ def test_bad_input(alone, folder):
         assert message in said, call
 
 
+@pytest.mark.slow
 def test_program(alone, folder):
     run = started(folder, "solver.py", "--rtol", "1e-6", "--at", "t=1", "x0=9", "y0=5", "--json")
     assert run.returncode == 0, run.stderr

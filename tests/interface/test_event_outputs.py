@@ -53,6 +53,7 @@ def test_states_on_both_sides_of_an_event(ball):
     assert asked(ball, lost) == pytest.approx((1 - E**2) * speed**2, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_functions_of_time_run_through_events(ball):
     first = np.sqrt(H)
     assert asked(ball, ro.maximum(v)) == pytest.approx(2 * first * E, rel=1e-4)

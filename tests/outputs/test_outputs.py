@@ -239,8 +239,8 @@ def decaying():
         (1 / (1 + ((a - 0.98765) / 1e-6) ** 2), 0.05),
         (u * sp.exp(-(((t - 0.7777) / 1e-5) ** 2)), 0.05),
         (sp.exp(-(((k - a) / 1e-4) ** 2)), 0.05),
-        (sp.exp(-(((t - k) / 1e-4) ** 2)), 0.05),
-        (sp.exp(-(((u - 0.6123) / 1e-4) ** 2)), 0.05),
+        pytest.param(sp.exp(-(((t - k) / 1e-4) ** 2)), 0.05, marks=pytest.mark.slow),
+        pytest.param(sp.exp(-(((u - 0.6123) / 1e-4) ** 2)), 0.05, marks=pytest.mark.slow),
         pytest.param(
             ro.maximum(sp.exp(-(((u - 0.6123) / 1e-4) ** 2))), 0.5, marks=pytest.mark.slow
         ),

@@ -91,6 +91,7 @@ def test_main_effects():
     assert later.get_ylabel() == "mean of u"
 
 
+@pytest.mark.slow
 def test_main_effects_are_those_of_the_solution():
     under = {"y0": scipy.stats.norm(5, 0.3), "x0": scipy.stats.norm(10, 0.5)}
     for over in ({"under": under}, {"under": under, "correlation": {("x0", "y0"): 0.6}}):

@@ -65,6 +65,7 @@ def test_nothing_was_interpolated_yet():
     assert solution.message.endswith("raise effort")
 
 
+@pytest.mark.slow
 def test_coulomb_friction_names_the_term():
     rates = {"x": "v", "v": "sin(t) - x - mu*sign(v)"}
     problem = ro.Problem.from_strings(rates, {"x": "1", "v": "0"}, {"mu": (0.4, 0.5)}, (0, 2))

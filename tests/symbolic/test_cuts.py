@@ -130,7 +130,11 @@ def test_a_peak_that_moves_with_a_parameter_is_not_stepped_over():
     assert reference or "at times that depend on parameters" in solution.message
 
 
-@pytest.mark.parametrize("rate", MOVING_STEPS.values(), ids=MOVING_STEPS)
+@pytest.mark.parametrize(
+    "rate",
+    [pytest.param(MOVING_STEPS["pulse"], marks=pytest.mark.slow), MOVING_STEPS["dose"]],
+    ids=MOVING_STEPS,
+)
 def test_switches_that_move_with_a_parameter_end_stretches(rate):
     problem = ro.Problem.from_strings({"x": rate}, {"x": "1"}, {"k": (0.5, 1)}, (0, 100))
     solution = ro.solve(problem, 1e-3)
@@ -169,7 +173,9 @@ def test_periodic_switches_move_with_a_parameter():
     ("shape", "area"),
     [
         ("1e7*exp(-((t - 0.31234)/1e-7)**2)", math.sqrt(math.pi)),
-        ("1e6*(tanh((t - 0.31234)*1e9) - tanh((t - 0.312341)*1e9))", 2.0),
+        pytest.param(
+            "1e6*(tanh((t - 0.31234)*1e9) - tanh((t - 0.312341)*1e9))", 2.0, marks=pytest.mark.slow
+        ),
         pytest.param("1e7/(1 + ((t - 0.31234)*1e7)**2)", math.pi, marks=pytest.mark.slow),
     ],
 )

@@ -105,7 +105,14 @@ MATTERS = {
 }
 
 
-@pytest.mark.parametrize(("rates", "starts", "end"), MATTERS.values(), ids=MATTERS)
+@pytest.mark.parametrize(
+    ("rates", "starts", "end"),
+    [
+        pytest.param(*case, marks=pytest.mark.slow if n == "seed" else ())
+        for n, case in MATTERS.items()
+    ],
+    ids=MATTERS,
+)
 def test_no_state_that_matters_is_numerically_zero(rates, starts, end):
     """Each to its own relative accuracy, against SciPy."""
     problem = compiled(rates, starts, end, {"k": (0.5, 1.5)})

@@ -186,6 +186,7 @@ def test_an_unknown_integrator():
         ro.solve(ro.Problem.from_strings({"x": "-x"}, {"x": "1"}, {}, (0, 2)), integrator="twice")
 
 
+@pytest.mark.slow
 def test_exported_solvers_integrate_trajectories_alone(tmp_path):
     """Their right-hand side is rewritten for floats as it is in the library."""
     problem = ro.Problem.from_strings({"x": "-k*x + sin(x)"}, {"x": "1"}, {"k": (0.5, 1.5)}, (0, 2))
@@ -229,7 +230,7 @@ def test_steps_tell_those_of_explicit_ones():
     assert 0.3 * stack < single < 3.0 * stack
 
 
-@pytest.mark.parametrize("integrator", ["stack", "single"])
+@pytest.mark.parametrize("integrator", ["stack", pytest.param("single", marks=pytest.mark.slow)])
 def test_a_state_leaves_zero_where_its_jacobian_is_infinite(integrator):
     """Newton's correction vanishes there, whatever the rate is."""
     rate, end = "-k*sqrt(x) + 0.01*exp(-t)", 3.0

@@ -20,7 +20,7 @@ BARS = [
     ("coupled", 1e-8),
     ("lotka_volterra", 1e-6),
     ("kirchhoff", 1e-4),
-    ("robertson", 1e-4),
+    pytest.param("robertson", 1e-4, marks=pytest.mark.slow),
     ("chain", 1e-4),
 ]
 
