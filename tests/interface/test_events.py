@@ -345,21 +345,6 @@ def test_a_trajectory_that_blows_up_after_its_last_event_is_refused():
         ro.solve(runaway, 1e-3)
 
 
-def test_a_dose_may_be_at_a_start_that_is_not_zero():
-    """The shortest steps of a stack over shares are rounding of times there."""
-    late = ro.Problem.from_strings(
-        {"x": "-k*x"},
-        {"x": 1},
-        {"k": (0.5, 1), "lag": (1, 2)},
-        (1, 3),
-        jumps={"lag": {"x": "x + 1"}},
-    )
-    solution = ro.solve(late, RTOL)
-    assert solution.success
-    exact = np.exp(-0.7 * 1.5) + np.exp(-0.7 * 0.9)
-    assert solution["x"](2.5, k=0.7, lag=1.6) == pytest.approx(exact, rel=2 * RTOL)
-
-
 def test_a_dose_may_be_at_the_start():
     problem = ro.Problem.from_strings(
         {"A": "r - k*A", "r": "0"},

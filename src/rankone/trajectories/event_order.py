@@ -99,18 +99,15 @@ def follow(
     def enough(trajectory: EventTrajectory, edge: float) -> bool:
         return edge > end and len(instants_of(trajectory, length)) >= count
 
-    def to_edges(edges: Sequence[float]) -> list[EventTrajectory]:
-        return integrate_to_events(
-            integrator, clock.system, points, edges, tolerances, events, enough, begun
-        )
-
+    edges = [start, end, end + _FAR * length]
+    if clock.order.ending is Ending.HORIZON:
+        edges = edges[:2]
+    if begun:
+        edges = edges[1:]
     events = clock.system.events
-    begun = begun or to_edges((start, end))
-    followed = begun
-    if clock.order.ending is not Ending.HORIZON:
-        for each in begun:
-            each.expect(length / (1 + len(each.occurrences)))
-        followed = to_edges((end, end + _FAR * length))
+    followed = integrate_to_events(
+        integrator, clock.system, points, edges, tolerances, events, enough, begun
+    )
     early: list[int] = []
     for k, each in enumerate(followed):
         terminal = bool(each.occurrences) and events[each.occurrences[-1].event].terminal

@@ -62,9 +62,12 @@ class EventTrajectory:
 
     def next_end(self, edge: float) -> float:
         """The end of what is integrated next, on the way to an edge: no known time is within."""
-        edge = min(edge, self.ahead.min(initial=math.inf))
-        far = edge - self.end > _STRETCH * self.stretch
-        return self.end + self.stretch if far else edge
+        edge, stretch = min(edge, self.ahead.min(initial=math.inf)), self.stretch
+        passed = self.end - float(self.paths[0].breaks[0])
+        if stretch == math.inf and self.occurrences and passed > 0.0:  # they have changed nothing
+            stretch = passed / len(self.occurrences)
+        far = edge - self.end > _STRETCH * stretch
+        return self.end + stretch if far else edge
 
     @property
     def fired(self) -> frozenset[int]:
@@ -100,10 +103,6 @@ class EventTrajectory:
         gap, self.interrupted = time - self.interrupted, time
         self.gaps[self.met], self.met = gap, met
         self.stretch = max(_STRETCH * self.gaps.get(met, gap), least)
-
-    def expect(self, gap: float) -> None:
-        """Go on for no longer than so at first."""
-        self.stretch = min(self.stretch, gap)
 
     def times_of(self, event: int) -> Array:
         """The times of an event, in order."""

@@ -70,14 +70,10 @@ class Path:
     def over_times(self, start: float, end: float) -> Path:
         """A path over the share of the way as one over times.
 
-        One that went all the way ends at the very end. Steps that are shorter than the rounding of
-        times are left out.
+        One that went all the way ends at the very end.
         """
-        breaks = np.where(self.breaks == 1.0, end, start + (end - start) * self.breaks)
-        long = breaks[1:] > breaks[:-1]
-        if long.all():
-            return Path(breaks, self.nodal, self.state)
-        return replace(self, breaks=np.append(breaks[0], breaks[1:][long]), nodal=self.nodal[long])
+        breaks = start + (end - start) * self.breaks
+        return Path(np.where(self.breaks == 1.0, end, breaks), self.nodal, self.state)
 
 
 @dataclass(frozen=True)
