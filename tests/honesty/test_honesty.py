@@ -8,19 +8,19 @@ from tests.honesty.cases import case as make
 from tests.honesty.verdicts import judged
 
 COUNTS = {
-    "pulses": 12,
-    "features": 12,
-    "systems": 8,
-    "products": 8,
+    "pulses": 6,
+    "features": 6,
+    "systems": 4,
+    "products": 4,
     "steep": 4,
     "general": 4,
     "passages": 3,
-    "surfaces": 8,
+    "surfaces": 4,
     "peaks": 4,
-    "moving": 2,
-    "data": 6,
-    "doses": 6,
-    "events": 8,
+    "moving": 1,
+    "data": 3,
+    "doses": 4,
+    "events": 5,
 }
 """Cases of each kind."""
 SOLVED = ("pulses", "features")
