@@ -87,13 +87,16 @@ NAMES = [*PROBLEMS, "two runs"]
 
 
 def points(solution, count=2000):
-    """Random points by name, and the corners of the box at times before and after the events."""
+    """Random points by name, some at corners of the box, at the very times of doses."""
     rng = np.random.default_rng(2)
     box = {solution.metadata.time: solution.time, **solution.parameters}
     where = {name: rng.uniform(a, b, count) for name, (a, b) in box.items()}
     for name, ends in solution.parameters.items():
         where[name][::3] = rng.choice(ends, len(where[name][::3]))
     where[solution.metadata.time][:2] = solution.time
+    if "lag" in box:
+        where["t"][2::5] = where["lag"][2::5]
+        where["t"][3::5] = where["lag"][3::5] + where["span"][3::5]
     return where
 
 
@@ -123,7 +126,8 @@ def test_python(name, tmp_path):
     assert_close(model.end(at), solution.end(at))
     # the derivative in time, away from the events
     step = 1e-6 * solution.time[1]
-    inner = {**where, "t": np.clip(where["t"], 2 * step, solution.time[1] - 2 * step)}
+    later = where["t"] + 2 * step
+    inner = {**where, "t": np.clip(later, 2 * step, solution.time[1] - 2 * step)}
     ahead, behind = (model.value({**inner, "t": inner["t"] + sign * step}) for sign in (1, -1))
     rates = (ahead - behind) / (2 * step)
     size = np.nanmax(np.abs(model.gradient(inner)[:, 0]), axis=1, keepdims=True)

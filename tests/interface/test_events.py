@@ -141,6 +141,33 @@ def test_values_at_an_instant_are_those_after_it():
     np.testing.assert_allclose(after[1], -0.8 * before[1], rtol=1e-4)
 
 
+def test_affine_times_are_met_to_the_last_digit():
+    """Of doses and of jumps at a number, also where a parameter of them is fixed."""
+    dosed = ro.Problem.from_strings(
+        {"A": "-k*A", "B": "0"},
+        {"A": 1, "B": 0},
+        {"k": (0.3, 0.5), "lag": (0.5, 1.5), "span": (1.0, 1.7)},
+        (0, 6),
+        jumps={"lag": {"B": "B + 1"}, "lag + 2*span": {"B": "B + 1"}, 5: {"B": "B + 1"}},
+    )
+    rng = np.random.default_rng(4)
+    for method in ("cross", "train"):
+        solution = ro.solve(dosed, 1e-3, method=method)
+        k, lag, span = (rng.uniform(*ends, 500) for ends in solution.parameters.values())
+        doses = [lag, lag + 2 * span, np.full(500, 5.0)]
+        for count, times in enumerate(doses):
+            after = solution["B"](times, k=k, lag=lag, span=span)
+            before = solution["B"](np.nextafter(times, 0.0), k=k, lag=lag, span=span)
+            np.testing.assert_allclose(before, count, atol=1e-3)
+            np.testing.assert_allclose(after, count + 1, atol=1e-3)
+        assert (solution.event_times("jump_0", k=k, lag=lag, span=span) == lag).all()
+        fixed = solution.fix(lag=0.7)["B"]
+        assert fixed(np.nextafter(0.7, 0.0), k=0.4, span=1.2) < 0.5 < fixed(0.7, k=0.4, span=1.2)
+        slopes = solution.gradient(lag + 0.1, k=k, lag=lag, span=span)[0]
+        exact = np.stack([-(lag + 0.1) * np.exp(-k * (lag + 0.1)), 0 * k, 0 * k])
+        np.testing.assert_allclose(slopes, exact, atol=0.02)
+
+
 def test_broadcasting_and_grids_are_as_without_events():
     solution = solved("ball")
     times, heights = np.linspace(0, 1.6, 7), np.array([0.9, 1.0, 1.1])

@@ -121,7 +121,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
-        "Events": _events(writer, system.events),
+        "Events": _events(writer, system.events, [c.symbol for c in system.coordinates[1:]]),
     }
     names = [state.name for state in system.states]
     tables = _tables(False, names, len(names), (), system.coordinates)
@@ -267,7 +267,9 @@ def _jump_tables(writer: PointwiseWriter, jumps: Sequence[Jump]) -> list[str]:
     return [*table("JUMPS", nested(rows)), *table("ROUGH_JUMPS", nested(rough))]
 
 
-def _events(writer: PointwiseWriter, events: Sequence[EventForm]) -> list[Block]:
+def _events(
+    writer: PointwiseWriter, events: Sequence[EventForm], parameters: Sequence[sp.Symbol]
+) -> list[Block]:
     """The events, what crosses zero, and the states after those that reset some."""
     if not events:
         return []
@@ -278,6 +280,8 @@ def _events(writer: PointwiseWriter, events: Sequence[EventForm]) -> list[Block]
     names = [state.name for state in writer.states]
     known = [i for i, e in enumerate(events) if e.at is not None]
     times = f"Times of events of parameters p (d, ...): ({len(known)}, ...)."
+    affine = [(i, a) for i, e in enumerate(events) if (a := e.affine(parameters)) is not None]
+    affine_times = table("AFFINE_EVENT_TIMES", nested(affine)) if affine else []
     delayed = [i for i, e in enumerate(events) if e.delay is not None]
     delays = f"Time from an event to its resets, at u ({n}, ...): ({len(delayed)}, ...)."
     ranked = [i for i, e in enumerate(events) if e.priority is not None]
@@ -288,6 +292,7 @@ def _events(writer: PointwiseWriter, events: Sequence[EventForm]) -> list[Block]
             "# name, direction, whether it ends the trajectory, whether it resets states",
             *table("EVENTS", [f"({', '.join(map(str, row))})" for row in rows]),
             *([f"KNOWN_EVENTS = {tuple(known)}"] if known else []),
+            *affine_times,
             *([f"DELAYED_EVENTS = {tuple(delayed)}"] if delayed else []),
             *([f"RANKED_EVENTS = {tuple(ranked)}"] if ranked else []),
             *([f"WITHDRAWN_EVENTS = {tuple(withdrawn)}"] if withdrawn else []),

@@ -113,7 +113,7 @@ def _timeline(timeline: PackedTimeline | None, borders: Sequence[int]) -> dict[s
         "event_type": " | ".join(names) or "never",
         "first_slabs": wrapped(map(str, timeline.first_slabs)),
         "border_cores": wrapped(map(str, borders)),
-        "ends_there": str(timeline.ends_there).lower(),
+        "affine": wrapped(f"[{border}, {_list(numbers)}]" for border, numbers in timeline.affine),
         "terminal": str(timeline.terminal).lower(),
         "instants": wrapped(f"[{each}]" for each in instants),
     }

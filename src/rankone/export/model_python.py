@@ -79,7 +79,7 @@ _MODEL_TABLES = (
     *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "STARTS", "CORES", "SLABS"),
     "COEFFICIENTS",
 )
-_TIMELINE = ("STRETCHES", "RUNS", "BORDERS", "ENDS_THERE", "TERMINAL", "INSTANTS", "EVENTS")
+_TIMELINE = ("STRETCHES", "RUNS", "BORDERS", "AFFINE", "TERMINAL", "INSTANTS", "EVENTS")
 
 
 def _construction(model: PackedModel) -> list[str]:
@@ -190,8 +190,9 @@ def _timeline(timeline: PackedTimeline, borders: tuple[int, ...]) -> list[str]:
         "# the core that makes the times of the borders of stretches",
         *table("RUNS", nested(timeline.runs)),
         *table("BORDERS", nested(borders)),
-        "# whether the last stretch ends with the horizon, or with an event that ends it all",
-        f"ENDS_THERE = {timeline.ends_there}",
+        "# the borders at affine functions of the parameters: the constant, and the slopes",
+        *table("AFFINE", nested(timeline.affine)),
+        "# whether an event ends it all",
         f"TERMINAL = {timeline.terminal}",
         "# the events at the end of each stretch that is met",
         *table("INSTANTS", tuples),

@@ -26,14 +26,14 @@ class EventModel(Model):
         stretches: Sequence[int],
         runs: Sequence[int],
         borders: Sequence[int],
-        ends_there: bool,
+        affine: Sequence[tuple[int, Sequence[float]]],
         terminal: bool,
         instants: Sequence[Sequence[str]],
         events: Sequence[str],
     ) -> None:
         super().__init__(*tables)
         self._first = np.array(stretches)
-        self._runs, self._ends_there, self._terminal = runs, ends_there, terminal
+        self._runs, self._affine, self._terminal = runs, affine, terminal
         self._borders = [self._cores[core][2][0, :, 0] for core in borders]
         self._instants, self.events = instants, events
 
@@ -77,10 +77,12 @@ class EventModel(Model):
             clock = matrix @ product.reshape(len(product), -1)
             borders.append(clock.reshape(len(matrix), *product.shape[1:]))
         clock = np.concatenate(borders)
-        for border, time in zip((0, -1), self.intervals[0], strict=True):
-            if border == 0 or self._ends_there:
-                clock[border] = 0.0
-                clock[border, 0] = time
+        for border, (constant, *slopes) in self._affine:
+            clock[border, 0] = constant
+            for j in np.flatnonzero(slopes):
+                clock[border, 0] += slopes[j] * points[j]
+            if derivatives:
+                clock[border, 1:] = np.array(slopes)[:, None]
         return products, clock
 
     def _evaluate(self, points: Array, derivatives: bool) -> Array:

@@ -20,7 +20,6 @@ import numpy as np
 
 from rankone.discretization import IDENTITY, Scale
 from rankone.export.rounding import rounded_slabs
-from rankone.ir.events import Ending
 from rankone.ir.measures import with_measure
 from rankone.ir.metadata import with_unit
 from rankone.ir.timeline import CLOCK_STATES, Timeline
@@ -70,8 +69,8 @@ class PackedTimeline:
     ``runs`` has the run that each slab belongs to, of those that share the cores of their
     parameters. ``borders`` has for each run a core without polynomials, whose product with the
     cores of the parameters is the clock at the beginnings of its stretches, and for the last run
-    also at the end. The first border is the start of the horizon, the last one its end where
-    ``ends_there``.
+    also at the end. ``affine`` has the borders at affine functions of the parameters, which include
+    the start of the horizon, with the constant and a slope for each parameter.
 
     ``instants`` are the names of the events at each border but the first, up to the last one that
     some trajectory meets; ``resets`` says which of them reset states. ``events`` are all names.
@@ -80,7 +79,7 @@ class PackedTimeline:
     first_slabs: tuple[int, ...]
     runs: tuple[int, ...]
     borders: tuple[PackedCore, ...]
-    ends_there: bool
+    affine: tuple[tuple[int, tuple[float, ...]], ...]
     terminal: bool
     instants: tuple[tuple[str, ...], ...]
     resets: tuple[bool, ...]
@@ -251,7 +250,10 @@ def _timeline(timeline: Timeline, slabs: Sequence[SlabTrain]) -> PackedTimeline:
         first_slabs=(*first_slabs, len(slabs)),
         runs=tuple(runs),
         borders=tuple(borders),
-        ends_there=timeline.ending is Ending.HORIZON,
+        affine=tuple(
+            (border, (*times, *[0.0] * (1 + len(slabs[0].bases) - len(times))))
+            for border, times in timeline.affine_borders.items()
+        ),
         terminal=timeline.terminal,
         instants=met,
         resets=timeline.resets[: len(met)],

@@ -105,6 +105,15 @@ class EventForm:
     priority: sp.Expr | None = None
     persistent: bool = True
 
+    def affine(self, parameters: Sequence[sp.Symbol]) -> tuple[float, ...] | None:
+        """The constant and a slope for each parameter of ``at``, where it is affine."""
+        if self.at is None or not self.at.is_polynomial(*parameters):
+            return None
+        slopes = [self.at.diff(p) for p in parameters]
+        constant = self.at.subs(dict.fromkeys(parameters, 0))
+        numbers = [constant, *slopes]
+        return tuple(map(float, numbers)) if all(n.is_number for n in numbers) else None
+
     @property
     def expressions(self) -> tuple[sp.Expr, ...]:
         """What it is made of, but for ``at``."""

@@ -301,6 +301,9 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
         for kind in ("KNOWN", "DELAYED", "RANKED", "WITHDRAWN")
     )
 
+    rows = cast("Sequence[tuple[int, tuple[float, ...]]]", names.get("AFFINE_EVENT_TIMES", ()))
+    affine = dict(rows)
+
     def row(function: str, i: int) -> OfTrajectory:
         def value(t: Array, u: Array, p: Array) -> Array:
             return np.asarray(cast(OfStates, names[function])(t, u, p)[i])
@@ -322,6 +325,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
             delay=row("event_delays", delayed.index(k)) if k in delayed else None,
             priority=row("event_priorities", ranked.index(k)) if k in ranked else None,
             persistent=k not in withdrawn,
+            affine=affine.get(k),
         )
 
     return tuple(event(k, *each) for k, each in enumerate(listed))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rankone.ir.events import Ending
 from rankone.ir.system import Clock
@@ -19,6 +19,9 @@ class Timeline:
     ``resets`` says which of them reset states, and ``terminal`` whether the last one ends the
     trajectories. ``horizon`` is that of the clock. Behind the states of the slabs are the clock and
     the length of the stretch.
+
+    ``affine`` has the borders of stretches whose times are affine functions of the parameters, with
+    the constant and the slopes: the clock of the slabs has these times to its tolerance alone.
     """
 
     events: tuple[str, ...]
@@ -28,6 +31,7 @@ class Timeline:
     ending: Ending
     terminal: bool
     horizon: tuple[float, float]
+    affine: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
     @classmethod
     def of(cls, clock: Clock) -> Timeline:
@@ -40,6 +44,11 @@ class Timeline:
             clock.order.ending,
             bool(instants) and any(events[k].terminal for k in instants[-1]),
             clock.horizon,
+            tuple(
+                (border, next(affine for affine in times if affine is not None))
+                for border, instant in enumerate(instants, 1)
+                if any(times := [events[k].affine for k in instant])
+            ),
         )
 
     def __str__(self) -> str:
@@ -58,11 +67,27 @@ class Timeline:
         lines = [f"{self.stretches} stretches over [{start:g}, {end:g}], which end with"]
         return "\n".join([*lines, *(f"  {name}" for name in names)])
 
+    def fixed(self, parameter: int, value: float) -> Timeline:
+        """The timeline where the parameter at a position is no longer a coordinate."""
+        affine = []
+        for border, (constant, *slopes) in self.affine:
+            if slopes:
+                constant += slopes.pop(parameter) * value
+            affine.append((border, (constant, *slopes)))
+        return replace(self, affine=tuple(affine))
+
     @property
     def met(self) -> tuple[tuple[str, ...], ...]:
         """The instants that some trajectory meets before the end of the horizon."""
         beyond = self.ending is Ending.EVENT and not self.terminal
         return self.instants[:-1] if beyond else self.instants
+
+    @property
+    def affine_borders(self) -> dict[int, tuple[float, ...]]:
+        """Borders of stretches at affine times, and at the ends of the horizon."""
+        start, end = self.horizon
+        ends = {self.stretches: (end,)} if self.ending is Ending.HORIZON else {}
+        return {0: (start,), **dict(self.affine), **ends}
 
     @property
     def stretches(self) -> int:

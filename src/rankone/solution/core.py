@@ -17,7 +17,6 @@ from typing import Any, NoReturn
 import numpy as np
 
 from rankone.discretization.coordinates import Coordinates, name_of
-from rankone.ir.events import Ending
 from rankone.ir.metadata import SolutionMetadata
 from rankone.ir.outcome import Outcome, SafeInterval
 from rankone.ir.timeline import Timeline
@@ -302,7 +301,7 @@ class _ByState(dict[str, float]):
 
 def timeline_evaluator(slabs: Sequence[SlabTrain], timeline: Timeline) -> TimelineEvaluator:
     """The evaluator of slabs over the stretches of a timeline."""
-    return TimelineEvaluator(slabs, timeline.horizon, timeline.ending is Ending.HORIZON)
+    return TimelineEvaluator(slabs, timeline.horizon, timeline.affine_borders)
 
 
 @contextmanager

@@ -59,7 +59,8 @@ def with_fixed(
         j = position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         point = _inside(name, at, lower, upper)
-        outcome = replace(outcome, slabs=fixed(outcome.slabs, j, point))
+        timeline = outcome.timeline and outcome.timeline.fixed(j, point)
+        outcome = replace(outcome, slabs=fixed(outcome.slabs, j, point), timeline=timeline)
         metadata = replace(
             metadata,
             units=tuple(pair for pair in metadata.units if pair[0] != metadata.parameters[j]),

@@ -262,7 +262,7 @@ def _check(outcome: Outcome, metadata: SolutionMetadata) -> None:
             raise ValueError(f"{subject} is {interval}, not two finite ascending numbers")
     span = metadata.horizon
     if timeline is not None:
-        _check_timeline(timeline, span)
+        _check_timeline(timeline, span, parameters)
         span = (0.0, float(timeline.stretches))
     _check_slabs(outcome.slabs, metadata, span)
     end = span[1]
@@ -301,13 +301,17 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         raise ValueError("a fixed coordinate is not finite")
 
 
-def _check_timeline(timeline: Timeline, horizon: tuple[float, float]) -> None:
+def _check_timeline(timeline: Timeline, horizon: tuple[float, float], parameters: int) -> None:
     """Raise a ValueError unless the entries of a timeline fit each other."""
     names = {name for instant in timeline.instants for name in instant}
     if timeline.horizon != horizon or len(timeline.resets) != len(timeline.instants):
         raise ValueError("the timeline does not fit the horizon, or itself")
     if timeline.stretches < 1 or not all(map(is_line, {*names, *timeline.events})):
         raise ValueError("the timeline has no stretch, or an event a name of several lines")
+    for border, numbers in timeline.affine:
+        fits = 0 < border <= timeline.stretches and len(numbers) in (1, 1 + parameters)
+        if not fits or not all(map(math.isfinite, numbers)):
+            raise ValueError(f"the time of border {border} is {numbers}, which is none")
 
 
 def _check_slabs(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,14 +18,18 @@ class TimelineEvaluator:
     """States at clock times, with the methods of :class:`TrainEvaluator`.
 
     The slabs are over pseudo-time: stretch i is [i, i + 1]. The last two of their states are the
-    clock and the length of the stretch. The clock begins at ``horizon[0]``, and ends with the
-    horizon if ``ends_there``. Values are NaN where no stretch reaches.
+    clock and the length of the stretch. ``affine`` maps borders, 0 for the start of the first
+    stretch, to the constant and the slopes of their times, where these are known. Values are NaN
+    where no stretch reaches.
     """
 
     def __init__(
-        self, slabs: Sequence[SlabTrain], horizon: tuple[float, float], ends_there: bool
+        self,
+        slabs: Sequence[SlabTrain],
+        horizon: tuple[float, float],
+        affine: Mapping[int, Sequence[float]],
     ) -> None:
-        self.horizon, self.ends_there = horizon, ends_there
+        self.horizon, self.affine = horizon, affine
         self.slabs, self.trains = tuple(slabs), TrainEvaluator(slabs)
         stretches = round(slabs[-1].end)
         self._clock = np.array([len(slabs[0].cores[0]) - 2], dtype=np.intp)
@@ -37,9 +41,14 @@ class TimelineEvaluator:
         """Clock times (stretches + 1, N) at which stretches begin and end at points (d, N)."""
         pseudo = np.append(self._begins, self._last)[:, None]
         times = self.trains.curves(pseudo, points, self._clock)[0]
-        times[0] = self.horizon[0]
-        if self.ends_there:
-            times[-1] = self.horizon[1]
+        return self._with_affine(times, points)
+
+    def _with_affine(self, times: Array, points: Array) -> Array:
+        """Ascending times of borders, of those of the slabs (stretches + 1, N)."""
+        for border, (constant, *slopes) in self.affine.items():
+            times[border] = constant
+            for j in np.flatnonzero(slopes):
+                times[border] += slopes[j] * points[j]
         return np.asarray(np.maximum.accumulate(times, axis=0))
 
     def one(self, point: Sequence[float], rows: Rows) -> Array:
@@ -79,7 +88,7 @@ class TimelineEvaluator:
                 columns = slab.with_slopes(points, free).reshape(-1, count, width)
                 # the value, then the derivatives in the order of the parameters
                 products.append(np.concatenate([columns[:, :, :1], columns[:, :, :0:-1]], axis=2))
-        borders = self._borders_with_slopes(products)
+        borders = self._borders_with_slopes(products, points, free)
         pseudo, outside = self._pseudo_times(times, borders[..., 0])
         stretch = np.minimum(np.floor(pseudo), self._begins[-1]).astype(np.intp)
         column = np.broadcast_to(np.arange(count), times.shape)
@@ -105,7 +114,9 @@ class TimelineEvaluator:
         states[:, outside] = math.nan
         return states[..., 0], states[..., 1:]
 
-    def _borders_with_slopes(self, products: Sequence[Array]) -> Array:
+    def _borders_with_slopes(
+        self, products: Sequence[Array], points: Array, free: Sequence[int]
+    ) -> Array:
         """Clock times (stretches + 1, N) of borders, with their derivatives along a last axis."""
         pseudo = np.append(self._begins, self._last)
         owners = slab_positions(self.slabs, pseudo)
@@ -114,11 +125,9 @@ class TimelineEvaluator:
             clock = self.slabs[k].with_first(self.slabs[k].cores[0][self._clock])
             borders.append(np.tensordot(clock.in_time(np.array([s]))[0, 0], products[k], 1))
         at = np.array(borders)
-        at[0] = 0.0
-        at[0, :, 0] = self.horizon[0]
-        if self.ends_there:
-            at[-1] = 0.0
-            at[-1, :, 0] = self.horizon[1]
+        at[:, :, 0] = self._with_affine(at[:, :, 0], points)
+        for border, (_, *slopes) in self.affine.items():
+            at[border, :, 1:] = [slopes[j] if slopes else 0.0 for j in free]
         return at
 
     def grid(self, axes: Sequence[Array], rows: Rows) -> Array:

@@ -37,12 +37,18 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
     """The system with its jumps, and with cuts of its time that may move, as events."""
     jumps, times = system.jumps, fixed_times(system, cuts)
 
-    def known(at: Callable[[Array], Array], name: str, then: OfTrajectory | None) -> SystemEvent:
+    def known(
+        at: Callable[[Array], Array],
+        name: str,
+        then: OfTrajectory | None,
+        affine: tuple[float, ...] | None = None,
+    ) -> SystemEvent:
         def when(t: Array, _u: Array, p: Array) -> Array:
             return t - at(p)
 
         switch = then is None
-        return SystemEvent(when, RISING, then, name=name, at=at, timed=True, switch=switch)
+        event = SystemEvent(when, RISING, then, name=name, at=at, timed=True, switch=switch)
+        return replace(event, affine=affine)
 
     def event(time: float) -> SystemEvent:
         kind = jumps.kind_at(time)
@@ -52,7 +58,8 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
             return np.asarray(jumps.jumped(kind, u, p))
 
         name = f"t = {time:.12g}"
-        return known(lambda p: np.full(p.shape[1], time), name, None if kind is None else then)
+        resets = None if kind is None else then
+        return known(lambda p: np.full(p.shape[1], time), name, resets, (time,))
 
     def moving(k: int) -> SystemEvent:
         def at(p: Array) -> Array:
@@ -78,7 +85,7 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
     for k, event in enumerate(events):
         if event.delay is None:
             continue
-        put_off[k] = replace(event, at=never, delay=None)
+        put_off[k] = replace(event, at=never, delay=None, affine=None)
         start = replace(event, name=f"the start of {event.name}", timed=True, starts=k)
         further.append(replace(start, then=None, terminal=False, priority=None, persistent=True))
         if not event.persistent:

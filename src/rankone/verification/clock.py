@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.ir.events import Ending
 from rankone.ir.system import Clock
+from rankone.ir.timeline import Timeline
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
 from rankone.tensors.timeline import TimelineEvaluator
@@ -45,8 +45,7 @@ def clock_errors(
     Times within ``rtol`` horizons of an event that resets states are left out. An error is
     infinite where the slabs have no value and the reference has one, or the other way round.
     """
-    ends_there = clock.order.ending is Ending.HORIZON
-    evaluator = TimelineEvaluator(slabs, clock.horizon, ends_there)
+    evaluator = TimelineEvaluator(slabs, clock.horizon, Timeline.of(clock).affine_borders)
     n = clock.system.n_differential
     errors, largest = np.zeros((n, len(reference.points))), np.zeros((n, len(reference.points)))
     rows, time_error = slice(0, n), 0.0
