@@ -68,7 +68,10 @@ CONSTANT = {
     "maximum": (ro.maximum(x), lambda s: largest(lambda r: s(r)[0])),
     "minimum": (ro.minimum(x - y), lambda s: -largest(lambda r: s(r)[1] - s(r)[0])),
     "crossing": (ro.first_crossing(x, 2), lambda s: crossing(lambda r: s(r)[0] - 2, 0)),
-    "upwards": (ro.first_crossing(x, 2, 1), lambda s: crossing(lambda r: s(r)[0] - 2, 1)),
+    "upwards": (
+        ro.first_crossing(x, 2, direction="rising"),
+        lambda s: crossing(lambda r: s(r)[0] - 2, 1),
+    ),
     "duration": (
         ro.duration(x - 5),
         lambda s: positive(lambda r: s(r)[0] - 5),

@@ -441,6 +441,18 @@ class first_crossing(sp.Function):  # type: ignore[misc]
 
     nargs = (1, 2, 3)
 
+    def __new__(
+        cls,
+        expression: object,
+        level: object = None,
+        direction: object = None,
+        **options: object,
+    ) -> sp.Expr:
+        further = [0 if level is None else level, direction]
+        if direction is None:
+            further = [] if level is None else [level]
+        return super().__new__(cls, expression, *further, **options)
+
     @property
     def parts(self) -> tuple[sp.Expr, sp.Expr]:
         """What crosses zero, and the direction."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,15 +70,20 @@ class Engine:
     ) -> Outcome:
         """Solve over the stretches between events; an OrderError where their order changes."""
         first: OrderError | None = None
+        stages = Stages()
         for more in range(1 + _MOST_MORE_EVENTS):
-            stages = Stages()
             try:
                 with stages.of("reference"):
                     clock = clock_of(system, request, more)
                 stretched, request_there = over_stretches(clock, request)
                 outcome = self._solve(stretched, request_there, report)
-                slabs = _without_last(outcome.slabs, stretched)
-                return replace(outcome, slabs=slabs, timeline=Timeline.of(clock))
+                return replace(
+                    outcome,
+                    slabs=_without_last(outcome.slabs, stretched),
+                    timings=_sums(outcome.timings, stages.timings),
+                    work=_sums(outcome.work, stages.work),
+                    timeline=Timeline.of(clock),
+                )
             except OutOfBudgetError as out:
                 return out_at_reference(out, system, stages)
             except MoreEventsError as error:
@@ -165,11 +170,16 @@ def _best_outcome(
     best, method = min(outcomes, key=badness)
     if len(outcomes) == 1:
         return best, method
-    timings = {stage: sum(o.timings[stage] for o, _ in outcomes) for stage in best.timings}
-    work = {stage: sum(o.work[stage] for o, _ in outcomes) for stage in best.work}
+    timings = _sums(*(o.timings for o, _ in outcomes))
+    work = _sums(*(o.work for o, _ in outcomes))
     others = tuple((name, o.verdict) for o, name in outcomes if o is not best)
     notes = (*best.notes, OtherEngines(method, others))
     return replace(best, timings=timings, work=work, notes=notes), method
+
+
+def _sums(*by_stage: Mapping[str, float]) -> dict[str, float]:
+    """Seconds or operations by stage, in all."""
+    return {stage: sum(each[stage] for each in by_stage) for stage in by_stage[0]}
 
 
 def _share(engine: Engine, last: bool) -> tuple[float, float]:
