@@ -24,7 +24,6 @@ from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import listing, quote
-from rankone.tensors.slab import fixed as with_fixed
 
 _MOST_STEPS = 10**6  # Most steps of a chain
 # Most parameters for quadrature: the number of cells grows with its power
@@ -281,8 +280,7 @@ def _without_fixed(fit: Fit) -> LeastSquares:
     outcome = fit.solution.outcome
     for position in reversed(range(len(free.order))):
         if free.order[position] in free.fixed:
-            fixed = with_fixed(outcome.slabs, position, free.fixed[free.order[position]])
-            outcome = replace(outcome, slabs=fixed)
+            outcome = outcome.fixed(position, free.fixed[free.order[position]])
     model = model_of(outcome, observations.rows, observations.times)
     unit = fit._unit if fit._unit > 0.0 else 1.0
     positions = tuple(range(len(free.names)))

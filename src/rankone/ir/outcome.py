@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from rankone.ir.timeline import Timeline
 from rankone.ir.verdict import Cause, Note, Status, Verdict
 from rankone.support.errors import EvaluationError
-from rankone.tensors.slab import SlabTrain
+from rankone.tensors.slab import SlabTrain, fixed
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +137,11 @@ class Outcome:
     def message(self) -> str:
         """One or two sentences: how it ended, why, and what to do."""
         return str(self.verdict)
+
+    def fixed(self, parameter: int, value: float) -> Outcome:
+        """The same where the parameter at a position is no longer a coordinate."""
+        timeline = self.timeline and self.timeline.fixed(parameter, value)
+        return replace(self, slabs=fixed(self.slabs, parameter, value), timeline=timeline)
 
     def slabs_over_clock_time(self, what: str) -> tuple[SlabTrain, ...]:
         """The slabs, for what reads them as functions of time.

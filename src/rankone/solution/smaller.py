@@ -14,7 +14,7 @@ from rankone.ir.outcome import Outcome
 from rankone.ir.verdict import DerivativeOf, MeasuredError, PartOfSolution, Status, UncertainPart
 from rankone.support.errors import OptionError
 from rankone.support.wording import did_you_mean, listing, quote
-from rankone.tensors.slab import at_one_time, differentiated, fixed, restricted
+from rankone.tensors.slab import at_one_time, differentiated, restricted
 
 # Smallest interval over the one before: rounding errors of derivatives grow with its inverse
 _LEAST_SHARE = 1e-6
@@ -59,8 +59,7 @@ def with_fixed(
         j = position(metadata, key)
         name, (lower, upper) = metadata.parameters[j], metadata.box[j]
         point = _inside(name, at, lower, upper)
-        timeline = outcome.timeline and outcome.timeline.fixed(j, point)
-        outcome = replace(outcome, slabs=fixed(outcome.slabs, j, point), timeline=timeline)
+        outcome = outcome.fixed(j, point)
         metadata = replace(
             metadata,
             units=tuple(pair for pair in metadata.units if pair[0] != metadata.parameters[j]),
