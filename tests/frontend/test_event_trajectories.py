@@ -362,6 +362,17 @@ def test_a_jump_at_the_start_is_the_start():
     assert trajectory.events["over"].size == 0
 
 
+@pytest.mark.parametrize("delay", [None, 1])
+@pytest.mark.parametrize("at", [0, 1, 5])
+def test_known_times_at_both_ends(at, delay):
+    """With a delay what happens at the end is put off beyond it."""
+    made = drift(ro.Event(t - at * k, "rising", then={y: y + 1}, name="dose", delay=delay))
+    trajectory = made.trajectory([0.0, 4.0, 5.0], k=1)
+    happens = at + (delay or 0)
+    np.testing.assert_array_equal(trajectory[y], [happens <= time for time in (0, 4, 5)])
+    np.testing.assert_array_equal(trajectory.events["dose"], [happens][: happens <= 5])
+
+
 @pytest.mark.parametrize(("start", "count"), [(0, 0), (-0.1, 1), (0.1, 0), (sp.Rational(1, 3), 0)])
 def test_a_start_on_the_surface_is_no_crossing(start, count):
     level = start if count == 0 and start != 0.1 else 0

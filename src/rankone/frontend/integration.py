@@ -91,7 +91,7 @@ class Integration:
                 self._state = jumps[a](a, self._state, self.point)
             fired = self._settled()
             if a == self._start:
-                fired += self._known_at_start()
+                fired += self._known_at(a)
             self._react(a, fired)
             while self._goes_on() and self._time < b:
                 due = min(itertools.chain(*self._due), default=b)
@@ -100,7 +100,7 @@ class Integration:
                     self._react(due, [])
             if not self._goes_on():
                 return
-        self._react(self._end, [])
+        self._react(self._end, self._known_at(self._end))
 
     def _goes_on(self) -> bool:
         return not self._ended and self._time <= self.times[-1]
@@ -257,11 +257,12 @@ class Integration:
                 self._due[k] = []
         return fired
 
-    def _known_at_start(self) -> list[int]:
-        """The events at known times that happen at the start."""
+    def _known_at(self, time: float) -> list[int]:
+        """The events at known times that happen at the start, or at the end: they cross nothing."""
         events = self.equations.events
-        heights = events.when(self._start, self._state, self.point)
-        return [k for k, known in enumerate(events.known) if known and heights[k] == 0.0]
+        heights = events.when(time, self._state, self.point)
+        now = [k for k, known in enumerate(events.known) if known and heights[k] == 0.0]
+        return [k for k in now if not self._occurrences[k]]
 
     def _react(self, time: float, fired: list[int], on_surface: Collection[int] = ()) -> None:
         """Apply events, and those that are due, and then what they set off, round after round."""
