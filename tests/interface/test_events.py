@@ -1,6 +1,7 @@
 """Solutions of problems with events, against single trajectories by SciPy."""
 
 import pickle
+import re
 from functools import cache
 
 import numpy as np
@@ -141,8 +142,8 @@ def test_values_at_an_instant_are_those_after_it():
     np.testing.assert_allclose(after[1], -0.8 * before[1], rtol=1e-4)
 
 
-def test_affine_times_are_met_to_the_last_digit():
-    """Of doses and of jumps at a number, also where a parameter of them is fixed."""
+def test_times_of_doses_are_met_to_the_last_digit():
+    """Also those at a number, and where a parameter of them is fixed."""
     dosed = ro.Problem.from_strings(
         {"A": "-k*A", "B": "0"},
         {"A": 1, "B": 0},
@@ -370,6 +371,18 @@ def test_a_trajectory_that_blows_up_after_its_last_event_is_refused():
     runaway = problem({"x": "s*x**2", "s": "0"}, {"x": "k", "s": 0}, {"k": (0.5, 2)}, 1.2, [start])
     with pytest.raises(ro.ConvergenceError, match=r"a trajectory ends at t = .* at k = 2"):
         ro.solve(runaway, 1e-3)
+
+
+def test_a_blow_up_after_a_dose_is_named_with_its_own_time():
+    """Others of the stack end there too, at times of their own."""
+    start = {"k": (0.5, 1), "lag": (1, 2)}
+    dose = {"lag": {"x": "x + k"}}
+    runaway = ro.Problem.from_strings({"x": "x**2"}, {"x": 0.1}, start, (0, 6), jumps=dose)
+    with pytest.raises(ro.ConvergenceError) as caught:
+        ro.solve(runaway, 1e-3)
+    said = re.search(r"ends at t = (\S+) at k = (\S+), lag = (\S+): it cannot", str(caught.value))
+    when, k, lag = map(float, said.groups())
+    assert when == pytest.approx(lag + 1 / (0.1 / (1 - 0.1 * lag) + k), rel=1e-3)
 
 
 def test_a_dose_may_be_at_the_start():

@@ -119,8 +119,8 @@ def follow(
     if early:  # a stack ends where the first of its trajectories does
         states = np.stack([followed[k].state for k in early], axis=1)
         time = min(followed[k].end for k in early)
-        first = first_to_end(clock.system, time, states, points[early], tolerances.absolute)
-        raise end_error(clock, points[early[first]], time)
+        first = early[first_to_end(clock.system, time, states, points[early], tolerances.absolute)]
+        raise end_error(clock, points[first], followed[first].end)
     return followed
 
 
