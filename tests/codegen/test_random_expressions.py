@@ -17,6 +17,6 @@ def test_some(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(0, 30, 5))
-def test_three_hundred(part):
+def test_further_ones(part):
     """Every fifth part of those that tests/benchmarks/expressions.py checks."""
     check_part(part)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from rankone.ir.events import Ending
+from rankone.ir.events import Ending, SystemEvent
 from rankone.ir.system import Clock
 
 CLOCK_STATES = 2
@@ -45,9 +46,9 @@ class Timeline:
             bool(instants) and any(events[k].terminal for k in instants[-1]),
             clock.horizon,
             tuple(
-                (border, next(affine for affine in times if affine is not None))
+                (border, affine)
                 for border, instant in enumerate(instants, 1)
-                if any(times := [events[k].affine for k in instant])
+                if (affine := _affine(events[k] for k in instant)) is not None
             ),
         )
 
@@ -93,3 +94,8 @@ class Timeline:
     def stretches(self) -> int:
         """Number of stretches."""
         return len(self.instants) + (self.ending is not Ending.EVENT)
+
+
+def _affine(instant: Iterable[SystemEvent]) -> tuple[float, ...] | None:
+    """The time of the events at one instant where it is affine: that of the first such event."""
+    return next((event.affine for event in instant if event.affine is not None), None)

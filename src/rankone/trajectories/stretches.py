@@ -47,8 +47,9 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
             return t - at(p)
 
         switch = then is None
-        event = SystemEvent(when, RISING, then, name=name, at=at, timed=True, switch=switch)
-        return replace(event, affine=affine)
+        return SystemEvent(
+            when, RISING, then, name=name, at=at, timed=True, switch=switch, affine=affine
+        )
 
     def event(time: float) -> SystemEvent:
         kind = jumps.kind_at(time)
