@@ -280,7 +280,7 @@ def _events(
     names = [state.name for state in writer.states]
     known = [i for i, e in enumerate(events) if e.at is not None]
     times = f"Times of events of parameters p (d, ...): ({len(known)}, ...)."
-    affine = [(i, a) for i, e in enumerate(events) if (a := e.affine(parameters)) is not None]
+    affine = [(i, a) for i, e in enumerate(events) if (a := e.coefficients(parameters)) is not None]
     affine_times = table("AFFINE_EVENT_TIMES", nested(affine)) if affine else []
     delayed = [i for i, e in enumerate(events) if e.delay is not None]
     delays = f"Time from an event to its resets, at u ({n}, ...): ({len(delayed)}, ...)."

@@ -115,6 +115,7 @@ def _timeline(model: PackedModel, prefix: str) -> dict[str, str]:
     timeline = model.timeline
     if timeline is None:
         return {"events": "", "in_pseudo": ""}
+    affine = dict(timeline.affine_borders)
     names = [c_string(" and ".join(instant)) for instant in timeline.instants]
     return {
         "events": "yes",
@@ -122,9 +123,9 @@ def _timeline(model: PackedModel, prefix: str) -> dict[str, str]:
         "stretches": str(timeline.stretches),
         "run_count": str(len(timeline.borders)),
         "border_room": str(_padded(timeline.stretches + 1, _BLOCK) + _BLOCK),
-        "affine_count": str(len(timeline.affine)),
-        "affine_borders": wrapped(str(border) for border, _ in timeline.affine),
-        "affine": wrapped(_number(x) for _, numbers in timeline.affine for x in numbers),
+        "affine_count": str(len(affine)),
+        "affine_borders": wrapped(map(str, affine)),
+        "border_coefficients": wrapped(_number(x) for row in affine.values() for x in row),
         "terminal": str(int(timeline.terminal)),
         "first_slabs": wrapped(map(str, timeline.first_slabs)),
         "runs_of_slabs": wrapped(map(str, timeline.runs)),

@@ -106,6 +106,7 @@ def _timeline(timeline: PackedTimeline | None, borders: Sequence[int]) -> dict[s
         return {"events": "", "event_example": ""}
     names = list(map(js_string, timeline.events))
     instants = (", ".join(map(js_string, instant)) for instant in timeline.instants)
+    affine = (f"[{border}, {_list(row)}]" for border, row in timeline.affine_borders)
     return {
         "events": "yes",
         "event_names": ", ".join(names),
@@ -113,7 +114,7 @@ def _timeline(timeline: PackedTimeline | None, borders: Sequence[int]) -> dict[s
         "event_type": " | ".join(names) or "never",
         "first_slabs": wrapped(map(str, timeline.first_slabs)),
         "border_cores": wrapped(map(str, borders)),
-        "affine": wrapped(f"[{border}, {_list(numbers)}]" for border, numbers in timeline.affine),
+        "affine_borders": wrapped(affine),
         "terminal": str(timeline.terminal).lower(),
         "instants": wrapped(f"[{each}]" for each in instants),
     }

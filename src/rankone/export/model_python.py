@@ -79,7 +79,7 @@ _MODEL_TABLES = (
     *("UNKNOWNS", "COORDINATES", "KEYWORDS", "INTERVALS", "STARTS", "CORES", "SLABS"),
     "COEFFICIENTS",
 )
-_TIMELINE = ("STRETCHES", "RUNS", "BORDERS", "AFFINE", "TERMINAL", "INSTANTS", "EVENTS")
+_TIMELINE = ("STRETCHES", "RUNS", "BORDERS", "AFFINE_BORDERS", "TERMINAL", "INSTANTS", "EVENTS")
 
 
 def _construction(model: PackedModel) -> list[str]:
@@ -191,7 +191,7 @@ def _timeline(timeline: PackedTimeline, borders: tuple[int, ...]) -> list[str]:
         *table("RUNS", nested(timeline.runs)),
         *table("BORDERS", nested(borders)),
         "# the borders at affine functions of the parameters: the constant, and the slopes",
-        *table("AFFINE", nested(timeline.affine)),
+        *table("AFFINE_BORDERS", nested(timeline.affine_borders)),
         "# whether an event ends it all",
         f"TERMINAL = {timeline.terminal}",
         "# the events at the end of each stretch that is met",

@@ -26,14 +26,14 @@ class EventModel(Model):
         stretches: Sequence[int],
         runs: Sequence[int],
         borders: Sequence[int],
-        affine: Sequence[tuple[int, Sequence[float]]],
+        affine_borders: Sequence[tuple[int, Sequence[float]]],
         terminal: bool,
         instants: Sequence[Sequence[str]],
         events: Sequence[str],
     ) -> None:
         super().__init__(*tables)
         self._first = np.array(stretches)
-        self._runs, self._affine, self._terminal = runs, affine, terminal
+        self._runs, self._affine, self._terminal = runs, affine_borders, terminal
         self._borders = [self._cores[core][2][0, :, 0] for core in borders]
         self._instants, self.events = instants, events
 

@@ -69,8 +69,8 @@ class PackedTimeline:
     ``runs`` has the run that each slab belongs to, of those that share the cores of their
     parameters. ``borders`` has for each run a core without polynomials, whose product with the
     cores of the parameters is the clock at the beginnings of its stretches, and for the last run
-    also at the end. ``affine`` has the borders at affine functions of the parameters, which include
-    the start of the horizon, with the constant and a slope for each parameter.
+    also at the end. ``affine_borders`` are those whose times are affine functions of the
+    parameters, with the constant and the slopes; the start of the horizon is one.
 
     ``instants`` are the names of the events at each border but the first, up to the last one that
     some trajectory meets; ``resets`` says which of them reset states. ``events`` are all names.
@@ -79,7 +79,7 @@ class PackedTimeline:
     first_slabs: tuple[int, ...]
     runs: tuple[int, ...]
     borders: tuple[PackedCore, ...]
-    affine: tuple[tuple[int, tuple[float, ...]], ...]
+    affine_borders: tuple[tuple[int, tuple[float, ...]], ...]
     terminal: bool
     instants: tuple[tuple[str, ...], ...]
     resets: tuple[bool, ...]
@@ -250,7 +250,7 @@ def _timeline(timeline: Timeline, slabs: Sequence[SlabTrain]) -> PackedTimeline:
         first_slabs=(*first_slabs, len(slabs)),
         runs=tuple(runs),
         borders=tuple(borders),
-        affine=tuple(
+        affine_borders=tuple(
             (border, (*times, *[0.0] * (1 + len(slabs[0].bases) - len(times))))
             for border, times in timeline.affine_borders.items()
         ),

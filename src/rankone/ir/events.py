@@ -21,8 +21,8 @@ class SystemEvent:
 
     ``then`` maps the states before it to those after it; it ends the trajectory if ``terminal``.
     ``at`` maps parameters (d, N) to its times (N,) where they are known; then it happens once,
-    unless that is before the start. Where they are affine, ``affine`` has the constant and a slope
-    for each parameter. With a ``delay`` the states are reset that much later, unless
+    unless that is before the start. Where they are affine, ``coefficients`` are the constant and
+    the slope of each parameter. With a ``delay`` the states are reset that much later, unless
     ``when`` turns back and the event is not ``persistent``. Of several at one instant the one of
     the highest ``priority`` is first. It is ``timed`` if it is no event of the user; rates jump at
     a ``switch``; it ``starts`` or ``cancels`` the event at that position, whose times trajectories
@@ -42,7 +42,7 @@ class SystemEvent:
     persistent: bool = True
     starts: int | None = None
     cancels: int | None = None
-    affine: tuple[float, ...] | None = None
+    coefficients: tuple[float, ...] | None = None
 
     @property
     def interrupts(self) -> bool:

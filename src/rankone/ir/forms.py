@@ -105,8 +105,8 @@ class EventForm:
     priority: sp.Expr | None = None
     persistent: bool = True
 
-    def affine(self, parameters: Sequence[sp.Symbol]) -> tuple[float, ...] | None:
-        """The constant and a slope for each parameter of ``at``, where it is affine."""
+    def coefficients(self, parameters: Sequence[sp.Symbol]) -> tuple[float, ...] | None:
+        """The constant and the slopes of ``at`` if it is affine in the parameters."""
         if self.at is None or not self.at.is_polynomial(*parameters):
             return None
         slopes = [self.at.diff(p) for p in parameters]

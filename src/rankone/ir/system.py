@@ -302,7 +302,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
     )
 
     rows = cast("Sequence[tuple[int, tuple[float, ...]]]", names.get("AFFINE_EVENT_TIMES", ()))
-    affine = dict(rows)
+    coefficients = dict(rows)
 
     def row(function: str, i: int) -> OfTrajectory:
         def value(t: Array, u: Array, p: Array) -> Array:
@@ -325,7 +325,7 @@ def _events(names: Mapping[str, object]) -> tuple[SystemEvent, ...]:
             delay=row("event_delays", delayed.index(k)) if k in delayed else None,
             priority=row("event_priorities", ranked.index(k)) if k in ranked else None,
             persistent=k not in withdrawn,
-            affine=affine.get(k),
+            coefficients=coefficients.get(k),
         )
 
     return tuple(event(k, *each) for k, each in enumerate(listed))

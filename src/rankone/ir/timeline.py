@@ -21,8 +21,8 @@ class Timeline:
     trajectories. ``horizon`` is that of the clock. Behind the states of the slabs are the clock and
     the length of the stretch.
 
-    ``affine`` has the borders of stretches whose times are affine functions of the parameters, with
-    the constant and the slopes: the clock of the slabs has these times to its tolerance alone.
+    ``affine_times`` has the borders of stretches whose times are affine in the parameters, with the
+    constant and the slopes: the clock of the slabs has these times only to its tolerance.
     """
 
     events: tuple[str, ...]
@@ -32,7 +32,7 @@ class Timeline:
     ending: Ending
     terminal: bool
     horizon: tuple[float, float]
-    affine: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    affine_times: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
     @classmethod
     def of(cls, clock: Clock) -> Timeline:
@@ -46,9 +46,9 @@ class Timeline:
             bool(instants) and any(events[k].terminal for k in instants[-1]),
             clock.horizon,
             tuple(
-                (border, affine)
+                (border, coefficients)
                 for border, instant in enumerate(instants, 1)
-                if (affine := _affine(events[k] for k in instant)) is not None
+                if (coefficients := _coefficients(events[k] for k in instant)) is not None
             ),
         )
 
@@ -70,12 +70,12 @@ class Timeline:
 
     def fixed(self, parameter: int, value: float) -> Timeline:
         """The timeline where the parameter at a position is no longer a coordinate."""
-        affine = []
-        for border, (constant, *slopes) in self.affine:
+        times = []
+        for border, (constant, *slopes) in self.affine_times:
             if slopes:
                 constant += slopes.pop(parameter) * value
-            affine.append((border, (constant, *slopes)))
-        return replace(self, affine=tuple(affine))
+            times.append((border, (constant, *slopes)))
+        return replace(self, affine_times=tuple(times))
 
     @property
     def met(self) -> tuple[tuple[str, ...], ...]:
@@ -85,10 +85,10 @@ class Timeline:
 
     @property
     def affine_borders(self) -> dict[int, tuple[float, ...]]:
-        """Borders of stretches at affine times, and at the ends of the horizon."""
+        """The constant and slopes of borders at affine times and at the ends of the horizon."""
         start, end = self.horizon
         ends = {self.stretches: (end,)} if self.ending is Ending.HORIZON else {}
-        return {0: (start,), **dict(self.affine), **ends}
+        return {0: (start,), **dict(self.affine_times), **ends}
 
     @property
     def stretches(self) -> int:
@@ -96,6 +96,6 @@ class Timeline:
         return len(self.instants) + (self.ending is not Ending.EVENT)
 
 
-def _affine(instant: Iterable[SystemEvent]) -> tuple[float, ...] | None:
-    """The time of the events at one instant where it is affine: that of the first such event."""
-    return next((event.affine for event in instant if event.affine is not None), None)
+def _coefficients(instant: Iterable[SystemEvent]) -> tuple[float, ...] | None:
+    """Those of the first event at an instant whose time is affine."""
+    return next((e.coefficients for e in instant if e.coefficients is not None), None)

@@ -308,7 +308,7 @@ def _check_timeline(timeline: Timeline, horizon: tuple[float, float], parameters
         raise ValueError("the timeline does not fit the horizon, or itself")
     if timeline.stretches < 1 or not all(map(is_line, {*names, *timeline.events})):
         raise ValueError("the timeline has no stretch, or an event a name of several lines")
-    for border, numbers in timeline.affine:
+    for border, numbers in timeline.affine_times:
         fits = 0 < border <= timeline.stretches and len(numbers) in (1, 1 + parameters)
         if not fits or not all(map(math.isfinite, numbers)):
             raise ValueError(f"the time of border {border} is {numbers}, which is none")

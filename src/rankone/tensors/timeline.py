@@ -18,18 +18,18 @@ class TimelineEvaluator:
     """States at clock times, with the methods of :class:`TrainEvaluator`.
 
     The slabs are over pseudo-time: stretch i is [i, i + 1]. The last two of their states are the
-    clock and the length of the stretch. ``affine`` maps borders, 0 for the start of the first
-    stretch, to the constant and the slopes of their times, where these are known. Values are NaN
-    where no stretch reaches.
+    clock and the length of the stretch. ``affine_borders`` maps borders, 0 for the start of the
+    first stretch, to the constant and the slopes of their times, where these are known. Values are
+    NaN where no stretch reaches.
     """
 
     def __init__(
         self,
         slabs: Sequence[SlabTrain],
         horizon: tuple[float, float],
-        affine: Mapping[int, Sequence[float]],
+        affine_borders: Mapping[int, Sequence[float]],
     ) -> None:
-        self.horizon, self.affine = horizon, affine
+        self.horizon, self.affine_borders = horizon, affine_borders
         self.slabs, self.trains = tuple(slabs), TrainEvaluator(slabs)
         stretches = round(slabs[-1].end)
         self._clock = np.array([len(slabs[0].cores[0]) - 2], dtype=np.intp)
@@ -44,8 +44,8 @@ class TimelineEvaluator:
         return self._with_affine(times, points)
 
     def _with_affine(self, times: Array, points: Array) -> Array:
-        """Ascending times of borders, of those of the slabs (stretches + 1, N)."""
-        for border, (constant, *slopes) in self.affine.items():
+        """Times of borders (stretches + 1, N) by the slabs, the affine ones replaced; ascending."""
+        for border, (constant, *slopes) in self.affine_borders.items():
             times[border] = constant
             for j in np.flatnonzero(slopes):
                 times[border] += slopes[j] * points[j]
@@ -126,7 +126,7 @@ class TimelineEvaluator:
             borders.append(np.tensordot(clock.in_time(np.array([s]))[0, 0], products[k], 1))
         at = np.array(borders)
         at[:, :, 0] = self._with_affine(at[:, :, 0], points)
-        for border, (_, *slopes) in self.affine.items():
+        for border, (_, *slopes) in self.affine_borders.items():
             at[border, :, 1:] = [slopes[j] if slopes else 0.0 for j in free]
         return at
 

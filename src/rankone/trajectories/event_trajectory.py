@@ -64,7 +64,7 @@ class EventTrajectory:
         """The end of what is integrated next, on the way to an edge: no known time is within."""
         edge, stretch = min(edge, self.ahead.min(initial=math.inf)), self.stretch
         passed = self.end - float(self.paths[0].breaks[0])
-        if stretch == math.inf and self.occurrences and passed > 0.0:  # they have changed nothing
+        if stretch == math.inf and self.occurrences and passed > 0.0:  # marks alone so far
             stretch = passed / len(self.occurrences)
         far = edge - self.end > _STRETCH * stretch
         return self.end + stretch if far else edge

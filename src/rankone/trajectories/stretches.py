@@ -41,14 +41,21 @@ def timed_events(system: System, cuts: Sequence[float]) -> System:
         at: Callable[[Array], Array],
         name: str,
         then: OfTrajectory | None,
-        affine: tuple[float, ...] | None = None,
+        coefficients: tuple[float, ...] | None = None,
     ) -> SystemEvent:
         def when(t: Array, _u: Array, p: Array) -> Array:
             return t - at(p)
 
         switch = then is None
         return SystemEvent(
-            when, RISING, then, name=name, at=at, timed=True, switch=switch, affine=affine
+            when,
+            RISING,
+            then,
+            name=name,
+            at=at,
+            timed=True,
+            switch=switch,
+            coefficients=coefficients,
         )
 
     def event(time: float) -> SystemEvent:
@@ -86,7 +93,7 @@ def _put_off(events: Sequence[SystemEvent]) -> list[SystemEvent]:
     for k, event in enumerate(events):
         if event.delay is None:
             continue
-        put_off[k] = replace(event, at=never, delay=None, affine=None)
+        put_off[k] = replace(event, at=never, delay=None, coefficients=None)
         start = replace(event, name=f"the start of {event.name}", timed=True, starts=k)
         further.append(replace(start, then=None, terminal=False, priority=None, persistent=True))
         if not event.persistent:
