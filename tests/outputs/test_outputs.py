@@ -191,7 +191,8 @@ def test_an_output_that_is_not_resolved_says_so():
     ("given", "match"),
     [
         ({}, "not a mapping from names"),
-        ("x", "not a mapping from names"),
+        (x / y, "not a mapping from names"),
+        ("xx", "unknown name `xx`"),
         ({"q": "x*"}, "not a formula"),
         ({"q": "xx"}, "unknown name `xx`"),
         ({"q": sp.Symbol("xx")}, "the solution knows"),

@@ -139,7 +139,7 @@ class _ProblemCheck:
         computed = [rates[i] for i in self.highest]
         leaves = [clock.symbol, *self.symbols, *states, *computed]
         pairs = zip(problem.equations, problem.residuals, strict=True)
-        written = [_written(equation, residual) for equation, residual in pairs]
+        written = [_written(*pair, problem.shorthand.put_in) for pair in pairs]
         self.compared = [Comparison(*both, leaves, computed) for both in written]
         functions = [{f for side in both for f in side.atoms(sp.Function)} for both in written]
         # differences are derivatives, unless functions of the user lack the digits
@@ -337,12 +337,17 @@ def _value_error(
     return None if disagreement is None else disagreement[1]
 
 
-def _written(equation: sp.Basic, residual: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
-    """Both sides of an equation, of unknowns and their derivatives alone."""
+def _written(
+    equation: sp.Basic, residual: sp.Expr, put_in: Callable[[sp.Expr], sp.Expr]
+) -> tuple[sp.Expr, sp.Expr]:
+    """Both sides of an equation, of unknowns and their derivatives alone.
+
+    ``put_in`` puts in constants and definitions.
+    """
     nested = any(not isinstance(d.expr, AppliedUndef) for d in equation.atoms(sp.Derivative))
     if isinstance(equation, sp.Eq) and not nested:
-        return equation.lhs, equation.rhs
-    return residual if nested else equation, sp.S.Zero
+        return put_in(equation.lhs), put_in(equation.rhs)
+    return residual if nested else put_in(equation), sp.S.Zero
 
 
 def _numbers(*blocks: Sequence[float] | Array) -> list[Number]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
 from scipy import special
+from sympy.core.function import AppliedUndef
 
 from rankone.agreement.problems import check_outputs
 from rankone.codegen.output_translation import KINDS, OutputTranslator
@@ -46,15 +48,21 @@ def quantities_of(
 ) -> Quantities:
     """Outputs of a solution, expressions or their texts by name, as functions of arrays.
 
+    Texts alone are the names of definitions.
+
     The generated functions are checked at ``samples``: times (m,), parameters (d, m) and the states
     there (n, m). The events are those of its ``timeline``. An OptionError if ``outputs`` is not
     such a mapping, or an expression has something that the solution does not hold.
     """
+    if isinstance(outputs, str):
+        outputs = {outputs: outputs}
+    elif isinstance(outputs, list | tuple) and all(isinstance(name, str) for name in outputs):
+        outputs = {name: name for name in outputs} or outputs
     if not isinstance(outputs, Mapping) or not outputs:
         raise OptionError(
             f"{shown(outputs)} is not a mapping from names to expressions",
             term=outputs,
-            remedy='give for example {"energy": x**2 / 2}',
+            remedy='give for example {"energy": x**2 / 2}, or the name of a definition',
         )
     for name in outputs:
         _check_name(name, metadata)
@@ -216,31 +224,9 @@ def _expression(
     name: str, output: object, metadata: SolutionMetadata, timeline: Timeline | None
 ) -> sp.Expr:
     """An output, given as expression or text, in plain symbols."""
-    t = sp.Symbol(metadata.time)
     if isinstance(output, str):
-        words = ("before", "after", "rising", "falling", "both")
-        names = {
-            **{word: sp.Symbol(word) for word in words},
-            **{event: sp.Symbol(event) for event in (timeline.events if timeline else ())},
-            metadata.time: t,
-            **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
-            **{f"{state}_t": sp.Function(state)(t).diff(t) for state in metadata.states},
-            **{state: sp.Function(state)(t) for state in metadata.states},
-        }
-        further: dict[str, Callable[..., sp.Expr]] = {
-            **{reduction.__name__: reduction for reduction in KINDS},
-            **{name: _extreme(name) for name in ("max", "min", "Max", "Min")},
-            "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
-        }
-        where = f"output {quote(name)}"
-        listed = f"the solution knows {listing([*metadata.states, *metadata.coordinates])}"
-        try:
-            return parse_expression(
-                output, names, where=where, further=further, unknown_name_remedy=listed
-            )
-        except ProblemError as error:
-            remedy = error.remedy or listed
-            raise OptionError(error.message, term=output, remedy=remedy) from None
+        text = dict(metadata.definitions).get(output.strip(), output)
+        return _parsed(name, text, metadata, timeline, _shorthand(metadata))
     try:
         expression = sp.sympify(output, strict=True)
     except (sp.SympifyError, TypeError):
@@ -251,10 +237,67 @@ def _expression(
             term=output,
             remedy="give an expression of the unknowns, parameters and time, or its text",
         )
-    plain = {symbol: sp.Symbol(symbol.name) for symbol in expression.atoms(sp.Symbol)}
+    plain = {s: sp.Symbol(s.name) for s in expression.atoms(sp.Symbol) - expression.atoms(sp.Dummy)}
+    expression = expression.xreplace(plain)
+    shorthand = _shorthand(metadata)
+    applied = (f for f in expression.atoms(AppliedUndef) if f.args == (sp.Symbol(metadata.time),))
+    named = {f: f.func.__name__ for f in applied} | {s: s.name for s in expression.free_symbols}
+    held = {*metadata.states, *metadata.coordinates}
     return exact(
-        expression.xreplace({k: v for k, v in plain.items() if not isinstance(k, sp.Dummy)})
+        expression.xreplace({e: shorthand[n] for e, n in named.items() if n in {*shorthand} - held})
     )
+
+
+def _shorthand(metadata: SolutionMetadata) -> dict[str, sp.Expr]:
+    """Constants, fixed parameters and definitions by name.
+
+    Definitions with functions that text does not have, such as tables, are left out.
+    """
+    numbers = dict((*metadata.constants, *metadata.fixed))
+    shorthand = {n: exact(sp.Float(at)) for n, at in numbers.items() if n != metadata.time}
+    for name, text in metadata.definitions:
+        with contextlib.suppress(OptionError):
+            shorthand[name] = _parsed(name, text, metadata, None, {})
+    return shorthand
+
+
+def _parsed(
+    name: str,
+    output: str,
+    metadata: SolutionMetadata,
+    timeline: Timeline | None,
+    shorthand: Mapping[str, sp.Expr],
+) -> sp.Expr:
+    """An output of a text."""
+    t = sp.Symbol(metadata.time)
+    words = ("before", "after", "rising", "falling", "both")
+    names = {
+        **{word: sp.Symbol(word) for word in words},
+        **{event: sp.Symbol(event) for event in (timeline.events if timeline else ())},
+        metadata.time: t,
+        **shorthand,
+        **{parameter: sp.Symbol(parameter) for parameter in metadata.parameters},
+        **{f"{state}_t": sp.Function(state)(t).diff(t) for state in metadata.states},
+        **{state: sp.Function(state)(t) for state in metadata.states},
+    }
+    further: dict[str, Callable[..., sp.Expr]] = {
+        **{reduction.__name__: reduction for reduction in KINDS},
+        **{name: _extreme(name) for name in ("max", "min", "Max", "Min")},
+        "integral": lambda inner, *ends: sp.Integral(inner, (t, *ends)),
+    }
+    named = [*metadata.states, *metadata.coordinates, *dict(metadata.definitions)]
+    listed = f"the solution knows {listing(named)}"
+    try:
+        return parse_expression(
+            output,
+            names,
+            where=f"output {quote(name)}",
+            further=further,
+            unknown_name_remedy=listed,
+        )
+    except ProblemError as error:
+        remedy = error.remedy or listed
+        raise OptionError(error.message, term=output, remedy=remedy) from None
 
 
 def _extreme(name: str) -> Callable[..., sp.Expr]:

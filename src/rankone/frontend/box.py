@@ -140,27 +140,38 @@ def _interval(symbol: sp.Symbol, bounds: Any) -> tuple[float, float]:
     if low > high:
         remedy = f"write ({high:g}, {low:g})"
         raise ProblemError(f"{interval} is reversed", term=symbol, remedy=remedy)
+    check_assumptions(symbol, low, high, interval)
+    return low, high
+
+
+def check_assumptions(symbol: sp.Symbol, low: float, high: float, subject: str) -> None:
+    """Raise if what a symbol is declared to be contradicts an interval, or a single number.
+
+    Messages name the interval as the ``subject``: ``"the box (1, 2) of parameter `k`"``.
+    """
     if not symbol.is_commutative or symbol.is_extended_real is False:
         raise ProblemError(
-            f"parameter {quote(symbol)} is declared not to be real",
+            f"{quote(symbol)} is declared not to be real: {subject}",
             term=symbol,
             remedy=f"declare it as sympy.Symbol({symbol.name!r})",
         )
     contradicted = {
-        "integer": symbol.is_integer,
+        "integer": symbol.is_integer and not low == high == round(low),
         "positive": symbol.is_positive and low < 0,
         "nonnegative": symbol.is_nonnegative and low < 0,
         "negative": symbol.is_negative and high > 0,
         "nonpositive": symbol.is_nonpositive and high > 0,
+        "nonzero": symbol.is_nonzero and low == high == 0,
     }
     for assumption, holds in contradicted.items():
         if holds:
             raise ProblemError(
-                f"{interval} contradicts the assumption that {symbol} is {assumption}",
+                f"{subject} contradicts the assumption that {symbol} is {assumption}",
                 term=symbol,
-                remedy="change the box or the assumption",
+                remedy="change the number or the assumption"
+                if low == high
+                else "change the box or the assumption",
             )
-    return low, high
 
 
 def real_number(value: Any, subject: str, remedy: str) -> float:
@@ -181,9 +192,9 @@ def real_number(value: Any, subject: str, remedy: str) -> float:
 
 
 def check_units(
-    units: object, time: sp.Symbol, parameters: Iterable[sp.Symbol], states: Iterable[sp.Expr]
+    units: object, time: sp.Symbol, named: Iterable[sp.Expr], states: Iterable[sp.Expr]
 ) -> dict[str, str]:
-    """Units by name: of time, parameters and states, in this order.
+    """Units by name: of time, parameters and what else is ``named``, and states, in this order.
 
     A derivative that is a state and has no unit gets the unit of its unknown over that of time, if
     both have one.
@@ -195,7 +206,7 @@ def check_units(
             remedy='write units={x: "m", t: "s"}',
         )
     states = list(states)
-    names = [time.name, *(symbol.name for symbol in parameters), *map(name_of, states)]
+    names = [time.name, *map(name_of, named), *map(name_of, states)]
     unit_of: dict[str, str] = {}
     for key, unit in (units or {}).items():
         try:

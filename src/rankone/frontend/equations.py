@@ -10,6 +10,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.expressions.notation import exact
 from rankone.frontend.box import Time
+from rankone.frontend.shorthand import Shorthand
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
 
@@ -19,11 +20,12 @@ _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
 def check_equations(
-    equations: object, time: sp.Symbol
+    equations: object, time: sp.Symbol, shorthand: Shorthand
 ) -> tuple[tuple[sp.Basic, ...], list[sp.Expr]]:
     """Return the equations as given and their residuals (left minus right).
 
-    In the residuals every derivative is one of an unknown: ``Derivative(x**2, t)`` is carried out.
+    In the residuals constants and definitions are put in, and every derivative is one of an
+    unknown: ``Derivative(x**2, t)`` is carried out.
     """
     single = isinstance(equations, sp.Basic) and not isinstance(equations, sp.Tuple | sp.MatrixBase)
     try:
@@ -40,14 +42,16 @@ def check_equations(
         remedy = "give one equation for each unknown"
         raise ProblemError("the list of equations is empty", remedy=remedy)
     check_lengths((e for e in written if isinstance(e, sp.Basic)), len(written))
-    return written, [_residual(equation, i, time) for i, equation in enumerate(written, 1)]
+    return written, [
+        _residual(equation, i, time, shorthand) for i, equation in enumerate(written, 1)
+    ]
 
 
 def _is_matrix(side: object) -> bool:
     return isinstance(side, sp.MatrixExpr | sp.MatrixBase)
 
 
-def _residual(equation: Any, index: int, time: sp.Symbol) -> sp.Expr:
+def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) -> sp.Expr:
     """Left minus right side of the equation of this number, counted from 1."""
 
     def error(message: str, term: object, remedy: str) -> ProblemError:
@@ -76,14 +80,15 @@ def _residual(equation: Any, index: int, time: sp.Symbol) -> sp.Expr:
             term,
             "integrals can be written as unknowns with equations of their own",
         )
-    residual = _carry_out_derivatives(residual, time, error)
+    residual = _carry_out_derivatives(shorthand.put_in(residual), time, error)
     for applied in _in_order(residual.atoms(AppliedUndef)):
         if applied.args != (time,):
             raise error(*_wrong_argument(applied, time))
     if residual.has(sp.I):
         raise error(f"{quote(equation)} has complex coefficients", equation, "write real equations")
     if residual.has(*_NOT_FINITE):
-        raise error(f"{quote(equation)} is not finite", equation, "check the coefficients")
+        remedy = "check the coefficients and constants"
+        raise error(f"{quote(equation)} is not finite", equation, remedy)
     try:
         return exact(residual)
     except ProblemError as out_of_range:
@@ -239,10 +244,12 @@ class Symbols(NamedTuple):
     parameters: tuple[sp.Symbol, ...]
     unknowns: tuple[sp.Expr, ...]
     states: list[sp.Expr]
+    shorthand: Shorthand = Shorthand()
 
     def explained(self, symbol: sp.Symbol, declared: Iterable[sp.Symbol]) -> tuple[str, str]:
         """Guess what an undeclared symbol was meant for: (message, remedy)."""
-        by_name = {coordinate.name: coordinate for coordinate in declared}
+        further = [s for s in self.shorthand.symbols if isinstance(s, sp.Symbol)]
+        by_name = {coordinate.name: coordinate for coordinate in (*declared, *further)}
         applied = {unknown.func.__name__: unknown for unknown in self.unknowns}
         if symbol.name in by_name:
             return (
@@ -258,7 +265,8 @@ class Symbols(NamedTuple):
         hint = did_you_mean(symbol.name, [*by_name, *applied])
         return (
             f"unknown symbol {quote(symbol)}{hint}",
-            f"declare it in `parameters`, for example {{{symbol}: (0.5, 1.5)}}, or put a number in",
+            f"declare it in `parameters`, for example {{{symbol}: (0.5, 1.5)}}, or give its number "
+            f"in `constants`, {{{symbol}: 1.0}}",
         )
 
 
@@ -374,6 +382,7 @@ def _initial_value(state: sp.Expr, written: object, symbols: Symbols) -> sp.Expr
     remedy = "give a number or an expression of the parameters"
     expression = as_expression(written, subject, remedy)
     subject = f"{subject}, {quote(expression)},"
+    expression = symbols.shorthand.put_in(expression)
     for applied in _in_order(expression.atoms(AppliedUndef)):
         message = f"{subject} names the unknown {quote(applied)}"
         raise ProblemError(message, term=written, remedy=remedy)

@@ -123,7 +123,8 @@ def check_events(events: object, symbols: Symbols) -> tuple[Event, ...]:
     checked = tuple(_checked(event, k, symbols) for k, event in enumerate(events))
     owners = [(str(event.name), f"event {k}") for k, event in enumerate(checked)]
     states = [(name_of(state), state) for state in symbols.states]
-    check_names(states, symbols.parameters, symbols.time[0], owners)
+    further = [*symbols.shorthand.owners, *owners]
+    check_names(states, symbols.parameters, symbols.time[0], further)
     return checked
 
 
@@ -136,13 +137,14 @@ def moving_jumps(jumps: Any, symbols: Symbols) -> tuple[Any, list[Event]]:
         return jumps, []
     known: dict[object, object] = {}
     moving: list[Event] = []
+    put_in = symbols.shorthand.put_in
     for key, reset in jumps.items():
-        instants = instants_of(key)
+        instants = tuple(put_in(at) if isinstance(at, sp.Expr) else at for at in instants_of(key))
         fixed = tuple(at for at in instants if not getattr(at, "free_symbols", None))
-        if len(fixed) == len(instants):
-            known[key] = reset
-            continue
-        if fixed:
+        if fixed in known:
+            message = f"there are two jumps at {symbols.time[0]} = {listing(fixed)}"
+            raise ProblemError(message, term=key, remedy="give all that is reset in one mapping")
+        if fixed or not instants:
             known[fixed] = reset
         for at in instants:
             if at in fixed:

@@ -144,6 +144,7 @@ def check_of_states(written: object, subject: str, symbols: Symbols, remedy: str
         remedy += ", without quotes; Problem.from_strings takes text"
     expression = as_expression(written, subject, remedy)
     subject = f"{subject}, {quote(expression)},"
+    expression = symbols.shorthand.put_in(expression)
     strangers = expression.atoms(AppliedUndef, sp.Derivative) - set(symbols.states)
     for stranger in sorted(strangers, key=sp.default_sort_key):
         hint = did_you_mean(str(stranger), map(str, symbols.states))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +15,7 @@ from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.box import check_correlation, check_parameters, check_time, check_units
+from rankone.frontend.changes import changes_of, with_constants, with_parameters
 from rankone.frontend.equations import (
     Symbols,
     check_equations,
@@ -43,6 +44,7 @@ from rankone.frontend.jumps import (
 )
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.numeric import NumericEquations
+from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.frontend.text import events_of_text, formula, has_names, jumps_of_text, normalised
 from rankone.frontend.trajectory import Trajectory
 from rankone.ir.forms import Coordinate, Jump
@@ -104,19 +106,31 @@ class Problem:
     events : sequence of Event, optional
         What happens where an expression crosses zero: states are reset, time ends, or the instant
         is only marked. All trajectories of the box have to meet the same ones in the same order.
+    constants : mapping of Symbol to number, optional
+        Symbols that stand for numbers, ``{m: 3.0}``. :meth:`set` gives one another number,
+        :meth:`vary` makes it a parameter.
+    definitions : mapping of Symbol to Expr, optional
+        Symbols that stand for expressions of unknowns, parameters, constants, time and each other,
+        in any order: ``{F: k*x + c*v}``. One that is differentiated is a function of time,
+        ``{F(t): k*x}``. Solutions give their values: ``solution.output("F")``.
 
     Attributes
     ----------
     equations, time, parameters, initial, name, jumps, units, tail, correlation, events
         As given, with numbers as floats, parameters as intervals, initial values in the order of
-        the states, jumps by time, units and correlations by name, and a name for each event.
+        the states, jumps by time, units and correlations by name, and a name for each event. In
+        initial values, jumps and events constants and definitions are put in.
+    constants : mapping of Symbol to Expr
+        Exact numbers.
+    definitions : mapping of (Symbol or applied function of time) to Expr
+        In unknowns, time, parameters and numbers.
     distributions : mapping of str to str
         The distributions of parameters as texts, by name.
     unknowns : tuple of Expr
         In the order in which their highest derivatives enter the equations; those that enter in
         the same equation are in the order of ``initial``.
     residuals : tuple of Expr
-        For each equation its left minus its right side.
+        For each equation its left minus its right side, with constants and definitions put in.
     mass : MassForm
         The residuals as mass matrix times highest derivatives, and the rest.
 
@@ -152,12 +166,17 @@ class Problem:
     tail: float = 1e-6
     correlation: Mapping[Any, float] | None = None
     events: Sequence[Event] = ()
+    constants: Mapping[sp.Symbol, Any] | None = None
+    definitions: Mapping[sp.Expr, Any] | None = None
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
     mass: MassForm = field(init=False)
+    written: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
+        written = {f.name: _kept(getattr(self, f.name)) for f in fields(self) if f.init}
+        object.__setattr__(self, "written", MappingProxyType(written))
         with bounded_depth():
             self._check()
 
@@ -168,12 +187,15 @@ class Problem:
             raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
-        equations, residuals = check_equations(self.equations, time[0])
+        shorthand = check_shorthand(self.constants, self.definitions, time[0])
+        check_apart(shorthand, box, self.initial)
+        equations, residuals = check_equations(self.written["equations"], time[0], shorthand)
         residuals = [closed(residual) for residual in residuals]
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
-        check_names([(name_of(state), state) for state in states], box, time[0])
-        symbols = Symbols(time, tuple(box), unknowns, states)
+        named_states = [(name_of(state), state) for state in states]
+        check_names(named_states, box, time[0], shorthand.owners)
+        symbols = Symbols(time, tuple(box), unknowns, states, shorthand)
         check_symbols(residuals, symbols)
         initial = check_initial(self.initial, symbols)
         initial = {state: closed(start) for state, start in initial.items()}
@@ -204,7 +226,11 @@ class Problem:
             "initial": MappingProxyType(initial),
             "jumps": MappingProxyType(jumps),
             "events": events,
-            "units": MappingProxyType(check_units(self.units, time[0], box, states)),
+            "constants": MappingProxyType(dict(shorthand.constants)),
+            "definitions": MappingProxyType(dict(shorthand.definitions)),
+            "units": MappingProxyType(
+                check_units(self.units, time[0], [*box, *shorthand.symbols], states)
+            ),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
         }
@@ -251,6 +277,8 @@ class Problem:
         tail: float = 1e-6,
         correlation: Mapping[tuple[str, str], float] | None = None,
         events: Sequence[Mapping[str, Any]] = (),
+        constants: Mapping[str, float | str] | None = None,
+        definitions: Mapping[str, str | float] | None = None,
     ) -> Problem:
         """Build a problem from text.
 
@@ -278,6 +306,10 @@ class Problem:
         events : sequence of mapping, optional
             The fields of each :class:`Event`, with formulas: ``{"when": "x", "direction":
             "falling", "then": {"v": "-e*v"}, "name": "bounce"}``.
+        constants : mapping of str to float or str, optional
+            Numbers by name; a text is a formula of numbers, ``"2*pi"``.
+        definitions : mapping of str to str or float, optional
+            Formulas by name, in any order: ``{"F": "k*x + c*v"}``.
 
         Raises
         ------
@@ -289,6 +321,8 @@ class Problem:
             raise ProblemError(f"time is {quote(time)}", term=time, remedy="give (start, end)")
         rhs, initial = normalised("rhs", rhs), normalised("initial", initial)
         parameters = normalised("parameters", parameters)
+        constants = normalised("constants", constants or {})
+        definitions = normalised("definitions", definitions or {})
         for state in initial:
             if state not in rhs:
                 raise ProblemError(
@@ -298,8 +332,10 @@ class Problem:
                     remedy="remove it, or give its derivative in `rhs`",
                 )
         unknowns = {state: sp.Function(state)(t) for state in rhs}
-        symbols = {parameter: sp.Symbol(parameter) for parameter in parameters}
-        check_names(list(unknowns.items()), symbols.values(), t)
+        symbols = {name: sp.Symbol(name) for name in (*parameters, *constants, *definitions)}
+        owners = [(name, f"constant {quote(name)}") for name in constants]
+        owners += [(name, f"definition {quote(name)}") for name in definitions]
+        check_names(list(unknowns.items()), [symbols[name] for name in parameters], t, owners)
         names = {"t": t, **symbols, **unknowns}
         if has_names(units):
             units = normalised("units", units)
@@ -327,6 +363,14 @@ class Problem:
             tail=tail,
             correlation=correlation,
             events=events_of_text(events, names, unknowns),
+            constants={
+                symbols[name]: formula(number, {}, f"constant {quote(name)}", None)
+                for name, number in constants.items()
+            },
+            definitions={
+                symbols[name]: formula(text, names, f"definition of {quote(name)}", None)
+                for name, text in definitions.items()
+            },
         )
 
     def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
@@ -396,6 +440,11 @@ class Problem:
         unknowns = np.stack([by_name[name_of(unknown)] for unknown in self.unknowns])
         return Trajectory(times, unknowns, by_name, integration.events)
 
+    @property
+    def shorthand(self) -> Shorthand:
+        """The constants and definitions."""
+        return Shorthand(self.constants or {}, self.definitions or {})
+
     @cached_property
     def _numeric(self) -> NumericEquations:
         """The equations as functions of numbers."""
@@ -427,29 +476,76 @@ class Problem:
         }
         return {name: scale for name, scale in scales.items() if scale != LINEAR}
 
-    def __reduce__(self) -> tuple[type[Problem], tuple[object, ...]]:
-        written = dict(self.parameters)
+    def set(self, values: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
+        """The same problem with other numbers of constants; of a parameter its fixed number.
+
+        Parameters
+        ----------
+        values, **named
+            Numbers by symbols or names: ``problem.set({m: 2.5})``, ``problem.set(m=2.5)``.
+
+        Returns
+        -------
+        Problem
+            A parameter that is set has become a constant.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such constant or parameter, or the new problem is not well posed.
+
+        Examples
+        --------
+        >>> t, k, m = sp.symbols("t k m")
+        >>> u = sp.Function("u")(t)
+        >>> equation = sp.Eq(m * u.diff(t), -k * u)
+        >>> problem = Problem([equation], (t, 0, 2), {k: (0.5, 5)}, {u: 1}, constants={m: 3.0})
+        >>> problem.set(m=2.5)
+        Problem: 1 unknown, 1 parameter
+          m*du/dt = -k*u
+          u(0) = 1
+          t in [0, 2], k in [0.5, 5]
+          m = 2.5
+        """
+        states = map(name_of, self.initial)
+        return type(self)(**with_constants(self.written, changes_of(values, named), states))
+
+    def vary(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
+        """The same problem with constants set free, or other intervals of parameters.
+
+        Parameters
+        ----------
+        intervals, **named
+            Intervals or distributions as in ``parameters``, by symbols or names:
+            ``problem.vary({k: (1, 2)})``, ``problem.vary(k=(1, 2))``.
+
+        Returns
+        -------
+        Problem
+            A constant that varies has become the last of the parameters.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such constant or parameter, or the new problem is not well posed.
+        """
+        states = map(name_of, self.initial)
+        return type(self)(**with_parameters(self.written, changes_of(intervals, named), states))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        parameters = dict(self.parameters)
         for symbol, ends in self.parameters.items():
             text = self.distributions.get(symbol.name)
             word = written_scale(text)
-            written[symbol] = (*ends, word) if word else text or ends
-        return type(self), (
-            self.equations,
-            self.time,
-            written,
-            dict(self.initial),
-            self.name,
-            dict(self.jumps or {}),
-            dict(self.units or {}),
-            self.tail,
-            dict(self.correlation or {}),
-            self.events,
-        )
+            parameters[symbol] = (*ends, word) if word else text or ends
+        return _rebuilt, (type(self), {**self.written, "parameters": parameters})
 
     def __repr__(self) -> str:
         title = "Problem" if self.name is None else f"Problem {self.name!r}"
         unknowns = count(len(self.unknowns), "unknown")
         lines = [f"{title}: {unknowns}, {count(len(self.parameters), 'parameter')}"]
+        definitions = (self.written["definitions"] or {}).items()
+        lines += [f"  {name_of(symbol)} = {text_of(sp.sympify(e))}" for symbol, e in definitions]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
         at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
         units = self.units or {}
@@ -461,6 +557,11 @@ class Problem:
             for c in self.coordinates
         ]
         lines += ["  " + ", ".join(at_start), "  " + ", ".join(intervals)]
+        numbers = (
+            with_unit(f"{symbol.name} = {text_of(number)}", units, symbol.name)
+            for symbol, number in (self.constants or {}).items()
+        )
+        lines += [f"  {', '.join(numbers)}"] if self.constants else []
         with_units = [name for name in map(name_of, self.initial) if name in units]
         if with_units:
             lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in with_units))
@@ -468,7 +569,9 @@ class Problem:
         return "\n".join([*lines, *(f"  {text}" for text in (*texts, *event_texts(self.events)))])
 
     def _repr_latex_(self) -> str:
-        lines = [latex_of(equation) for equation in self._shown()]
+        written = {**(self.written["definitions"] or {}), **(self.constants or {})}
+        lines = [f"{sp.latex(s)} &= {latex_of(sp.sympify(e))}" for s, e in written.items()]
+        lines += [latex_of(equation) for equation in self._shown()]
         lines += initial_latex(self.initial, self.time[1], self.initial.values())
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
@@ -488,3 +591,15 @@ class Problem:
             equation if isinstance(equation, sp.Eq) else sp.Eq(equation, 0, evaluate=False)
             for equation in self.equations
         ]
+
+
+def _kept(argument: Any) -> Any:
+    """An argument that does not change when the caller changes his own."""
+    if isinstance(argument, Mapping):
+        return dict(argument)
+    return tuple(argument) if isinstance(argument, list | Iterator) else argument
+
+
+def _rebuilt(kind: type[Problem], arguments: dict[str, Any]) -> Problem:
+    """A problem from its arguments, for unpickling."""
+    return kind(**arguments)

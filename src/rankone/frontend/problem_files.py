@@ -53,13 +53,19 @@ x = "x + 1"                # the value right after it
 [units]                    # texts for t, parameters and unknowns; may be left out
 t = "years"
 
+# [constants]              # numbers, or formulas of numbers; may be left out
+# c = 1.5
+
+# [definitions]            # formulas by name, in any order; may be left out
+# eaten = "c*x*y"
+
 [parameters]               # the box; may be left out; or a distribution: "norm(1, 0.1)"
 x0 = [8, 12]
 y0 = [4, 6]                # over decades with a scale: [1e-3, 10, "log"]
 """
 
 _REQUIRED = ("time", "rhs", "initial")
-_OPTIONAL = ("parameters", "name", "jumps", "units", "events")
+_OPTIONAL = ("parameters", "name", "jumps", "units", "events", "constants", "definitions")
 _SHOWN = "`rankone solve --help` shows the layout"
 
 
@@ -157,7 +163,9 @@ def _from_toml(file: Path) -> Problem:
         )
     return Problem.from_strings(
         rhs={n: str(_formula("rhs", n, f)) for n, f in _table(content, "rhs").items()},
-        initial={n: _formula("initial", n, f) for n, f in _table(content, "initial").items()},
+        initial=_formulas(content, "initial"),
+        constants=_formulas(content, "constants"),
+        definitions=_formulas(content, "definitions"),
         parameters={
             name: ends if isinstance(ends, str) else _scaled(name, ends)
             for name, ends in _table(content, "parameters").items()
@@ -237,6 +245,11 @@ def _table(content: Mapping[str, Any], key: str, remedy: str | None = None) -> M
             remedy=remedy or f"write a line [{key}], and below it one for each name; {_SHOWN}",
         )
     return table
+
+
+def _formulas(content: Mapping[str, Any], key: str) -> dict[str, str | float]:
+    """A table of formulas and numbers."""
+    return {name: _formula(key, name, f) for name, f in _table(content, key).items()}
 
 
 def _formula(table: str, name: str, formula: object) -> str | float:

@@ -437,6 +437,11 @@ class CompiledProblem:
                 (*pair, rho) for pair, rho in (self.problem.correlation or {}).items()
             ),
             name=self.problem.name or "",
+            constants=tuple(
+                (symbol.name, float(number))
+                for symbol, number in (self.problem.constants or {}).items()
+            ),
+            definitions=tuple(self.problem.shorthand.texts),
         )
 
 

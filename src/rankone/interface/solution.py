@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
@@ -280,7 +280,7 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
 
     def output(
         self,
-        quantities: Mapping[str, Any],
+        quantities: Mapping[str, Any] | str | Sequence[str],
         *,
         rtol: float | None = None,
         effort: str | float = "normal",
@@ -291,8 +291,10 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
 
         Parameters
         ----------
-        quantities : mapping of str to Expr or str
-            For each name an expression of unknowns, their time derivatives, parameters and time.
+        quantities : mapping of str to Expr or str, or definitions by name
+            For each name an expression of unknowns, their time derivatives, parameters, time, and
+            of the problem's constants and definitions. ``"F"``, or a list of names, asks for
+            definitions of the problem as they are.
             ``Integral(x, (t, a, b))`` is an integral over time, to ``t`` as upper limit a running
             one; :func:`rankone.maximum`, :func:`rankone.minimum`, :func:`rankone.duration` and
             :func:`rankone.first_crossing` are functions of a whole function of time, and
@@ -308,7 +310,7 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
         max_seconds : float, optional
             Time limit on the clock besides.
         units : mapping of str to str, optional
-            Units of quantities.
+            Units of quantities; definitions asked for by name have their own.
 
         Returns
         -------
@@ -336,6 +338,8 @@ class Solution(DistributionOverBox, EstimationFromData, EventTimes):
         )
         asked = quantities, self.metadata, self.time, samples_of(self), self.outcome.timeline
         outputs = expressions.quantities_of(*asked)
+        if units is None and not isinstance(quantities, Mapping):
+            units = {name: unit for name, unit in self.metadata.units if name in outputs.names}
         return Solution(*with_outputs(self, outputs, rtol, effort, max_seconds, units or {}))
 
     def fix(self, values: Mapping[Any, Any] | None = None, /, **named: object) -> Solution:

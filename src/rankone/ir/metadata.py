@@ -35,7 +35,8 @@ class SolutionMetadata:
     coordinate. ``units`` has names of coordinates and states. ``distributions`` are texts,
     ``norm(1.0, 0.1)``; other parameters are uniform. ``correlations`` are pairs of parameters and
     the correlation of their Gaussian copula. ``fixed`` has the coordinates that ``fix`` or ``at``
-    set. ``name`` is empty if the problem has none.
+    set. ``name`` is empty if the problem has none. ``constants`` are numbers by name, and
+    ``definitions`` formulas by name, of states, coordinates and numbers.
     """
 
     states: tuple[str, ...]
@@ -55,6 +56,8 @@ class SolutionMetadata:
     correlations: tuple[tuple[str, str, float], ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     name: str = ""
+    constants: tuple[tuple[str, float], ...] = ()
+    definitions: tuple[tuple[str, str], ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:

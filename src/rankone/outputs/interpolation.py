@@ -131,6 +131,7 @@ def with_outputs(
         source=None,
         timeless=quantities.timeless,
         units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
+        definitions=(),
     )
 
 

@@ -40,7 +40,7 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
         notes=(),
     )
     units = of_derivatives(metadata.units, metadata.states, name)
-    return derivative, replace(metadata, equations=(), source=None, units=units)
+    return derivative, replace(metadata, equations=(), source=None, units=units, definitions=())
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:

@@ -288,6 +288,8 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         "a distribution": tuple(text for pair in metadata.distributions for text in pair),
         "a correlation": tuple(name for *pair, _ in metadata.correlations for name in pair),
         "a fixed coordinate": tuple(name for name, _ in metadata.fixed),
+        "a constant": tuple(name for name, _ in metadata.constants),
+        "a definition": tuple(text for pair in metadata.definitions for text in pair),
         "the version": (metadata.version,),
     }
     for subject, texts in lines.items():
@@ -299,6 +301,8 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         raise ValueError("a distribution or a correlation is of something else than a parameter")
     if not all(math.isfinite(at) for _, at in metadata.fixed):
         raise ValueError("a fixed coordinate is not finite")
+    if not all(math.isfinite(number) for _, number in metadata.constants):
+        raise ValueError("a constant is not finite")
 
 
 def _check_timeline(timeline: Timeline, horizon: tuple[float, float], parameters: int) -> None:

@@ -171,7 +171,14 @@ def check_moved(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RankoneWarning)
-            Problem(problem.equations, (t, *domain.horizon), box, problem.initial)
+            Problem(
+                problem.equations,
+                (t, *domain.horizon),
+                box,
+                problem.initial,
+                constants=problem.constants,
+                definitions=problem.definitions,
+            )
         check_tables(first_order, coordinates)
         if form.general:
             check_known(first_order, coordinates)

@@ -1,0 +1,213 @@
+"""Constants and definitions: the names that a problem gives to numbers and to expressions."""
+
+from __future__ import annotations
+
+import graphlib
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from rankone.discretization.coordinates import name_of
+from rankone.expressions.notation import exact, plain_text
+from rankone.frontend.box import Box, check_assumptions, real_number
+from rankone.support.errors import ProblemError
+from rankone.support.wording import quote, shown
+
+# Operations of a definition whose own definitions are put in: more take minutes to compile
+_MOST_OPERATIONS = 50_000
+
+
+@dataclass(frozen=True)
+class Shorthand:
+    """Constants and definitions of a problem.
+
+    Attributes
+    ----------
+    constants : dict of Symbol to Expr
+        Exact numbers.
+    definitions : dict of (Symbol or applied function of time) to Expr
+        In the order given, each in terms of unknowns, time, parameters and numbers alone.
+    """
+
+    constants: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    definitions: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)
+
+    @property
+    def symbols(self) -> tuple[sp.Expr, ...]:
+        """What the names are written as."""
+        return *self.constants, *self.definitions
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, constants first."""
+        return tuple(map(name_of, self.symbols))
+
+    @property
+    def owners(self) -> list[tuple[str, str]]:
+        """All names with what has them: ``("m", "constant `m`")``."""
+        listed = (("constant", self.constants), ("definition", self.definitions))
+        return [(name_of(s), f"{noun} {quote(s)}") for noun, of in listed for s in of]
+
+    @property
+    def texts(self) -> Iterator[tuple[str, str]]:
+        """The definitions by name, of states by name: ``("F", "k*x + 0.1*x_t")``."""
+        for symbol, expression in self.definitions.items():
+            states = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
+            named = {state: sp.Symbol(name_of(state)) for state in states}
+            yield name_of(symbol), plain_text(expression.xreplace(named))
+
+    def put_in(self, expression: sp.Expr) -> sp.Expr:
+        """An expression with numbers for constants and expressions for definitions."""
+        if not self.symbols:
+            return expression
+        replaced: sp.Expr = expression.xreplace({**self.constants, **self.definitions})
+        derivatives = replaced.atoms(sp.Derivative) - expression.atoms(sp.Derivative)
+        carried_out = {d: d.doit() for d in derivatives if not isinstance(d.expr, AppliedUndef)}
+        return replaced.xreplace(carried_out) if carried_out else replaced
+
+
+def check_shorthand(constants: object, definitions: object, time: sp.Symbol) -> Shorthand:
+    """Return the constants as exact numbers, and the definitions without each other.
+
+    A ProblemError if a constant is no number, or definitions go in a circle.
+    """
+    numbers = _check_constants(constants, time)
+    written = _check_definitions(definitions, time)
+    return Shorthand(numbers, _expanded(written, numbers))
+
+
+def _check_constants(constants: object, time: sp.Symbol) -> dict[sp.Symbol, sp.Expr]:
+    if not isinstance(constants, Mapping | None):
+        raise ProblemError(
+            f"constants are {shown(constants)}, not a mapping",
+            term=constants,
+            remedy="give {symbol: number, ...}, for example {m: 3.0}",
+        )
+    numbers: dict[sp.Symbol, sp.Expr] = {}
+    for symbol, value in (constants or {}).items():
+        if not isinstance(symbol, sp.Symbol):
+            raise ProblemError(
+                f"constant {shown(symbol)} is not a SymPy symbol",
+                term=symbol,
+                remedy="use the symbols that appear in the equations as keys",
+            )
+        if symbol.name == time.name:
+            message = f"{quote(symbol)} is both the time and a constant"
+            raise ProblemError(message, term=symbol, remedy="rename one of them")
+        numbers[symbol] = constant_value(symbol, value)
+    return numbers
+
+
+def constant_value(symbol: sp.Symbol, value: Any) -> sp.Expr:
+    """The number of a constant, exact; a ProblemError if it is none."""
+    subject = f"the constant {quote(symbol)}"
+    if isinstance(value, sp.Expr) and value.free_symbols:
+        raise ProblemError(
+            f"{subject} is {quote(value)}, not a number",
+            term=value,
+            remedy="give an expression in `definitions`",
+        )
+    remedy = "give a number; an interval belongs in `parameters`, a formula in `definitions`"
+    nearest = real_number(value, subject, remedy)
+    check_assumptions(symbol, nearest, nearest, f"the value {nearest:g} of {subject[4:]}")
+    return exact(value if isinstance(value, sp.Expr) else sp.sympify(nearest))
+
+
+def _check_definitions(definitions: object, time: sp.Symbol) -> dict[sp.Expr, sp.Expr]:
+    """The definitions as expressions, perhaps of each other."""
+    if not isinstance(definitions, Mapping | None):
+        raise ProblemError(
+            f"definitions are {shown(definitions)}, not a mapping",
+            term=definitions,
+            remedy="give {symbol: expression, ...}, for example {F: k*x}",
+        )
+    written: dict[sp.Expr, sp.Expr] = {}
+    for symbol, value in (definitions or {}).items():
+        applied = isinstance(symbol, AppliedUndef) and symbol.args == (time,)
+        if not isinstance(symbol, sp.Symbol) and not applied:
+            raise ProblemError(
+                f"{shown(symbol)} cannot be defined: it is neither a symbol nor a function of the "
+                f"time {quote(time)}",
+                term=symbol,
+                remedy="give symbols as keys, for example {F: k*x}",
+            )
+        if symbol == time:
+            raise ProblemError(
+                f"{quote(symbol)} is both the time and a definition",
+                term=symbol,
+                remedy="rename one of them",
+            )
+        try:
+            expression = sp.sympify(value, strict=True)
+        except (sp.SympifyError, TypeError):
+            expression = None
+        if not isinstance(expression, sp.Expr) or isinstance(expression, sp.MatrixExpr):
+            remedy = "give an expression of unknowns, parameters, constants and time"
+            remedy += "; Problem.from_strings takes text" if isinstance(value, str) else ""
+            raise ProblemError(
+                f"the definition of {quote(symbol)} is {shown(value)}, not an expression",
+                term=value,
+                remedy=remedy,
+            )
+        written[symbol] = exact(expression)
+    return written
+
+
+def _expanded(
+    written: Mapping[sp.Expr, sp.Expr], constants: Mapping[sp.Symbol, sp.Expr]
+) -> dict[sp.Expr, sp.Expr]:
+    """The definitions with constants and each other put in, in the order given."""
+    needs = {symbol: _among(written, expression) for symbol, expression in written.items()}
+    try:
+        order = list(graphlib.TopologicalSorter(needs).static_order())
+    except graphlib.CycleError as error:
+        circle = error.args[1][::-1]
+        steps = (f"{quote(a)} needs {quote(b)}" for a, b in itertools.pairwise(circle))
+        raise ProblemError(
+            f"definitions go in a circle: {', '.join(steps)}",
+            term=circle[0],
+            remedy="define each by what does not need it; what changes by itself is an unknown",
+        ) from None
+    operations: dict[sp.Expr, float] = {}
+    expanded: dict[sp.Expr, sp.Expr] = {}
+    for symbol in order:
+        expression = written[symbol]
+        inner = sum(operations[s] * expression.count(s) for s in needs[symbol])
+        operations[symbol] = inner + float(sp.count_ops(expression)) + 1.0
+        if operations[symbol] > _MOST_OPERATIONS:
+            raise ProblemError(
+                f"the definition of {quote(symbol)} has {operations[symbol]:.3g} operations when "
+                "the others are put in",
+                term=symbol,
+                remedy="make one of those it needs an unknown with an equation of its own",
+            )
+        expanded[symbol] = expression.xreplace({**constants, **expanded})
+    return {symbol: expanded[symbol] for symbol in written}
+
+
+def _among(written: Mapping[sp.Expr, sp.Expr], expression: sp.Expr) -> list[sp.Expr]:
+    """The definitions that an expression needs."""
+    named = expression.free_symbols | expression.atoms(AppliedUndef)
+    return [symbol for symbol in written if symbol in named]
+
+
+def check_apart(shorthand: Shorthand, box: Box, initial: object) -> None:
+    """Raise if a constant or a definition is a parameter too, or has an initial value."""
+    for symbol in shorthand.symbols:
+        noun = "constant" if symbol in shorthand.constants else "definition"
+        if symbol in box:
+            raise ProblemError(
+                f"{quote(symbol)} is both a parameter and a {noun}",
+                term=symbol,
+                remedy="keep it in one of the two; problem.set and problem.vary move it",
+            )
+        if isinstance(initial, Mapping) and symbol in initial:
+            raise ProblemError(
+                f"{quote(symbol)} has both a {noun} and an initial value",
+                term=symbol,
+                remedy="remove one of the two",
+            )
