@@ -23,9 +23,12 @@ if TYPE_CHECKING:
     from rankone.codegen.loading import load_module
     from rankone.codegen.lowering import quadratic_system
     from rankone.codegen.module import generate_source
+    from rankone.estimation.experiments import Experiment
     from rankone.estimation.fit import Fit
     from rankone.estimation.minimize import Optimum
     from rankone.estimation.posterior import Posterior
+    from rankone.estimation.posterior import posterior_of as posterior
+    from rankone.estimation.search import fit_experiments as fit
     from rankone.frontend.events import Event
     from rankone.frontend.problem import Problem
     from rankone.frontend.trajectory import Trajectory
@@ -71,6 +74,7 @@ __all__ = [
     "CrossOptions",
     "EvaluationError",
     "Event",
+    "Experiment",
     "ExportError",
     "FirstOrderSystem",
     "Fit",
@@ -100,12 +104,14 @@ __all__ = [
     "event_time",
     "first_crossing",
     "first_order",
+    "fit",
     "function",
     "generate_source",
     "load",
     "load_module",
     "maximum",
     "minimum",
+    "posterior",
     "quadratic_system",
     "separate",
     "solve",
@@ -117,9 +123,11 @@ _MODULES = {
     "codegen.loading": ("load_module",),
     "codegen.lowering": ("quadratic_system",),
     "codegen.module": ("generate_source",),
+    "estimation.experiments": ("Experiment",),
     "estimation.fit": ("Fit",),
     "estimation.minimize": ("Optimum",),
-    "estimation.posterior": ("Posterior",),
+    "estimation.posterior": ("Posterior", "posterior"),
+    "estimation.search": ("fit",),
     "frontend.events": ("Event",),
     "frontend.problem": ("Problem",),
     "frontend.trajectory": ("Trajectory",),
@@ -152,7 +160,12 @@ _MODULES = {
 }
 """The public names by their modules, which are imported when a name is first used, so that
 ``import rankone`` and the command line begin at once."""
-_INNER_NAMES = {"compile": "compile_problem", "solve": "solve_problem"}
+_INNER_NAMES = {
+    "compile": "compile_problem",
+    "fit": "fit_experiments",
+    "posterior": "posterior_of",
+    "solve": "solve_problem",
+}
 """Public names of functions that have a longer name where they are defined."""
 
 

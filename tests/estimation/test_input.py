@@ -32,7 +32,20 @@ DATA = np.exp(-TIMES)
         ({"sigma": -1}, "sigma = -1 is not a positive number"),
         ({"sigma": np.nan}, "sigma = nan"),
         ({"sigma": [1, 2, 3]}, r"sigma has the shape \(3,\)"),
-        ({"sigma": "a"}, "not real numbers"),
+        ({"sigma": [None] * 8}, "sigma = nan"),
+        ({"sigma": "a +"}, "`a \\+` is not an expression"),
+        ({"sigma": "K"}, "`K` is unknown .did you mean `k`"),
+        ({"noise": "propotional"}, "noise='propotional' is unknown .did you mean `proportional`"),
+        ({"noise": "combined", "sigma": 0.1}, "has two levels"),
+        ({"noise": "proportional", "sigma": "k"}, "sigma is an expression"),
+        ({"noise": "constant", "weights": 1}, "noise and weights are both given"),
+        ({"observe": "log(w)"}, "`log.w.` depends on no unknown"),
+        ({"observe": "scale*u + K"}, "an observable has `K`.*did you mean `k`"),
+        ({"observe": "u**power"}, "`power` of an observable enters it nonlinearly.*bounds"),
+        ({"observe": "u(3)"}, "`u.3.` is not understood"),
+        ({"observe": "log(u)", "noise": "log-normal", "data": -DATA}, "is not positive"),
+        ({"bounds": {"k": (1, 2, "lin")}}, "not a pair"),
+        ({"prior": {"k": 3}}, "not a frozen continuous distribution"),
         ({"sigma": 1, "weights": 1}, "sigma and weights are both given"),
         ({"weights": 0}, "weights = 0 is not"),
         ({"fixed": {"k": 1, "a": 1}}, "all parameters are fixed"),
@@ -87,7 +100,7 @@ def test_of_a_fit():
         fit.interval_of("q*k")
     with pytest.raises(OptionError, match="not understood"):
         fit.interval_of("k // 2")
-    with pytest.raises(OptionError, match="there is no parameter `__import__`"):
+    with pytest.raises(OptionError, match=r"`__import__.k.` is not understood"):
         fit.interval_of("__import__(k)")
     with pytest.raises(OptionError, match="is not an expression"):
         fit.interval_of("k +")
@@ -103,8 +116,9 @@ def test_of_a_fit():
 
 def test_signatures_can_be_inspected():
     names = {
-        "fit": "times data observe sigma weights fixed start bounds starts effort level missing",
-        "posterior": "times data observe sigma prior fixed bounds weights missing seed steps",
+        "fit": "times data observe sigma noise weights fixed start bounds prior starts effort "
+        "level missing",
+        "posterior": "times data observe sigma noise prior fixed bounds weights missing seed steps",
         "minimize": "objective t sense fixed start bounds constraints starts effort",
     }
     for method, wanted in names.items():

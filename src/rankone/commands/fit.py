@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rankone.commands.common import (
     FAILURE,
@@ -21,17 +22,24 @@ from rankone.commands.common import (
 )
 from rankone.support.budget import effort_of
 from rankone.support.errors import OptionError
-from rankone.support.wording import did_you_mean, listing, quote
+from rankone.support.wording import listing, quote
 
 if TYPE_CHECKING:
     from rankone.estimation.fit import Fit
-    from rankone.interface.solution import Solution
+    from rankone.estimation.posterior import Posterior
 
-_SIGMA_HELP = "standard deviation of the noise, one or by unknown; by default it is estimated"
+T = TypeVar("T")
+
+_SIGMA_HELP = "standard deviation of the noise, one or by unknown, numbers or expressions"
+_NOISE_HELP = "kind of noise, one or by unknown: constant, proportional, combined, ..."
+_OBSERVE_HELP = "columns to use, perhaps with what they are: signal='scale*x + offset'"
+_BOUNDS_HELP = "interval of a parameter; SCALE is log"
 _EFFORT_HELP = "low, normal (default), high or a factor on the budget of the solve and the starts"
 _EXIT_HELP = """\
 data: a table with commas; the first line names the columns: time (by the name it has in the
-problem) and the unknowns that were measured. Empty cells are missing values.
+problem) and what was measured. Empty cells are missing values. Columns `condition` and `subject`
+tell experiments apart, columns of parameters hold their values, `sigma` and `sigma_x` the
+standard deviations.
 
 exit status:
   0  nothing speaks against the fit
@@ -53,82 +61,96 @@ def register(commands: Commands) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help=SOLVED_HELP)
     add("data", metavar="DATA", type=Path, help="a .csv file (see below)")
-    add("--observe", metavar="NAME", nargs="+", help="columns to use; by default all unknowns")
+    add("--observe", metavar="NAME[=EXPR]", nargs="+", action="extend", help=_OBSERVE_HELP)
     add("--sigma", metavar="S|NAME=S", nargs="+", help=_SIGMA_HELP)
+    add("--noise", metavar="KIND|NAME=KIND", nargs="+", help=_NOISE_HELP)
     for option, meaning in (("fixed", "parameters that are known"), ("start", "where to start")):
         add(f"--{option}", metavar="NAME=VALUE", nargs="+", action="extend", help=meaning)
+    add(
+        "--bounds",
+        metavar="NAME=LOWER:UPPER[:SCALE]",
+        nargs="+",
+        action="extend",
+        help=_BOUNDS_HELP,
+    )
     add("--level", type=float, default=0.95, help="level of intervals (default: %(default)g)")
+    add("--profile", action="store_true", help="intervals by profile likelihood")
+    add("--posterior", action="store_true", help="the distribution of the parameters as well")
     add_solve_rtol(parser)
     add("--effort", metavar="E", type=effort_of, default="normal", help=_EFFORT_HELP)
     add("--json", action="store_true", help="print the result as JSON")
 
 
 def _fit(arguments: argparse.Namespace) -> int:
-    from rankone.export.program import pairs_of
+    from rankone.estimation.posterior import posterior_of
+    from rankone.export.program import box_of, pairs_of
 
     solution = solution_of(arguments.file, arguments.rtol, effort=arguments.effort)
-    times, measurements = _table(arguments.data, solution, arguments.observe)
+    table = _read(arguments.data)
     fit = solution.fit(
-        times,
-        measurements,
-        sigma=_sigma(arguments.sigma),
+        table,
+        observe=_observe(arguments.observe),
+        sigma=_one_or_named("--sigma", arguments.sigma, _number_or_text),
+        noise=_one_or_named("--noise", arguments.noise, str),
         fixed=pairs_of("--fixed", arguments.fixed, float),
         start=pairs_of("--start", arguments.start, float) or None,
+        bounds={k: tuple(ends) for k, ends in box_of(arguments.bounds, "--bounds").items()},
         level=arguments.level,
         effort=arguments.effort,
     )
-    print(json.dumps(_plain(fit), indent=2, allow_nan=False) if arguments.json else fit)
+    posterior = posterior_of(fit) if arguments.posterior else None
+    if arguments.json:
+        print(json.dumps(_plain(fit, posterior, arguments.profile), indent=2, allow_nan=False))
+    else:
+        print(fit)
+        if arguments.profile:
+            print(_profiles(fit))
+        if posterior is not None:
+            print(posterior)
     return SUCCESS if fit.success else FAILURE
 
 
-def _table(
-    file: Path, solution: Solution, observe: Sequence[str] | None
-) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Times and measurements of each unknown that was measured."""
-    header, rows = _read(file)
-    time = solution.metadata.time
-    if solution.metadata.timeless:
-        raise OptionError("values that do not depend on time are fitted from Python alone")
-    if len(header) == 1 and ";" in header[0]:
-        raise OptionError(
-            f"{quote(file)} has semicolons between its columns", remedy="write commas"
-        )
-    if time not in header:
-        raise OptionError(
-            f"{quote(file)} has no column {quote(time)} for time{did_you_mean(time, header)}",
-            term=header,
-            remedy=f"its columns are {listing(header)}",
-        )
-    names = list(observe or [name for name in header if name in solution.states])
+def _observe(texts: Sequence[str] | None) -> dict[str, str] | None:
+    """What was measured, by the name of its column."""
+    if texts is None:
+        return None
+    pairs = [text.partition("=") for text in texts]
+    names = [name.strip() for name, _, _ in pairs]
     if len({*names}) < len(names):
         raise OptionError(f"--observe names an unknown twice: {listing(names)}", term=names)
-    for name in names:
-        if name not in header:
-            raise OptionError(
-                f"{quote(file)} has no column {quote(name)}{did_you_mean(name, header)}",
-                term=name,
-                remedy=f"its columns are {listing(header)}",
-            )
-    if not names:
-        raise OptionError(
-            f"{quote(file)} has no column of an unknown",
-            term=header,
-            remedy=f"name columns as one of {listing(solution.states)}",
-        )
-    clock = header.index(time)
-    times: dict[str, list[float]] = {name: [] for name in names}
-    measurements: dict[str, list[float]] = {name: [] for name in names}
-    for line, row in rows:
-        for name in names:
-            cell = row[header.index(name)].strip()
-            if cell:
-                times[name].append(_cell(file, line, time, row[clock]))
-                measurements[name].append(_cell(file, line, name, cell))
-    return times, measurements
+    return {name: (right or name).strip() for name, (_, _, right) in zip(names, pairs, strict=True)}
 
 
-def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The names of the columns, and the rows with their lines."""
+def _one_or_named(option: str, texts: Sequence[str] | None, read: Callable[[str], T]) -> Any:
+    """One for all that was measured, one for each by name, or nothing."""
+    from rankone.export.program import pairs_of
+
+    if texts is None:
+        return None
+    if len(texts) > 1 or "=" in texts[0]:
+        return pairs_of(option, texts, read)
+    return read(texts[0])
+
+
+def _number_or_text(text: str) -> float | str:
+    """A number, or an expression."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _profiles(fit: Fit) -> str:
+    """Intervals by profile likelihood, a line each."""
+    lines = ["profile intervals:"]
+    for name, ends in fit.interval(method="profile").items():
+        low, high = ("open" if math.isnan(end) else f"{end:.6g}" for end in ends)
+        lines.append(f"  {name}  [{low}, {high}]")
+    return "\n".join(lines)
+
+
+def _read(file: Path) -> dict[str, list[str]]:
+    """The columns of a table."""
     try:
         with file.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
@@ -138,6 +160,10 @@ def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not lines:
         raise OptionError(f"{quote(file)} is empty", term=str(file))
     header = [name.strip() for name in lines[0][1]]
+    if len(header) == 1 and ";" in header[0]:
+        raise OptionError(
+            f"{quote(file)} has semicolons between its columns", remedy="write commas"
+        )
     if len(set(header)) < len(header):
         raise OptionError(f"{quote(file)} names a column twice: {listing(header)}", term=header)
     for line, row in lines[1:]:
@@ -145,39 +171,31 @@ def _read(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             raise OptionError(
                 f"{quote(file)}, line {line}: {len(row)} cells for {len(header)} columns", term=row
             )
-    return header, lines[1:]
+    return {name: [row[i].strip() for _, row in lines[1:]] for i, name in enumerate(header)}
 
 
-def _cell(file: Path, line: int, name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise OptionError(
-            f"{quote(file)}, line {line}: {quote(name)} is {text!r}, not a number", term=text
-        ) from None
+def _ends(intervals: Mapping[str, tuple[float, float]]) -> dict[str, list[float | None]]:
+    return {name: [*map(finite_or_none, ends)] for name, ends in intervals.items()}
 
 
-def _sigma(texts: Sequence[str] | None) -> float | dict[str, float] | None:
-    """The noise: a number, numbers by name, or nothing."""
-    from rankone.export.program import pairs_of
-
-    if texts is None:
-        return None
-    if len(texts) > 1 or "=" in texts[0]:
-        return pairs_of("--sigma", texts, float)
-    try:
-        return float(texts[0])
-    except ValueError:
-        raise OptionError(f"--sigma: {quote(texts[0])} is not a number", term=texts[0]) from None
-
-
-def _plain(fit: Fit) -> dict[str, object]:
+def _plain(fit: Fit, posterior: Posterior | None, profile: bool) -> dict[str, object]:
     """The fit for JSON; numbers that are not finite are null."""
+    more: dict[str, object] = {}
+    if profile:
+        more["profile"] = _ends(fit.interval(method="profile"))
+    if posterior is not None:
+        more["posterior"] = {
+            "success": posterior.success,
+            "message": posterior.message,
+            "mean": posterior.mean,
+            "std": posterior.std,
+            "interval": _ends(posterior.interval()),
+        }
     return {
         "success": fit.success,
         "message": fit.message,
         "x": fit.x,
-        "interval": {name: [*map(finite_or_none, ends)] for name, ends in fit.interval().items()},
+        "interval": _ends(fit.interval()),
         "level": fit.level,
         "std": {name: finite_or_none(deviation) for name, deviation in fit.std.items()},
         "identifiable": fit.identifiable,
@@ -189,10 +207,16 @@ def _plain(fit: Fit) -> dict[str, object]:
             for text in fit.combinations
         },
         "fixed": fit.fixed,
-        "observed": list(fit.observations.names),
-        "data": fit.observations.size,
+        "experiments": [trial.name for trial in fit.trials],
+        "observed": list(fit.observed),
+        "data": fit.size,
         "dof": fit.dof,
         "chi2": fit.chi2,
         "sigma": finite_or_none(fit.sigma),
         "p_value": finite_or_none(fit.p_value),
+        "log_likelihood": finite_or_none(fit.log_likelihood),
+        "aic": finite_or_none(fit.aic),
+        "bic": finite_or_none(fit.bic),
+        "checks": list(fit.checks),
+        **more,
     }

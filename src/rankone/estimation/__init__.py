@@ -1,11 +1,25 @@
 """Parameters from data, posterior distributions and best values: methods of a solution.
 
 ======================  ==========================================================================
-``observations``        measured data, checked
-``free_parameters``     free parameters, their bounds, and starts
-``least_squares``       least squares in a unit cube, for many starts at once
-``search``              ``fit``
-``fit``                 the result of ``fit``, and reasons not to trust it
+``tables``              tables of measurements, cut into experiments
+``observations``        measured data, checked, and what was measured
+``formulas``            arithmetic of named quantities, from text or symbols
+``duals``               arrays with their derivatives
+``noise``               kinds of noise, and what a datum adds to a likelihood
+``experiments``         experiments, and what their solutions predict
+``free_parameters``     free parameters, their bounds, scales and starts
+``ranges``              intervals of parameters that belong to no solution
+``likelihood``          the likelihood of all experiments, on a unit cube
+``least_squares``       its minima, for many starts at once
+``search``              ``fit``, of one experiment or several
+``choice``              the minimum that a fit reports
+``fit``                 the result of a fit
+``residuals``           predictions and residuals at a point
+``curves``              fitted curves and their derivatives
+``findings``            reasons not to trust a fit
+``checks``              what is odd about residuals
+``jumps``               events that pass times of the data
+``presentation``        fits as text
 ``identification``      which parameters and combinations the data identify; profile likelihoods
 ``posterior``           ``posterior``, by quadrature or by a Markov chain
 ``cube_distributions``  distributions in a unit cube, on cells or as points of a chain

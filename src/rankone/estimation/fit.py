@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
-from rankone.estimation.expressions import gradient, quantity
+from rankone.estimation.checks import residual_checks
+from rankone.estimation.curves import Curve, curve_of
+from rankone.estimation.experiments import Trial
+from rankone.estimation.expressions import quantity
+from rankone.estimation.findings import findings_of
 from rankone.estimation.identification import Best, Identification, Profile, Stop, profiles
-from rankone.estimation.least_squares import LeastSquares
+from rankone.estimation.jumps import Jump
+from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.observations import Observations
+from rankone.estimation.presentation import fit_text
+from rankone.estimation.residuals import Rows, model_errors, rows_of
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError, with_remedy
+from rankone.support.errors import OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import count, listing, quote
+from rankone.support.wording import did_you_mean, listing, quote
 
 # Share of a gradient along flat directions above which a quantity is not identified
 _FLAT_SHARE = 1e-3
-_UNLIKELY = 1e-3  # Probability of residuals this large below which the model is rejected
-# Accepted shift of an estimate by the error of the solution, in its standard deviations
-_MODEL_SHARE = 0.5
 
 Interval = tuple[float, float]
 
@@ -35,32 +39,58 @@ class Fit:
 
     Attributes
     ----------
-    solution : SolutionCore
-    observations : Observations
-        What was measured, in a row.
     level : float
         Default level of intervals.
-    chi2 : float
-        Sum of squared residuals over sigma; of weighted residuals with weights or unknown sigma.
     converged : bool
         Whether the search converged.
+    stuck : bool
+        Whether it ended where the likelihood jumps: an event passes a time of the data there.
     others : tuple of dict of str to float
         Other minima that the data do not exclude at the level.
-    size : ndarray (m,)
-        Largest values of the observed states over the box, for each datum.
+    jumps : tuple of Jump
+        Parameters in whose intervals an event passes a time of the data, and that time.
+    sizes : tuple of dict of str to float
+        For each experiment the largest values of the observed states over the box.
     """
 
-    solution: SolutionCore
-    observations: Observations
     level: float
-    chi2: float
     converged: bool
-    _problem: LeastSquares
+    stuck: bool
+    _problem: Likelihood
+    _best: Best
     _z: Array
-    _scaled_residuals: Array
     _identification: Identification
+    _freedom: dict[int, float] = field(default_factory=dict)
     others: tuple[dict[str, float], ...] = ()
-    size: Array = field(default_factory=lambda: np.zeros(0))
+    jumps: tuple[Jump, ...] = ()
+    sizes: tuple[dict[str, float], ...] = ()
+
+    # --- what was fitted -----------------------------------------------------------------------
+
+    @property
+    def trials(self) -> tuple[Trial, ...]:
+        """The experiments, each with its solution and its data in a row."""
+        return self._problem.trials
+
+    @property
+    def solution(self) -> SolutionCore:
+        """The solution; that of the first experiment if there are several."""
+        return self.trials[0].solution
+
+    @property
+    def observations(self) -> Observations:
+        """What was measured, in a row; in the first experiment if there are several."""
+        return self.trials[0].observations
+
+    @property
+    def size(self) -> int:
+        """Number of data."""
+        return self._problem.size
+
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """Names of what was measured."""
+        return tuple(dict.fromkeys(n for trial in self.trials for n in trial.observations.names))
 
     # --- best values ---------------------------------------------------------------------------
 
@@ -70,8 +100,13 @@ class Fit:
         return self._problem.free.names
 
     @property
+    def noise_levels(self) -> tuple[str, ...]:
+        """Those of the free parameters that are levels of noise."""
+        return tuple(self.parameters[j] for j in self._problem.levels)
+
+    @property
     def fixed(self) -> dict[str, float]:
-        """Parameters that were not fitted, and their values."""
+        """Parameters that were fixed in all experiments, and their values."""
         return dict(self._problem.free.fixed)
 
     @cached_property
@@ -81,20 +116,92 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """All parameters, fixed ones as well: ``solution(times, fit.values)`` is the curve."""
-        return self._problem.free.complete(self.x)
+        """All parameters of the solution: ``solution(times, fit.values)`` is the curve.
+
+        Those of the first experiment if there are several; see :meth:`values_in`.
+        """
+        return self.values_in(0)
+
+    def values_in(self, experiment: int | str) -> dict[str, float]:
+        """All parameters of the solution in one experiment, by its name or its position."""
+        trial = self.trial(experiment)
+        every = {**self._problem.free.complete(self.x), **trial.fixed}
+        return {name: every[name] for name in trial.solution.parameters}
+
+    def trial(self, experiment: int | str) -> Trial:
+        """One experiment, by its name or its position."""
+        names = [trial.name for trial in self.trials]
+        if isinstance(experiment, str) and experiment in names:
+            return self.trials[names.index(experiment)]
+        if isinstance(experiment, int) and -len(names) <= experiment < len(names):
+            return self.trials[experiment]
+        raise OptionError(
+            f"there is no experiment {quote(experiment)}{did_you_mean(str(experiment), names)}",
+            term=experiment,
+            remedy=f"choose from {listing(names)}" if any(names) else f"give 0 to {len(names) - 1}",
+        )
 
     @cached_property
-    def residuals(self) -> Array | dict[str, Array]:
-        """Data minus model, in the shape of the data; by name if the data were so."""
-        return self.observations.arranged(-self._scaled_residuals / self.observations.scale)
+    def residuals(self) -> Array | dict[str, Array] | dict[str, Array | dict[str, Array]]:
+        """Data minus model, in the shape of the data.
+
+        By name if the data were so; by experiment if there are several.
+        """
+        rows = [
+            trial.observations.arranged(trial.observations.values - row.predicted)
+            for trial, row in zip(self.trials, self._rows, strict=True)
+        ]
+        return rows[0] if len(rows) == 1 else dict(zip(self._names, rows, strict=True))
+
+    @property
+    def standardised(self) -> tuple[Array, ...]:
+        """For each experiment the residuals in standard deviations, in a row."""
+        unit = self._unit if self._unit > 0.0 else 1.0
+        return tuple(row.scaled / unit for row in self._rows)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """Names of the experiments."""
+        return tuple(trial.name for trial in self.trials)
+
+    @cached_property
+    def _rows(self) -> list[Rows]:
+        return rows_of(self._problem, self._z)
+
+    @property
+    def deviations(self) -> list[Array]:
+        """For each experiment the standard deviations of the data (m,), as given or estimated.
+
+        Those of log-normal noise are in the unit of the data, to first order.
+        """
+        return [row.deviations * self._unit for row in self._rows]
+
+    @property
+    def model_errors(self) -> list[Array]:
+        """For each experiment how far the error of the solution moves the predictions (m,)."""
+        return model_errors(self._problem, self._z, self.sizes)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals over sigma; of weighted residuals if sigma is not known."""
+        return float(sum(np.sum(row.scaled**2) for row in self._rows))
 
     @property
     def dof(self) -> int:
         """Degrees of freedom: number of data less the number of fitted directions."""
-        return self.observations.size - self._identification.used
+        return self.size - self._identification.used + len(self._problem.levels)
 
     @property
+    def unit_known(self) -> bool:
+        """Whether standard deviations are given or have levels, not one that all data share."""
+        return self._problem.unit_known
+
+    @property
+    def noise_given(self) -> bool:
+        """Whether the standard deviations of all data were given."""
+        return self._problem.unit_known and not self._problem.levels
+
+    @cached_property
     def sigma(self) -> float:
         """Standard deviation of the residuals, in units of sigma where sigma was given.
 
@@ -104,17 +211,64 @@ class Fit:
 
     @property
     def p_value(self) -> float:
-        """Probability of residuals as large as these or larger; NaN where sigma is not known."""
-        if not self.observations.sigma_known or not self.dof > 0:
+        """Probability of residuals as large as these or larger; NaN where sigma is not given."""
+        if not self.noise_given or not self.dof > 0:
             return math.nan
         return float(scipy.stats.chi2.sf(self.chi2, self.dof))
+
+    # --- how well the model describes the data -------------------------------------------------
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """The largest logarithm of the probability density of the data, with all constants."""
+        values = self._problem.free.values(self._best.z)
+        if self._problem.unit_known:
+            return self._problem.log_likelihood(values)
+        variance = max(self._best.cost / self.size, 1e-300)
+        unit = self._problem.log_likelihood(values) + 0.5 * self._best.cost
+        return unit - 0.5 * self.size * (math.log(variance) + 1.0)
+
+    @property
+    def _estimated(self) -> int:
+        """Number of estimates, an unknown sigma among them."""
+        return len(self.parameters) + (not self._problem.unit_known)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion: the smaller, the better the model predicts."""
+        return 2.0 * self._estimated - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """The Bayesian information criterion (Schwarz 1978), smaller for better models."""
+        return math.log(self.size) * self._estimated - 2.0 * self.log_likelihood
+
+    @cached_property
+    def checks(self) -> tuple[str, ...]:
+        """What is worth knowing and no reason to distrust the fit, a sentence each.
+
+        Most are about the residuals, see the guide to fits.
+        """
+        predicted = [row.predicted for row in self._rows]
+        sentences = [*residual_checks(self.trials, self.standardised, predicted)]
+        levels = {name for trial in self.trials for name in trial.observations.levels}
+        for name in levels & set(self.fixed):
+            if self.fixed[name] == 0.0:
+                sentences.append(f"{quote(name)} is zero: the data show no such part of the noise")
+        for time in sorted({jump.time for jump in self.jumps if self.converged}):
+            names = listing(jump.parameter for jump in self.jumps if jump.time == time)
+            sentences.append(
+                f"an event passes the time {time:.6g} of the data inside the intervals of {names}; "
+                'they are rough, and those of interval(method="profile") are not'
+            )
+        return tuple(sentences)
 
     # --- uncertainty ---------------------------------------------------------------------------
 
     @property
     def _unit(self) -> float:
         """Standard deviation of scaled residuals: one, or its estimate."""
-        return 1.0 if self.observations.sigma_known else self.sigma
+        return 1.0 if self._problem.unit_known else self.sigma
 
     @cached_property
     def covariance(self) -> Array:
@@ -122,7 +276,8 @@ class Fit:
 
         Infinite variances and NaN for parameters that the data do not identify.
         """
-        root = self._identification.root * self._problem.free.width[:, None] * self._unit
+        slopes = self._problem.free.slopes(self._z)
+        root = self._identification.root * slopes[:, None] * self._unit
         covariance = np.asarray(root @ root.T)
         flat = list(self._identification.flat)
         covariance[flat], covariance[:, flat] = np.nan, np.nan
@@ -146,9 +301,11 @@ class Fit:
             Probability that an interval contains the true value; by default the level of the fit.
         method : {"linear", "profile"}
             "linear" linearises at the estimate, with quantiles of the normal distribution if sigma
-            was given, else of Student's; its intervals may reach beyond the box. "profile" takes
-            the values for which the other parameters can be fitted almost as well, see
-            :meth:`profile`; an end is NaN where the box ends the interval, not the data.
+            was given, else of Student's; its intervals may reach beyond the box. Those of
+            parameters over decades are linear in the logarithm, those of levels of noise by the
+            distribution of a variance. "profile" takes the values for which the other parameters
+            can be fitted almost as well, see :meth:`profile`; an end is NaN where the box ends the
+            interval, not the data.
 
         Raises
         ------
@@ -161,8 +318,30 @@ class Fit:
             raise OptionError(
                 f"method={method!r} is unknown", remedy='choose "linear" or "profile"'
             )
-        q = self._quantile(level)
-        return {name: (self.x[name] - q * s, self.x[name] + q * s) for name, s in self.std.items()}
+        free = self._problem.free
+        half = self._quantile(level) * self._identification.spread * self._unit
+        flat = ~np.isfinite(half)
+        half = np.where(flat, 0.0, half)
+        low, high = free.unclipped(self._z - half), free.unclipped(self._z + half)
+        low, high = np.where(flat, -np.inf, low), np.where(flat, np.inf, high)
+        for j, share in self._freedom.items():
+            if not flat[j]:
+                low[j], high[j] = self._level_interval(j, share, level)
+        pairs = zip(map(float, low), map(float, high), strict=True)
+        return dict(zip(self.parameters, pairs, strict=True))
+
+    def _level_interval(self, j: int, share: float, level: float | None) -> Interval:
+        """The interval of a level of noise by the distribution chi^2 of its square.
+
+        Its degrees of freedom are those that the variance of its logarithm has: 1/(2 variance). Of
+        the data, a ``share`` is left after the other parameters are fitted.
+        """
+        level = self.level if level is None else checked_level(level)
+        variance = (self._identification.spread[j] * self._problem.free.logarithms[j]) ** 2
+        dof = 0.5 * share / variance
+        tails = scipy.stats.chi2.ppf([0.5 + 0.5 * level, 0.5 - 0.5 * level], dof)
+        ends = self._problem.free.values(self._z)[j] * np.sqrt(dof / np.maximum(tails, 1e-300))
+        return float(ends[0]), float(ends[1])
 
     def interval_of(self, given: object, level: float | None = None) -> Interval:
         """An interval for a quantity of the parameters, such as ``"C_D/m"``, by linearisation.
@@ -192,6 +371,21 @@ class Fit:
         """The estimate of a quantity of the parameters; see :meth:`interval_of`."""
         return self._quantity(given)[0]
 
+    def curve(self, observable: str, times: ArrayLike, experiment: int | str = 0) -> Curve:
+        """The fitted curve of an observable, and how well it is known.
+
+        Returns
+        -------
+        Curve
+            With ``values`` and ``half_width`` (times,): half the width of its band at the level of
+            the fit, NaN where the data do not identify it.
+        """
+        at, half = self.trial(experiment), self._quantile(None)
+        values, slopes = curve_of(self._problem, at, observable, times, self._z)
+        deviations = np.array([self.deviation(slope) for slope in slopes])
+        deviations[~np.isfinite(deviations)] = np.nan
+        return Curve(values, half * deviations)
+
     def profile(self, parameter: object, level: float | None = None) -> Profile:
         """The profile likelihood of a parameter up to a level.
 
@@ -201,38 +395,58 @@ class Fit:
             In coordinates from 0 to 1 between the bounds; each end says what stops it.
         """
         index = self._problem.free.index(parameter)
-        limit = (self._quantile(level) * self._unit) ** 2
-        deviation = np.minimum(self._identification.spread * self._unit, 1.0)
-        best = Best(self._z, self.chi2, deviation)
-        return profiles(self._problem, best, limit, [index])[0]
+        return profiles(self._problem, self._best, self.rise(level), [index])[0]
+
+    def rise(self, level: float | None = None) -> float:
+        """By how much -2 log L is larger at the ends of profile intervals; squares without sigma.
+
+        For levels of noise that are estimated it is n log(1 + q^2/dof), with Student's quantile q,
+        which is exact for one level and a linear model.
+        """
+        q = self._quantile(level)
+        if self._problem.levels:
+            return self.size * math.log1p(q**2 / max(self.dof, 1))
+        return (q * self._unit) ** 2
 
     def _quantile(self, level: float | None) -> float:
         """Half the length of an interval, in standard deviations."""
         level = self.level if level is None else checked_level(level)
-        return quantile_of(level, self.observations.sigma_known, self.dof)
+        return quantile_of(level, self.noise_given, self.dof)
 
     def _quantity(self, given: object) -> tuple[float, float]:
         """A quantity at the estimate, and its standard deviation."""
-        function = quantity(given, tuple(self.solution.parameters))
-        width = dict(zip(self.parameters, self._problem.free.width, strict=True))
+        free = self._problem.free
+        of = quantity(given, free.order)
+        width = dict(zip(self.parameters, free.width, strict=True))
+        at = free.complete(self.x)
         try:
-            estimate = function(self.values)
-            slope = gradient(function, self.values, width) * self._problem.free.width
+            estimate, slope = of.value(at), of.gradient(at, width)
         except (ArithmeticError, ValueError) as reason:
             raise OptionError(f"{quote(given)} has no value at the fit: {reason}") from reason
+        if not math.isfinite(estimate):
+            raise OptionError(f"{quote(given)} has no value at the fit")
+        return estimate, self.deviation(slope * free.slopes(self._z))
+
+    def deviation(self, slope: Array) -> float:
+        """The standard deviation of a quantity by its derivatives (n,) with respect to z.
+
+        Infinite where the data do not identify it.
+        """
         along = float(np.linalg.norm(slope @ self._identification.null))
         if along > _FLAT_SHARE * float(np.linalg.norm(slope)):
-            return estimate, math.inf
-        return estimate, float(np.linalg.norm(slope @ self._identification.root)) * self._unit
+            return math.inf
+        return float(np.linalg.norm(slope @ self._identification.root)) * self._unit
 
     def _profile_interval(self, name: str, level: float | None) -> Interval:
         """The profile interval; NaN for an end that the box makes."""
         profile, free = self.profile(name, level), self._problem.free
         j = self.parameters.index(name)
-        low, high = (
-            float(free.lower[j] + free.width[j] * end.z) if end.stop is Stop.DATA else math.nan
-            for end in (profile.lower, profile.upper)
-        )
+
+        def end(z: float) -> float:
+            return float(free.values(np.where(np.arange(len(free.names)) == j, z, self._z))[j])
+
+        ends = (profile.lower, profile.upper)
+        low, high = (end(e.z) if e.stop is Stop.DATA else math.nan for e in ends)
         return low, high
 
     # --- whether to believe it -----------------------------------------------------------------
@@ -253,7 +467,7 @@ class Fit:
     @cached_property
     def findings(self) -> tuple[str, ...]:
         """Reasons not to trust the fit, a sentence each."""
-        return tuple(_findings(self))
+        return tuple(findings_of(self))
 
     @property
     def success(self) -> bool:
@@ -271,23 +485,7 @@ class Fit:
         return self._problem.free.at_bounds(self._z)
 
     def __repr__(self) -> str:
-        observations, level = self.observations, f"{100 * self.level:g} %"
-        noise = f"sigma {self.sigma:.4g} estimated"
-        if observations.sigma_known:
-            noise = f"chi2 {self.chi2:.4g}"
-        of = f"{count(observations.size, 'value')} of {', '.join(observations.names)}"
-        lines = [f"Fit to {of}: {noise}, {self.dof} degrees of freedom"]
-        width = max(len(name) for name in self.parameters)
-        for name, (low, high) in self.interval().items():
-            text = "not identified"
-            if self.identifiable[name]:
-                text = f"{self.x[name]:.6g}  {level} in [{low:.6g}, {high:.6g}]"
-            lines.append(f"  {name:<{width}}  {text}")
-        for name in self.combinations:
-            low, high = self.interval_of(name)
-            lines.append(f"  {name}  {self.value_of(name):.6g}  {level} in [{low:.6g}, {high:.6g}]")
-        lines.append(f"  {'success' if self.success else 'no success'}: {self.message}")
-        return "\n".join(lines)
+        return fit_text(self)
 
 
 def checked_level(level: float) -> float:
@@ -302,53 +500,3 @@ def quantile_of(level: float, sigma_known: bool, dof: int) -> float:
     """Half the length of an interval in standard deviations; Student's for unknown sigma."""
     share = 0.5 + 0.5 * level
     return float(scipy.stats.norm.ppf(share) if sigma_known else scipy.stats.t.ppf(share, dof))
-
-
-def _findings(fit: Fit) -> Iterator[str]:
-    if not fit.converged:
-        yield with_remedy("the search did not converge", "give a start, or more starts")
-    names = [name for name, identified in fit.identifiable.items() if not identified]
-    subject = f"the data do not identify {listing(names)}"
-    if len(names) == 1:
-        yield with_remedy(subject, "fix it, or measure more")
-    elif names and fit.combinations:
-        yield with_remedy(f"{subject} alone, only {listing(fit.combinations)}", "fix one of them")
-    elif names:
-        remedy = "fix some, measure more, or widen the box"
-        yield with_remedy(f"{subject} within their bounds", remedy)
-    for name, end in fit.at_bounds.items():
-        if fit.identifiable[name]:
-            yield with_remedy(
-                f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
-                "are not valid there",
-                "widen the bounds, or solve on a wider box",
-            )
-    for minimum in fit.others:
-        where = ", ".join(f"{name} = {x:.6g}" for name, x in minimum.items())
-        yield with_remedy(f"other values fit as well: {where}", "set bounds, or measure more")
-    if fit.p_value < _UNLIKELY:
-        yield (
-            f"the residuals are {fit.sigma:.3g} times as large as sigma (chi2 {fit.chi2:.4g} with "
-            f"{fit.dof} degrees of freedom, p = {fit.p_value:.1g}): the model does not describe "
-            "the data, or sigma is larger"
-        )
-    if not fit.solution.success:
-        yield f"the solution itself is not a success: {fit.solution.message}"
-    yield from _error_of_solution(fit)
-
-
-def _error_of_solution(fit: Fit) -> Iterator[str]:
-    """Where the error of the solution is not small beside the noise."""
-    for i, name in enumerate(fit.observations.names):
-        here = fit.observations.owner == i
-        error = fit.solution.errors[name]
-        if not here.any() or math.isnan(error):
-            continue
-        absolute = error * float(fit.size[here][0])
-        noise = fit._unit / fit.observations.scale[here]
-        if absolute * float(np.sqrt(np.sum(noise**-2.0, where=noise > 0.0))) > _MODEL_SHARE:
-            yield with_remedy(
-                f"the error of the solution, {absolute:.2g} in {quote(name)}, is not small beside "
-                f"the noise, {float(np.median(noise)):.2g}",
-                "solve with a smaller rtol",
-            )

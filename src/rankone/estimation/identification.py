@@ -19,7 +19,8 @@ from fractions import Fraction
 import numpy as np
 
 from rankone.estimation.free_parameters import BOUND_TOLERANCE
-from rankone.estimation.least_squares import LeastSquares
+from rankone.estimation.least_squares import minima
+from rankone.estimation.likelihood import Likelihood
 from rankone.support.arrays import Array
 
 # Points of a profile, in shares of the way to the bound: closer where it begins
@@ -100,7 +101,7 @@ class Profile:
 
 
 def profiles(
-    problem: LeastSquares,
+    problem: Likelihood,
     best: Best,
     limit: float,
     indices: Sequence[int],
@@ -178,7 +179,7 @@ class _Branch:
 
 
 def _refine(
-    problem: LeastSquares, best: Best, limit: float, branches: list[_Branch], close: float
+    problem: Likelihood, best: Best, limit: float, branches: list[_Branch], close: float
 ) -> None:
     """Refine where the rise reaches the limit, on all branches at once."""
     for turn in range(_MOST_REFINEMENTS):
@@ -203,7 +204,7 @@ def _places(best: Best, index: int, sign: float) -> Array:
 
 
 def _along(
-    problem: LeastSquares, best: Best, columns: Array, places: Array, near: Array | None = None
+    problem: Likelihood, best: Best, columns: Array, places: Array, near: Array | None = None
 ) -> tuple[Array, Array]:
     """Best points (K, n) and costs (K,) with one coordinate of each held at a place."""
     starts = np.tile(best.z, (len(places), 1)) if near is None else near.copy()
@@ -211,8 +212,8 @@ def _along(
     starts[rows, columns] = places
     held = np.zeros(starts.shape, dtype=bool)
     held[rows, columns] = True
-    minima = problem.minima(starts, held)
-    return minima.z, minima.cost
+    ends = minima(problem, starts, held)
+    return ends.z, ends.cost
 
 
 # --- identification ------------------------------------------------------------------------------
@@ -243,7 +244,7 @@ class Identification:
 
 
 def identify(
-    problem: LeastSquares, z: Array, cost: float, jacobian: Array, quantile: float, sigma: float
+    problem: Likelihood, z: Array, cost: float, jacobian: Array, quantile: float, sigma: float
 ) -> Identification:
     """What is identified at the best point z (n,), with the Jacobian (m, n) there.
 
@@ -278,7 +279,7 @@ def identify(
 
 
 def _combinations(
-    problem: LeastSquares,
+    problem: Likelihood,
     z: Array,
     jacobian: Array,
     flat: Sequence[int],
@@ -291,12 +292,13 @@ def _combinations(
     widest = max(boxed, key=lambda p: p.width)
     inside = widest.path[widest.rise <= _PATH_RISE * limit]
     path = problem.free.values(inside)[:, list(flat)]
-    linear = _reduced(jacobian / problem.free.width, flat, q)
+    slopes = jacobian / problem.free.slopes(z)
+    linear = _reduced(slopes, flat, q)
     if not len(linear):
         return ()
     in_sums = _variation(path, linear)
     if ((path > 0.0).all(axis=0) | (path < 0.0).all(axis=0)).all():
-        powers = _reduced(jacobian / problem.free.width * problem.free.values(z), flat, q)
+        powers = _reduced(slopes * problem.free.values(z), flat, q)
         in_powers = _variation(np.log(np.abs(path)), powers)
         if in_powers <= max(_CONSTANT_VARIATION, min(in_sums, _NAMED_VARIATION)):
             return tuple(_product(names, row) for row in powers)

@@ -1,4 +1,4 @@
-"""Least squares of a solution in a unit cube, for many starts at once.
+"""Minima of -2 log L in a unit cube, for many starts at once.
 
 The method of Levenberg and Marquardt, with steps by the singular values of the Jacobian: parameters
 do not move along directions that the data do not see (Nocedal & Wright, Numerical Optimization,
@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rankone.estimation.free_parameters import FreeParameters
-from rankone.estimation.models import Model
-from rankone.estimation.observations import Observations
+from rankone.estimation.likelihood import Held, Likelihood
 from rankone.support.arrays import Array
 
 _MOST_ITERATIONS = 80  # Most iterations of a search: a bound on the work where it does not settle
@@ -28,73 +26,94 @@ _UNSEEN_CHANGE = 1e-2
 _FIRST_DAMPING = 1e-3
 _LEAST_DAMPING = 1e-14  # Least damping: below it nothing is damped, by rounding
 _LARGEST_DAMPING = 1e10  # Damping above which a search ends: its steps are rounding
+# Promised decrease, in mean squares of the residuals, above which a search that cannot go on stands
+# at a jump: estimates would move by a tenth of their standard deviation
+_STUCK_SHARE = 1e-2
+# Decrease, in shares of the promised one, of a search that creeps up to a jump
+_SLOW_SHARE = 1e-3
+_EXACT = 1e-9  # Residuals, in shares of the data, that are rounding: nobody is stuck among these
+# Lengths of steps across a jump, in widths of the cube, and how often they are tried
+_HOPS = np.array([0.003, 0.01, 0.03, 0.1, 0.3])
+_HOP_ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class Minima:
-    """K local minima: z (K, n), sums of squares (K,), residuals (K, m), Jacobian (K, m, n)."""
+    """K local minima: z (K, n), costs (K,), pseudo-residuals (K, r), Jacobian (K, r, n).
+
+    ``stuck`` are those where the cost jumps: it falls as far as the end, and rises beyond.
+    """
 
     z: Array
     cost: Array
     residuals: Array
     jacobian: Array
     converged: NDArray[np.bool_]
+    stuck: NDArray[np.bool_]
+
+    def selected(self, rows: NDArray[np.intp]) -> Minima:
+        """Some of the minima."""
+        return Minima(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def joined(self, other: Minima) -> Minima:
+        """All minima of two sets."""
+        names = self.__dataclass_fields__
+        return Minima(*(np.concatenate([getattr(s, n) for s in (self, other)]) for n in names))
 
 
-@dataclass(frozen=True)
-class LeastSquares:
-    """Scaled residuals as functions of z in the unit cube."""
+def minima(problem: Likelihood, starts: Array, held: Held = None) -> Minima:
+    """Minima from starts (K, n); held coordinates (K, n) stay at their start.
 
-    model: Model
-    observations: Observations
-    free: FreeParameters
+    The cost is infinite at a start at which the solution has ended before some of the data.
+    """
+    kept = np.zeros(starts.shape, dtype=bool) if held is None else held
+    z, cost, residuals, jacobian = problem.linearised(np.clip(starts, 0.0, 1.0), kept)
+    damping = np.full(len(z), _FIRST_DAMPING)
+    converged, stuck = np.zeros(len(z), dtype=bool), np.zeros(len(z), dtype=bool)
+    going = np.flatnonzero(np.isfinite(cost))
+    for turn in range(_MOST_ITERATIONS if going.size else 0):
+        squares = squares_of(residuals[going])
+        step, promised = _step(
+            z[going], residuals[going], jacobian[going], kept[going], damping[going]
+        )
+        trial = problem.linearised(np.clip(z[going] + step, 0.0, 1.0), kept[going])
+        before = cost[going]
+        better = trial.cost < before
+        small = np.abs(trial.z - z[going]).max(axis=1) <= 1e-14
+        ended = (promised <= _SETTLED_SHARE * squares) | small
+        rounding = promised <= _ROUNDING_SHARE * squares
+        ended |= ~better & (rounding | (damping[going] > _LARGEST_DAMPING))
+        at = going[better]
+        z[at], cost[at] = trial.z[better], trial.cost[better]
+        residuals[at], jacobian[at] = trial.residuals[better], trial.jacobian[better]
+        down = np.maximum(damping[going] * 0.1, _LEAST_DAMPING)
+        damping[going] = np.where(better, down, np.maximum(damping[going], 1e-6) * 8.0)
+        exact = squares <= _EXACT**2 * problem.magnitude
+        more = ~exact & (promised > _STUCK_SHARE * squares / problem.size)
+        slow = ~better | (before - cost[going] <= _SLOW_SHARE * promised)
+        blocked = more & ((ended & ~better) | (slow & (turn == _MOST_ITERATIONS - 1)))
+        converged[going[ended & ~blocked]], stuck[going[blocked]] = True, True
+        going = going[~ended]
+        if not going.size:
+            break
+    return Minima(z, cost, residuals, jacobian, converged, stuck)
 
-    def residuals(self, z: Array) -> Array:
-        """Residuals (K, m) at z (K, n): model minus data over sigma."""
-        model = self.model.values(self.free.points(z))
-        return (model - self.observations.values) * self.observations.scale
 
-    def linearised(self, z: Array) -> tuple[Array, Array]:
-        """Residuals (K, m) and their derivatives (K, m, n) with respect to z."""
-        model, slopes = self.model.linearised(self.free.points(z), self.free.positions)
-        scale = self.observations.scale
-        residuals = (model - self.observations.values) * scale
-        return residuals, slopes * scale[:, None] * self.free.width
-
-    def minima(self, starts: Array, held: NDArray[np.bool_] | None = None) -> Minima:
-        """Minima from starts (K, n); held coordinates (K, n) stay at their start.
-
-        The cost is infinite at a start at which the solution has ended before some of the data.
-        """
-        z = np.clip(starts, 0.0, 1.0)
-        kept = np.zeros(z.shape, dtype=bool) if held is None else held
-        residuals, jacobian = self.linearised(z)
-        cost = squares_of(residuals)
-        damping = np.full(len(z), _FIRST_DAMPING)
-        converged = np.zeros(len(z), dtype=bool)
-        going = np.flatnonzero(np.isfinite(cost))
-        for _ in range(_MOST_ITERATIONS if going.size else 0):
-            step, promised = _step(
-                z[going], residuals[going], jacobian[going], kept[going], damping[going]
-            )
-            trial = np.clip(z[going] + step, 0.0, 1.0)
-            trial_residuals, slopes = self.linearised(trial)
-            trial_cost, last_cost = squares_of(trial_residuals), cost[going]
-            better = trial_cost < last_cost
-            small = np.abs(trial - z[going]).max(axis=1) <= 1e-14
-            ended = (promised <= _SETTLED_SHARE * last_cost) | small
-            rounding = promised <= _ROUNDING_SHARE * last_cost
-            ended |= ~better & (rounding | (damping[going] > _LARGEST_DAMPING))
-            at = going[better]
-            z[at], cost[at] = trial[better], trial_cost[better]
-            residuals[at], jacobian[at] = trial_residuals[better], slopes[better]
-            down = np.maximum(damping[going] * 0.1, _LEAST_DAMPING)
-            damping[going] = np.where(better, down, np.maximum(damping[going], 1e-6) * 8.0)
-            converged[going[ended]] = True
-            going = going[~ended]
-            if not going.size:
-                break
-        return Minima(z, cost, residuals, jacobian, converged)
+def minima_across_jumps(problem: Likelihood, starts: Array) -> Minima:
+    """The same; searches that end where the cost jumps begin again on the other side."""
+    ends = last = minima(problem, starts)
+    for _ in range(_HOP_ROUNDS):
+        rows = np.flatnonzero(last.stuck)
+        if not rows.size:
+            break
+        stuck = last.selected(rows)
+        free = np.zeros(stuck.z.shape, dtype=bool)
+        step, _ = _step(stuck.z, stuck.residuals, stuck.jacobian, free, np.zeros(rows.size))
+        way = step / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)
+        beyond = stuck.z[:, None] + _HOPS[:, None] * way[:, None]
+        last = minima(problem, beyond.reshape(-1, starts.shape[1]))
+        ends = ends.joined(last)
+    return ends
 
 
 def squares_of(residuals: Array) -> Array:

@@ -151,7 +151,7 @@ def minimize(
     self._evaluator  # noqa: B018 - raises if nothing was solved
     if sense not in ("min", "max"):
         raise OptionError(f"sense={sense!r} is unknown", remedy='choose "min" or "max"')
-    free = free_parameters(self, fixed, bounds, start)
+    free = free_parameters([self], fixed, bounds, start)
     starts = checked_number("starts", starts, 0 if start is not None else 1, _MOST_STARTS)
     times, one = checked_times(self, t), t is None or np.ndim(t) == 0
     function = objective if is_function(objective) else None

@@ -46,7 +46,7 @@ class States:
         """Values (states, times) and derivatives (states, times, n) with respect to z."""
         points = self.free.points(z[None])
         states, slopes = self._model.linearised(points, self.free.positions)
-        slopes = slopes[0].reshape(*self._shape, -1) * self.free.width
+        slopes = slopes[0].reshape(*self._shape, -1) * self.free.slopes(z)
         return states[0].reshape(self._shape), slopes
 
     def many(self, z: Array) -> Iterator[Array]:
@@ -105,7 +105,7 @@ class Objective:
         if self.function is None:
             return float(states[0, 0])
         free = self.states.free
-        point = free.values(z) if inside else free.lower + free.width * z
+        point = free.values(z) if inside else free.unclipped(z)
         x = free.complete(dict(zip(free.names, map(float, point), strict=True)))
         objective = self.function(self.named(states), x)
         try:

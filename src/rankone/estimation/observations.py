@@ -1,4 +1,4 @@
-"""Measured data of some states at times, checked and put in a row."""
+"""Measured data at times, checked and put in a row, and what was measured."""
 
 from __future__ import annotations
 
@@ -10,31 +10,38 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rankone.discretization.coordinates import name_of
+from rankone.estimation.formulas import Formula, formula_of
+from rankone.estimation.noise import Noise, noise_of
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
-from rankone.support.errors import OptionError
+from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 
 Measurements = ArrayLike | Mapping[Any, ArrayLike]
-"""Numbers for all outputs, or for each by name or symbol."""
+"""Numbers for all observables, or for each by name or symbol."""
+Sigma = Measurements | str | Mapping[Any, Any] | None
+"""Standard deviations: numbers, or expressions as text or symbols; perhaps by observable."""
+
+MISSPELT = 0.75
+"""Similarity of a new name to that of a state or a parameter above which it is taken for it."""
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Data in a row (m,), output after output.
+    """Data in a row (m,), observable after observable.
 
-    For each datum, ``owner`` is the position of its state among the observed ``names``, ``rows``
-    that in the solution, and ``scale`` the factor of its residual: one over sigma, or the root of
-    the weight. ``present`` marks which of all data are not missing. ``shape`` is that of the data
-    as given, or the number of data of each output.
+    ``formulas`` has what each of the observables ``names`` is, ``noises`` the noise of each. For
+    each datum, ``owner`` is the position of its observable. ``present`` marks which of all data are
+    not missing. ``shape`` is that of the data as given, or the number of data of each observable.
+    ``sigma_known`` is False if the standard deviations are known up to a common factor.
     """
 
     names: tuple[str, ...]
+    formulas: tuple[Formula, ...]
+    noises: tuple[Noise, ...]
     owner: NDArray[np.intp]
-    rows: NDArray[np.intp]
     times: Array
     values: Array
-    scale: Array
     sigma_known: bool
     present: NDArray[np.bool_]
     shape: tuple[int, ...] | dict[str, int]
@@ -43,6 +50,16 @@ class Observations:
     def size(self) -> int:
         """Number of data."""
         return self.values.size
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        """Parameters of the noise alone."""
+        return tuple(dict.fromkeys(name for noise in self.noises for name in noise.levels))
+
+    def of(self, index: int) -> slice:
+        """The data of one observable among the row."""
+        begin, end = np.searchsorted(self.owner, [index, index + 1])
+        return slice(int(begin), int(end))
 
     def arranged(self, row: Array) -> Array | dict[str, Array]:
         """Numbers for each datum as the data were given; NaN where they are missing."""
@@ -60,7 +77,8 @@ def observed(
     data: Measurements,
     observe: object = None,
     *,
-    sigma: Measurements | None = None,
+    sigma: Sigma = None,
+    noise: object = None,
     weights: Measurements | None = None,
     missing: str = "error",
 ) -> Observations:
@@ -70,19 +88,15 @@ def observed(
     """
     if missing not in ("error", "drop"):
         raise OptionError(f"missing={missing!r} is unknown", remedy='choose "error" or "drop"')
-    if sigma is not None and weights is not None:
+    if weights is not None and not (sigma is None and noise is None):
+        option = "noise" if sigma is None else "sigma"
         raise OptionError(
-            "sigma and weights are both given",
+            f"{option} and weights are both given",
             remedy="give sigma if the noise is known, weights if only its ratios are",
         )
-    names = _names(solution, observe, data)
-    if isinstance(data, Mapping):
-        by_name = {name_of(key, solution.metadata.time): column for key, column in data.items()}
-        columns = [_reals(f"the data of {quote(name)}", by_name[name]) for name in names]
-        table_shape: tuple[int, ...] | None = None
-    else:
-        table = _reals("the data", data)
-        table_shape, columns = table.shape, _columns(table, names)
+    formulas = observables(solution, observe, data)
+    names = tuple(formulas)
+    columns, table_shape = _rows_of(data, names, solution.metadata.time)
     clocks = [_times_of(solution, times, name) for name in names]
     for name, clock, column in zip(names, clocks, columns, strict=True):
         if column.shape != clock.shape:
@@ -94,24 +108,23 @@ def observed(
                 "(outputs, times) for several outputs",
             )
     sizes = {name: column.size for name, column in zip(names, columns, strict=True)}
-    noise, option = (sigma, "sigma") if weights is None else (weights, "weights")
-    spread = _spread(noise, option, sizes, table_shape)
     every = np.concatenate(columns)
     present = _present(every, missing)
+    noises = _noises(solution, sizes, table_shape, sigma, noise, weights, present)
     owner = np.repeat(np.arange(len(names)), list(sizes.values()))[present]
-    rows = np.array([solution.states.index(name) for name in names], dtype=np.intp)
-    scale = 1.0 / spread if option == "sigma" else np.sqrt(spread)
-    return Observations(
+    observations = Observations(
         names=names,
+        formulas=tuple(formulas.values()),
+        noises=noises,
         owner=owner,
-        rows=rows[owner],
         times=np.concatenate(clocks)[present],
         values=every[present],
-        scale=scale[present],
-        sigma_known=sigma is not None,
+        sigma_known=sigma is not None or noise is not None,
         present=present,
         shape=sizes if table_shape is None else table_shape,
     )
+    _check_logarithms(observations)
+    return observations
 
 
 def state_name(solution: SolutionCore, key: object) -> str:
@@ -121,8 +134,7 @@ def state_name(solution: SolutionCore, key: object) -> str:
         raise OptionError(
             f"there is no unknown {quote(name)}{did_you_mean(name, solution.states)}",
             term=key,
-            remedy=f"choose from {listing(solution.states)}; expressions of them are outputs, "
-            "solution.output({...})",
+            remedy=f"choose from {listing(solution.states)}",
         )
     return name
 
@@ -139,31 +151,69 @@ def checked_times(solution: SolutionCore, times: ArrayLike | None) -> Array:
     return np.atleast_1d(checked)
 
 
-def _names(solution: SolutionCore, observe: object, data: object) -> tuple[str, ...]:
+# --- what was measured ---------------------------------------------------------------------------
+
+
+def observables(solution: SolutionCore, observe: object, data: object) -> dict[str, Formula]:
+    """What was measured, by name: unknowns, or expressions of them."""
     if observe is None:
         observe = list(data) if isinstance(data, Mapping) else list(solution.unknowns)
-    keys = observe if isinstance(observe, list | tuple) else [observe]
-    names = tuple(state_name(solution, key) for key in keys)
-    if not names:
+    if isinstance(observe, Mapping):
+        pairs = [(label(solution, key), entry) for key, entry in observe.items()]
+    else:
+        keys = observe if isinstance(observe, list | tuple) else [observe]
+        pairs = [(label(solution, key), key) for key in keys]
+    if not pairs:
         raise OptionError("nothing is observed", remedy="name an unknown: observe=[...]")
+    names = [name for name, _ in pairs]
     if len(set(names)) < len(names):
         raise OptionError(f"observe names one unknown twice: {listing(names)}", term=observe)
+    formulas = {name: _observable(solution, entry) for name, entry in pairs}
     if isinstance(data, Mapping):
-        measured = [name_of(key, solution.metadata.time) for key in data]
+        measured = [label(solution, key) for key in data]
         if sorted(measured) != sorted(names):
             raise OptionError(
                 f"data are given for {listing(measured)}, observed are {listing(names)}",
                 term=observe,
                 remedy="leave observe out: the data name the unknowns",
             )
-    return names
+    return formulas
 
 
-def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
+def label(solution: SolutionCore, key: object) -> str:
+    """The name of an observable: of an unknown, or the text of an expression."""
+    try:
+        return name_of(key, solution.metadata.time)
+    except EvaluationError:
+        return str(key)
+
+
+def _observable(solution: SolutionCore, entry: object) -> Formula:
+    formula = formula_of(entry, solution.metadata.time)
+    if formula.is_name:
+        state_name(solution, formula.names[0])
+    elif not set(formula.names) & set(solution.states):
+        near = [did_you_mean(name, solution.states) for name in formula.names]
+        raise OptionError(
+            f"{quote(entry)} depends on no unknown{next(filter(None, near), '')}",
+            term=entry,
+            remedy=f"write it by {listing(solution.states)}",
+        )
+    return formula
+
+
+def _rows_of(
+    data: Measurements, names: tuple[str, ...], time: str
+) -> tuple[list[Array], tuple[int, ...] | None]:
+    """The data of each observable, and the shape of an array of all of them."""
+    if isinstance(data, Mapping):
+        named = {_key(key, time): column for key, column in data.items()}
+        return [_reals(f"the data of {quote(name)}", named[name]) for name in names], None
+    table = _reals("the data", data)
     if table.ndim < 2 and len(names) == 1:
-        return [np.atleast_1d(table)]
+        return [np.atleast_1d(table)], table.shape
     if table.ndim == 2 and len(table) == len(names):
-        return list(table)
+        return list(table), table.shape
     raise OptionError(
         f"the data have the shape {table.shape} for {count(len(names), 'output')}, "
         f"{listing(names)}",
@@ -172,10 +222,17 @@ def _columns(table: Array, names: tuple[str, ...]) -> list[Array]:
     )
 
 
+def _key(key: object, time: str) -> str:
+    try:
+        return name_of(key, time)
+    except EvaluationError:
+        return str(key)
+
+
 def _times_of(solution: SolutionCore, times: Measurements, name: str) -> Array:
     if not isinstance(times, Mapping):
         return checked_times(solution, times)
-    by_name = {name_of(key, solution.metadata.time): clock for key, clock in times.items()}
+    by_name = {label(solution, key): clock for key, clock in times.items()}
     if name not in by_name:
         raise OptionError(
             f"there are no times of {quote(name)}",
@@ -185,7 +242,7 @@ def _times_of(solution: SolutionCore, times: Measurements, name: str) -> Array:
     return checked_times(solution, by_name[name])
 
 
-def _reals(subject: str, given: ArrayLike) -> Array:
+def _reals(subject: str, given: Any) -> Array:
     """Real numbers, also NaN."""
     try:
         array = np.asarray(given)
@@ -196,23 +253,111 @@ def _reals(subject: str, given: ArrayLike) -> Array:
     raise OptionError(f"{subject}, {shown(given)}, are not real numbers", term=given)
 
 
+def _present(every: Array, missing: str) -> NDArray[np.bool_]:
+    """Which data are present; an error for infinite ones, and for NaN unless they are dropped."""
+    if np.isinf(every).any():
+        raise OptionError("the data have infinite values", remedy="leave them out")
+    present: NDArray[np.bool_] = ~np.isnan(every)
+    if missing == "error" and not present.all():
+        raise OptionError(
+            f"{np.count_nonzero(~present)} of {every.size} data are NaN",
+            remedy='leave them out, or give missing="drop"',
+        )
+    return present
+
+
+# --- noise ---------------------------------------------------------------------------------------
+
+
+def _noises(
+    solution: SolutionCore,
+    sizes: Mapping[str, int],
+    table_shape: tuple[int, ...] | None,
+    sigma: Sigma,
+    noise: object,
+    weights: Measurements | None,
+    present: NDArray[np.bool_],
+) -> tuple[Noise, ...]:
+    """The noise of each observable, for the data that are present."""
+    option = "sigma" if weights is None else "weights"
+    kinds = _by_observable(solution, "noise", noise, sizes)
+    spreads = _by_observable(solution, "sigma", sigma, sizes)
+    texts = {name: entry for name, entry in spreads.items() if _is_expression(entry)}
+    numbers: Any = sigma if weights is None else weights
+    if isinstance(numbers, Mapping):
+        numbers = _by_observable(solution, option, numbers, sizes)
+    if texts:
+        numbers = {name: 1.0 if name in texts else entry for name, entry in spreads.items()}
+    rows = _spread(numbers, option, sizes, table_shape)
+    noises = []
+    ends = np.cumsum(list(sizes.values()))[:-1]
+    for name, row, here in zip(sizes, rows, np.split(present, ends), strict=True):
+        kind = kinds.get(name)
+        if name in texts:
+            made = _expressed(solution, name, texts[name], kind, row)
+        elif kind is not None:
+            made = noise_of(kind, name, row, given=sigma is not None)
+        else:
+            made = Noise("normal", 1.0 / np.sqrt(row) if option == "weights" else row)
+        noises.append(made.selected(here))
+    return tuple(noises)
+
+
+def _is_expression(entry: object) -> bool:
+    return isinstance(entry, str) or hasattr(entry, "free_symbols")
+
+
+def _by_observable(
+    solution: SolutionCore, option: str, given: object, sizes: Mapping[str, int]
+) -> dict[str, Any]:
+    """What is given for each observable: for all of them, or by name; nothing for arrays."""
+    if isinstance(given, Mapping):
+        named = {label(solution, key): entry for key, entry in given.items()}
+        if sorted(named) != sorted(sizes):
+            raise OptionError(
+                f"{option} is given for {listing(named)}, observed are {listing(sizes)}",
+                term=given,
+            )
+        return named
+    return dict.fromkeys(sizes, given) if _is_expression(given) or option == "noise" else {}
+
+
+def _expressed(
+    solution: SolutionCore, observable: str, given: object, kind: object, row: Array
+) -> Noise:
+    """Noise whose standard deviation is an expression; new names in it are its levels."""
+    if kind not in (None, "constant", "log-normal", "student"):
+        raise OptionError(
+            f"noise={kind!r} has a standard deviation of its own, and sigma is an expression",
+            term=given,
+            remedy='leave noise out, or choose "log-normal" or "student"',
+        )
+    formula = formula_of(given, solution.metadata.time)
+    known = {*solution.states, *solution.parameters, solution.metadata.time, observable}
+    levels = tuple(name for name in formula.names if name not in known)
+    for name in levels:
+        near = did_you_mean(name, known, MISSPELT)
+        if near:
+            raise OptionError(
+                f"sigma of {quote(observable)}: {quote(name)} is unknown{near}",
+                term=given,
+                remedy="choose a name for a level of noise that is less like it",
+            )
+    distribution = str(kind) if kind in ("log-normal", "student") else "normal"
+    return Noise(distribution, row, formula, levels, levels)
+
+
 def _spread(
-    given: Measurements | None,
+    given: Any,
     option: str,
     sizes: Mapping[str, int],
     table_shape: tuple[int, ...] | None,
-) -> Array:
+) -> list[Array]:
     """Sigma or the weight of each datum; the shape of the data is None if they are by name."""
     if given is None:
-        return np.ones(sum(sizes.values()))
+        return [np.ones(size) for size in sizes.values()]
     if isinstance(given, Mapping):
-        by_name = {name_of(key): spread for key, spread in given.items()}
-        if sorted(by_name) != sorted(sizes):
-            raise OptionError(
-                f"{option} is given for {listing(by_name)}, observed are {listing(sizes)}",
-                term=given,
-            )
-        arrays = [_reals(option, by_name[name]) for name in sizes]
+        arrays = [_reals(option, given[name]) for name in sizes]
     else:
         array = _reals(option, given)
         per_output = array.shape == (len(sizes),) and array.shape != table_shape
@@ -233,23 +378,23 @@ def _spread(
                 remedy="give a number, or one for each value",
             )
     pairs = zip(arrays, sizes.values(), strict=True)
-    spread = np.concatenate([np.broadcast_to(array, size) for array, size in pairs]).astype(float)
-    positive = np.isfinite(spread) & (spread > 0.0)
-    if not positive.all():
-        raise OptionError(
-            f"{option} = {spread[~positive][0]:g} is not a positive number", term=given
-        )
-    return spread
+    spreads = [np.broadcast_to(array, size).astype(float) for array, size in pairs]
+    for spread in spreads:
+        positive = np.isfinite(spread) & (spread > 0.0)
+        if not positive.all():
+            raise OptionError(
+                f"{option} = {spread[~positive][0]:g} is not a positive number", term=given
+            )
+    return spreads
 
 
-def _present(every: Array, missing: str) -> NDArray[np.bool_]:
-    """Which data are present; an error for infinite ones, and for NaN unless they are dropped."""
-    if np.isinf(every).any():
-        raise OptionError("the data have infinite values", remedy="leave them out")
-    present: NDArray[np.bool_] = ~np.isnan(every)
-    if missing == "error" and not present.all():
-        raise OptionError(
-            f"{np.count_nonzero(~present)} of {every.size} data are NaN",
-            remedy='leave them out, or give missing="drop"',
-        )
-    return present
+def _check_logarithms(observations: Observations) -> None:
+    """Raise an OptionError for data without a logarithm under log-normal noise."""
+    for i, (name, noise) in enumerate(zip(observations.names, observations.noises, strict=True)):
+        data = observations.values[observations.of(i)]
+        if noise.distribution == "log-normal" and not (data > 0.0).all():
+            raise OptionError(
+                f"{data[data <= 0.0][0]:g} of {quote(name)} is not positive, as log-normal noise "
+                "wants it",
+                remedy='leave it out, or choose noise="combined"',
+            )

@@ -5,25 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rankone.estimation.cube_distributions import CubeDistribution, adapted, chain
+from rankone.estimation.experiments import trial_of
 from rankone.estimation.fit import Fit
-from rankone.estimation.free_parameters import Bounds, ParameterValues
-from rankone.estimation.least_squares import LeastSquares
-from rankone.estimation.models import model_of
-from rankone.estimation.observations import Measurements
+from rankone.estimation.free_parameters import Bounds, FreeParameters
+from rankone.estimation.least_squares import minima_across_jumps
+from rankone.estimation.likelihood import Likelihood
+from rankone.estimation.observations import Measurements, Sigma
 from rankone.estimation.search import fit
 from rankone.solution.core import SolutionCore
+from rankone.solution.smaller import with_fixed
 from rankone.statistics.distributions import Distribution, Measure, from_text
 from rankone.statistics.joint_distribution import Distributions, by_name, measures_of
 from rankone.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy
 from rankone.support.options import checked_count, checked_number
-from rankone.support.wording import listing, quote
+from rankone.support.wording import listing, quote, shown
 
 _MOST_STEPS = 10**6  # Most steps of a chain
 # Most parameters for quadrature: the number of cells grows with its power
@@ -47,30 +50,31 @@ class LogPosterior:
     (Gelman et al., Bayesian Data Analysis, ch. 14.2).
     """
 
-    problem: LeastSquares
+    problem: Likelihood
     measures: tuple[Measure, ...]
-
-    @property
-    def unit(self) -> tuple[Array, Array]:
-        """Lower bounds and widths of the parameters."""
-        return self.problem.free.lower, self.problem.free.width
 
     def __call__(self, z: Array) -> Array:
         """Logarithms at z (N, n): shape (N,); minus infinity where the prior is zero."""
-        residuals = self.problem.residuals(z)
-        squares = np.einsum("km,km->k", residuals, residuals)
-        logs = -0.5 * squares
-        if not self.problem.observations.sigma_known:
-            size = residuals.shape[1]
-            logs = -0.5 * size * np.log(np.maximum(squares, 1e-300))
-        points = self.problem.free.values(z)
-        for column, measure in zip(points.T, self.measures, strict=True):
+        _, costs = self.problem.costs(z)
+        logs = -0.5 * costs
+        if not self.problem.unit_known:
+            logs = -0.5 * self.problem.size * np.log(np.maximum(costs, 1e-300))
+        free = self.problem.free
+        points, slopes = free.values(z), free.slopes(z)
+        for j, measure in enumerate(self.measures):
             if measure.distribution is not None:
                 near = _END_DISTANCE * (measure.upper - measure.lower)
-                at = np.clip(column, measure.lower + near, measure.upper - near)
+                at = np.clip(points[:, j], measure.lower + near, measure.upper - near)
                 with np.errstate(divide="ignore"):
                     logs = logs + measure.distribution.logpdf(at)
+            if free.logarithmic[j] and (measure.distribution is not None or j not in self.levels):
+                logs = logs + np.log(slopes[:, j])
         return np.where(np.isnan(logs), -math.inf, logs)
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Positions of the levels of noise, whose prior is uniform in their logarithm."""
+        return self.problem.levels
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,15 +110,24 @@ class Posterior:
     @property
     def mean(self) -> dict[str, float]:
         """The mean of each parameter."""
-        centre = self._distribution.masses @ self._distribution.nodes
-        return self._log_density.problem.free.named(centre)
+        centre = self._distribution.masses @ self._points
+        return dict(zip(self.parameters, map(float, centre), strict=True))
 
     @property
     def covariance(self) -> Array:
         """Covariance of the parameters, (n, n)."""
-        masses, nodes = self._distribution.masses, self._distribution.nodes
-        centred = (nodes - masses @ nodes) * self._log_density.unit[1]
+        masses, points = self._distribution.masses, self._points
+        centred = points - masses @ points
         return np.asarray((centred * masses[:, None]).T @ centred)
+
+    @property
+    def _free(self) -> FreeParameters:
+        return self._log_density.problem.free
+
+    @property
+    def _points(self) -> Array:
+        """Values of the parameters at the nodes (k, n)."""
+        return self._free.values(self._distribution.nodes)
 
     @property
     def std(self) -> dict[str, float]:
@@ -137,12 +150,12 @@ class Posterior:
         return {name: float(quantile) for name, quantile in quantiles.items()}
 
     def _quantiles(self, shares: Array) -> dict[str, Array]:
-        lower, width = self._log_density.unit
-        return {
-            name: lower[j]
-            + width[j] * self._distribution.quantile(j, shares.ravel()).reshape(shares.shape)
-            for j, name in enumerate(self.parameters)
-        }
+        columns = [
+            self._distribution.quantile(j, shares.ravel()) for j in range(len(self.parameters))
+        ]
+        values = self._free.values(np.stack(columns, axis=-1))
+        rows = values.T.reshape(len(columns), *shares.shape)
+        return dict(zip(self.parameters, rows, strict=True))
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """For each parameter the interval that leaves out equal tails."""
@@ -152,12 +165,13 @@ class Posterior:
 
     def density(self, parameter: object, values: ArrayLike) -> Array:
         """The marginal density of one parameter at values; zero outside its bounds."""
-        j = self._log_density.problem.free.index(parameter)
-        lower, width = self._log_density.unit
-        z = (np.asarray(values, dtype=float) - lower[j]) / width[j]
-        inside = (z >= 0.0) & (z <= 1.0)
-        marginal = self._distribution.marginal(j, np.clip(z, 0.0, 1.0).ravel()).reshape(z.shape)
-        return np.where(inside, marginal / width[j], 0.0)
+        j, points = self._free.index(parameter), np.asarray(values, dtype=float)
+        inside = (points >= self._free.lower[j]) & (points <= self._free.upper[j])
+        every = np.tile(self._free.lower, (points.size, 1))
+        every[:, j] = np.where(inside, points, self._free.lower[j]).ravel()
+        z = np.clip(self._free.places(every), 0.0, 1.0)
+        marginal = self._distribution.marginal(j, z[:, j]) / self._free.slopes(z)[:, j]
+        return np.where(inside, marginal.reshape(points.shape), 0.0)
 
     def sample(self, count: int, *, seed: int | None = None) -> dict[str, Array]:
         """Random values of all parameters, fixed ones as well, by name, (count,) each.
@@ -172,8 +186,7 @@ class Posterior:
             return np.asarray(np.exp(self._log_density(z) - self.log_evidence))
 
         z = self._distribution.sample(count, density, generator)
-        free = self.fit._problem.free
-        return dict(zip(free.order, free.points(z), strict=True))
+        return dict(zip(self._free.order, self._free.points(z), strict=True))
 
     def __repr__(self) -> str:
         lines = [f"Posterior of {', '.join(self.parameters)} by {self.method}"]
@@ -188,13 +201,14 @@ class Posterior:
 
 def posterior(
     self: SolutionCore,
-    times: Measurements,
-    data: Measurements,
+    times: Measurements | Any,
+    data: Measurements | None = None,
     *,
     observe: object = None,
-    sigma: Measurements | None = None,
+    sigma: Sigma = None,
+    noise: object = None,
     prior: Distributions = None,
-    fixed: ParameterValues = None,
+    fixed: Mapping[Any, Any] | None = None,
     bounds: Bounds = None,
     weights: Measurements | None = None,
     missing: str = "error",
@@ -208,9 +222,9 @@ def posterior(
 
     Parameters
     ----------
-    times, data, observe, sigma, fixed, bounds, weights, missing
-        As for :meth:`fit`. A sigma that is not given is integrated over, with the density
-        1/sigma.
+    times, data, observe, sigma, noise, fixed, bounds, weights, missing
+        As for :meth:`fit`. A sigma that is not given, and levels of noise, are integrated over
+        with the density 1/sigma.
     prior : mapping, optional
         For parameters, by names or symbols, frozen continuous distributions of scipy.stats,
         cut at the bounds. Other parameters have the distribution of the problem, or a uniform
@@ -231,7 +245,6 @@ def posterior(
     RankoneError
         If emcee is needed and not installed.
     """
-    priors = by_name("prior", prior, tuple(self.parameters))
     seed = checked_number("seed", seed, 0)
     steps = checked_number("steps", steps, 100, _MOST_STEPS)
     best = fit(
@@ -240,27 +253,47 @@ def posterior(
         data,
         observe=observe,
         sigma=sigma,
+        noise=noise,
         weights=weights,
         fixed=fixed,
         bounds=bounds,
         missing=missing,
     )
-    log_density = LogPosterior(_without_fixed(best), _priors(best, priors))
-    likely, extents = _likely(best, log_density)
-    names = [name for name, identified in best.identifiable.items() if not identified]
+    return posterior_of(best, prior, seed=seed, steps=steps)
+
+
+def posterior_of(
+    fit: Fit, prior: Distributions = None, *, seed: int = 0, steps: int = 1000
+) -> Posterior:
+    """The distribution of the parameters of any fit, also of several experiments.
+
+    Parameters
+    ----------
+    fit : Fit
+    prior, seed, steps
+        As for :meth:`Solution.posterior`.
+    """
+    if not isinstance(fit, Fit):
+        raise OptionError(f"{shown(fit)} is not a Fit", term=fit, remedy="give what a fit returned")
+    seed = checked_number("seed", seed, 0)
+    steps = checked_number("steps", steps, 100, _MOST_STEPS)
+    priors = by_name("prior", prior, fit._problem.free.order)
+    log_density = LogPosterior(_without_fixed(fit), _priors(fit, priors))
+    likely, extents = _likely(fit, log_density)
+    names = [name for name, identified in fit.identifiable.items() if not identified]
     limits = f"; the data do not identify {listing(names)} alone: box and prior limit them"
     boxed = limits if names else ""
     if len(log_density.measures) > _MOST_QUADRATURE_PARAMETERS:
         links = chain(log_density, likely, seed, steps)
         message = links.message + boxed
-        return Posterior(best, "mcmc", math.nan, links.success, message, log_density, links)
+        return Posterior(fit, "mcmc", math.nan, links.success, message, log_density, links)
     cells, evidence = adapted(log_density, likely, extents)
     success = cells.error <= _ACCURATE
     message = f"integrals are exact to about {cells.error:.1e}{boxed}"
     if not success:
         remedy = "restrict the box to where the density is, or fix parameters"
         message = with_remedy(message, remedy)
-    return Posterior(best, "quadrature", evidence, success, message, log_density, cells)
+    return Posterior(fit, "quadrature", evidence, success, message, log_density, cells)
 
 
 def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
@@ -270,23 +303,33 @@ def _priors(fit: Fit, prior: Mapping[str, Distribution]) -> tuple[Measure, ...]:
         if name in free.fixed:
             raise OptionError(f"{quote(name)} is fixed, and has a prior", term=name)
     box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
-    from_problem = {name: from_text(text) for name, text in fit.solution.metadata.distributions}
+    solutions = (trial.solution for trial in fit.trials)
+    from_problem = {
+        name: from_text(text) for each in solutions for name, text in each.metadata.distributions
+    }
     return measures_of(free.names, box, prior, from_problem)
 
 
-def _without_fixed(fit: Fit) -> LeastSquares:
-    """The least squares of the free parameters alone, with ranks that the noise allows."""
-    free, observations = fit._problem.free, fit.observations
-    outcome = fit.solution.outcome
-    for position in reversed(range(len(free.order))):
-        if free.order[position] in free.fixed:
-            outcome = outcome.fixed(position, free.fixed[free.order[position]])
-    model = model_of(outcome, observations.rows, observations.times)
-    unit = fit._unit if fit._unit > 0.0 else 1.0
-    positions = tuple(range(len(free.names)))
-    alone = replace(free, order=free.names, positions=positions, fixed={})
-    thinned = model.thinned(observations.scale, _UNNOTICED_CHANGE * unit)
-    return LeastSquares(thinned, observations, alone)
+def _without_fixed(fit: Fit) -> Likelihood:
+    """The likelihood with solutions of the free parameters alone, and ranks that the noise allows.
+
+    Ranks stay as they are where an expression of the unknowns was measured.
+    """
+    trials = []
+    for trial, noise in zip(fit.trials, fit.deviations, strict=True):
+        solution = trial.solution
+        held = {**fit.fixed, **trial.fixed}
+        held = {name: x for name, x in held.items() if name in solution.parameters}
+        if held:
+            solution = SolutionCore(*with_fixed(solution.outcome, solution.metadata, held))
+        alone = trial_of(trial.name, solution, trial.fixed, trial.observations)
+        plain = all(formula.is_name for formula in trial.observations.formulas)
+        if plain and alone.rows == tuple((f.names[0],) for f in trial.observations.formulas):
+            scale = np.divide(1.0, noise, out=np.ones(noise.size), where=noise > 0.0)
+            model = alone.model.thinned(scale, _UNNOTICED_CHANGE)
+            alone = replace(alone, model=model)
+        trials.append(alone)
+    return replace(fit._problem, trials=tuple(trials), priors=())
 
 
 def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
@@ -294,7 +337,8 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
     problem, n = log_density.problem, len(log_density.measures)
     generator = np.random.default_rng(11)
     unit = max(fit._unit, 1e-12) if math.isfinite(fit._unit) else 1.0
-    minima = problem.minima(np.vstack([fit._z, spread(_MODE_STARTS, n, generator)]))
+    starts = np.vstack([fit._best.z, spread(_MODE_STARTS, n, generator)])
+    minima = minima_across_jumps(problem, starts)
     good = minima.cost <= minima.cost.min() + _MODE_DEPTH**2 * unit**2
     near, extents = [], np.ones(n)
     for z, jacobian in zip(minima.z[good], minima.jacobian[good], strict=True):
@@ -306,20 +350,18 @@ def _likely(fit: Fit, log_density: LogPosterior) -> tuple[Array, Array]:
         near.append(z + normal @ root.T)
     wide = generator.random((8 * _DRAWN_POINTS, n))
     centres = [m.sample(np.array([0.01, 0.1, 0.5, 0.9, 0.99])) for m in log_density.measures]
-    lower, width = log_density.unit
-    prior = (np.array(centres).T - lower) / width
+    prior = problem.free.places(np.array(centres).T)
     points = np.vstack([minima.z[good], np.clip(np.vstack(near), 0.0, 1.0), prior, wide])
     logs = log_density(points)
     if not np.isfinite(logs.max()):
         raise OptionError("the prior has no probability where the data have any")
     likely = points[logs > logs.max() - 0.5 * (3.0**2 + n)]
-    spreads = [_spread(m, z) for m, z in zip(log_density.measures, width, strict=True)]
-    return likely, np.minimum(extents, np.array(spreads))
+    return likely, np.minimum(extents, _spreads(log_density.measures, problem.free))
 
 
-def _spread(measure: Measure, width: float) -> float:
-    """Extent of a prior in the unit interval."""
-    if measure.distribution is None:
-        return 1.0
-    low, high = measure.sample(np.array([0.16, 0.84]))
-    return float(max(0.5 * (high - low) / width, 1e-12))
+def _spreads(measures: tuple[Measure, ...], free: FreeParameters) -> Array:
+    """Extents of the priors in the unit cube (n,)."""
+    ends = np.array([measure.sample(np.array([0.16, 0.84])) for measure in measures]).T
+    low, high = free.places(ends)
+    informed = np.array([measure.distribution is not None for measure in measures])
+    return np.where(informed, np.maximum(0.5 * (high - low), 1e-12), 1.0)

@@ -1,77 +1,97 @@
-"""Parameters of a solution from data, by weighted least squares."""
+"""Parameters of solutions from data, by least squares or maximum likelihood."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from rankone.estimation.fit import Fit, checked_level, quantile_of
-from rankone.estimation.free_parameters import (
-    Bounds,
-    FreeParameters,
-    ParameterValues,
-    free_parameters,
-)
-from rankone.estimation.identification import identify
-from rankone.estimation.least_squares import LeastSquares, Minima, squares_of
-from rankone.estimation.models import model_of
-from rankone.estimation.observations import Measurements, Observations, observed
+from rankone.estimation.choice import chosen, judged
+from rankone.estimation.experiments import Experiment, Trial, trials_of
+from rankone.estimation.fit import Fit, checked_level
+from rankone.estimation.free_parameters import Bounds, ParameterValues, free_parameters, with_start
+from rankone.estimation.least_squares import minima_across_jumps
+from rankone.estimation.likelihood import Likelihood
+from rankone.estimation.noise import noise_of
+from rankone.estimation.observations import Measurements, Observations, Sigma
+from rankone.estimation.ranges import idle_levels, ranges_of, with_linear_ranges
+from rankone.estimation.tables import is_table
 from rankone.solution.core import SolutionCore
+from rankone.statistics.joint_distribution import Distributions, by_name, measures_of
 from rankone.support.arrays import Array, spread
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import EvaluationError, OptionError
 from rankone.support.options import checked_number
-from rankone.support.wording import count, listing
+from rankone.support.wording import count, listing, quote, shown
 
 _SCREENED_POINTS = 128  # Points of the box among which the starts are chosen, for normal effort
 _MOST_SCREENED_POINTS = 2**15  # Most of these points, whatever the effort
 _MOST_STARTS = 128  # Most starts, whatever the effort
-_DISTINCT_DISTANCE = 1e-2  # Distance in the cube above which minima are different ones
-_EQUAL_COST_SHARE = 1e-3  # Difference of costs, in shares of the mean square, that counts as none
-_SAME_DISTANCE = 1e-3  # Distance in the cube below which minima are the same
 
 
 def fit(
     self: SolutionCore,
-    times: Measurements,
-    data: Measurements,
+    times: Measurements | Any,
+    data: Measurements | None = None,
     *,
     observe: object = None,
-    sigma: Measurements | None = None,
+    sigma: Sigma = None,
+    noise: object = None,
     weights: Measurements | None = None,
-    fixed: ParameterValues = None,
+    fixed: Mapping[Any, Any] | None = None,
     start: ParameterValues = None,
     bounds: Bounds = None,
+    prior: Distributions = None,
     starts: int = 4,
     effort: str | float = "normal",
     level: float = 0.95,
     missing: str = "error",
 ) -> Fit:
-    """Parameters from data, by weighted least squares with exact derivatives.
+    """Parameters from data, by least squares or maximum likelihood with exact derivatives.
 
     Parameters
     ----------
-    times : array_like (times,) or mapping
+    times : array_like (times,), mapping, or table
         Times of the measurements; a time may occur more than once. A mapping from outputs
-        gives each its own times.
+        gives each its own times. Or a table alone, without ``data``: a pandas DataFrame, or a
+        mapping from names to columns, with a column of time and one for each unknown or
+        observable. Cells may be empty. Columns ``condition`` and ``subject`` tell experiments
+        apart, columns named like parameters hold values of them, and ``sigma`` or ``sigma_x``
+        the standard deviation of each measurement.
     data : array_like (times,) or (outputs, times), or mapping
         Measurements of one output, of several, or of each by name.
-    observe : name, symbol or list of them, optional
-        The measured unknowns, or derivatives that are states. By default the names of the
-        data, or all unknowns.
-    sigma : float or array_like, optional
+    observe : name, symbol, expression, list of them, or mapping, optional
+        What was measured: unknowns, derivatives that are states, or expressions of them, of
+        parameters and of time, such as ``"log(C)"``; with names of their own as a mapping,
+        ``{"signal": "scale*x + offset"}``. New names in an expression are further parameters:
+        those that enter linearly need no bounds. By default the names of the data, or all
+        unknowns.
+    sigma : float, array_like, expression or mapping, optional
         Standard deviation of the noise: one number, one for each output, or one for each
-        datum. Without it, one for all data is estimated from the residuals.
+        datum; or an expression, ``"a + b*x"``, whose new names are levels that are estimated.
+        Without sigma and noise, one for all data is estimated from the residuals.
+    noise : {"constant", "proportional", "combined", "log-normal", "student"} or mapping, optional
+        The kind of noise, for all outputs or for each. Each output has levels of its own, which
+        are estimated unless sigma gives them: ``sigma_x`` the standard deviation, ``relative_x``
+        that in shares of the prediction, both for combined noise. The level of log-normal noise
+        is the standard deviation of the logarithm; Student's noise has four degrees of freedom.
     weights : array_like, optional
         Factors of the squares in place of sigma, in the same shapes: one over the variance up
         to a common factor, which is estimated.
     fixed : mapping, optional
-        Values of known parameters, by names or symbols.
+        Values of known parameters, by names or symbols; for a table with a column ``condition``
+        perhaps a mapping for each condition, ``{"low": {"dose": 1}, "high": {"dose": 5}}``.
     start : mapping, optional
         Values of some parameters to start from; the others start in the middle.
     bounds : mapping, optional
-        Intervals of some parameters inside the box; by default the box.
+        Intervals of some parameters inside the box; by default the box. ``(1e-3, 10, "log")``
+        searches over decades.
+    prior : mapping, optional
+        For some parameters frozen continuous distributions of scipy.stats. The estimate is the
+        largest posterior density in the coordinates of the search.
     starts : int
         Number of further starts, the best of a sample all over the box.
     effort : {"low", "normal", "high"} or float
@@ -99,101 +119,201 @@ def fit(
         solution before the last of the data at all points that are tried.
     """
     self._evaluator  # noqa: B018 - raises if nothing was solved
-    free = free_parameters(self, fixed, bounds, start)
-    observations = observed(
-        self, times, data, observe, sigma=sigma, weights=weights, missing=missing
+    every = fixed.items() if isinstance(fixed, Mapping) else ()
+    conditions = {key: own for key, own in every if isinstance(own, Mapping)}
+    experiment = Experiment(
+        times if data is None else data,
+        None if data is None else times,
+        conditions,
+        observe,
+        sigma,
+        noise,
+        weights,
+        missing=missing,
     )
-    level = checked_level(level)
-    starts = checked_number("starts", starts, 0 if start is not None else 1, _SCREENED_POINTS)
-    factor = operations_for(effort) / NORMAL
-    starts = min(math.ceil(factor * starts), _MOST_STARTS)
-    screened = min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS)
-    _check_size(observations, free)
-    model = model_of(self.outcome, observations.rows, observations.times)
-    problem = LeastSquares(model, observations, free)
-    residuals, first = _starts(problem, starts, max(screened, starts, 1))
-    minima = problem.minima(first)
-    k = _chosen(minima)
-    z, cost, jacobian = minima.z[k], float(minima.cost[k]), minima.jacobian[k]
-    dof = max(observations.size - len(free.names), 1)
-    unit = 1.0 if observations.sigma_known else math.sqrt(cost / dof)
-    q = quantile_of(level, observations.sigma_known, dof)
-    identification = identify(problem, z, cost, jacobian, q, unit)
-    distinct = () if identification.flat else _others(problem, minima, k, (q * unit) ** 2)
-    tried = residuals[np.isfinite(residuals).all(axis=1)]
-    largest = np.abs(tried / observations.scale + observations.values).max(axis=0)
-    outputs = range(len(observations.names))
-    sizes = np.array([largest[observations.owner == i].max() for i in outputs])
-    return Fit(
-        self,
-        observations,
-        level,
-        cost,
-        bool(minima.converged[k]),
-        problem,
-        z,
-        minima.residuals[k],
-        identification,
-        distinct,
-        sizes[observations.owner],
-    )
-
-
-def _others(
-    problem: LeastSquares, minima: Minima, k: int, limit: float
-) -> tuple[dict[str, float], ...]:
-    """Minima apart from the chosen one whose costs are within a limit of it."""
-    chosen = [minima.z[k]]
-    for z, cost, ended in zip(minima.z, minima.cost, minima.converged, strict=True):
-        apart = all(np.abs(z - minimum).max() > _DISTINCT_DISTANCE for minimum in chosen)
-        if ended and apart and cost <= minima.cost[k] + max(limit, 1e-9 * minima.cost[k]):
-            chosen.append(z)
-    return tuple(problem.free.named(z) for z in chosen[1:])
-
-
-def _check_size(observations: Observations, free: FreeParameters) -> None:
-    """Raise an OptionError if there are fewer data than parameters."""
-    free_sigma = not observations.sigma_known
-    if observations.size < len(free.names) + free_sigma:
+    if data is None and not isinstance(times, Mapping) and not is_table(times):
         raise OptionError(
-            f"there are {count(observations.size, 'value')} for "
-            f"{count(len(free.names), 'parameter')}{' and sigma' if free_sigma else ''}: "
-            f"{listing(free.names)}",
+            "data are missing", remedy="give fit(times, data), or fit(table) with a column of time"
+        )
+    if isinstance(fixed, Mapping):
+        fixed = {key: x for key, x in fixed.items() if key not in conditions}
+    options = Options(fixed, start, bounds, prior, starts, effort, level)
+    return fitted(trials_of([(self, experiment)]), options)
+
+
+def fit_experiments(
+    pairs: Sequence[tuple[SolutionCore, Experiment]],
+    *,
+    fixed: ParameterValues = None,
+    start: ParameterValues = None,
+    bounds: Bounds = None,
+    prior: Distributions = None,
+    starts: int = 4,
+    effort: str | float = "normal",
+    level: float = 0.95,
+) -> Fit:
+    """Fit several experiments together, of one solution or of several that share parameters.
+
+    Parameters
+    ----------
+    pairs : list of (Solution, Experiment)
+        Parameters of the same name are the same parameter, unless an experiment fixes them. So are
+        parameters of observables and levels of noise. Experiments without sigma and noise have
+        a standard deviation that they share if none of them knows more, else one for each output.
+    fixed, start, bounds, prior, starts, effort, level
+        As for :meth:`Solution.fit`.
+
+    Returns
+    -------
+    Fit
+        ``values_in(name)`` has all parameters of the solution in one experiment.
+
+    Raises
+    ------
+    OptionError, EvaluationError
+        As for :meth:`Solution.fit`, and if the solutions share no interval of a parameter.
+    """
+    listed = list(pairs) if isinstance(pairs, list | tuple) else []
+    if not listed or not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in listed):
+        raise OptionError(
+            f"{shown(pairs)} is not a list of pairs",
+            term=pairs,
+            remedy="give [(solution, rankone.Experiment(data, ...)), ...]",
+        )
+    for solution, _ in listed:
+        if not isinstance(solution, SolutionCore):
+            raise OptionError(f"{shown(solution)} is not a Solution", term=solution)
+    options = Options(fixed, start, bounds, prior, starts, effort, level)
+    return fitted(with_levels(trials_of(listed)), options)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a fit is asked for beside the data; see :func:`fit`."""
+
+    fixed: ParameterValues = None
+    start: ParameterValues = None
+    bounds: Bounds = None
+    prior: Distributions = None
+    starts: int = 4
+    effort: str | float = "normal"
+    level: float = 0.95
+
+
+def fitted(trials: tuple[Trial, ...], options: Options) -> Fit:
+    """The fit of trials."""
+    level = checked_level(options.level)
+    least = 0 if options.start is not None else 1
+    starts = checked_number("starts", options.starts, least, _SCREENED_POINTS)
+    factor = operations_for(options.effort) / NORMAL
+    starts = min(math.ceil(factor * starts), _MOST_STARTS)
+    screened = max(min(math.ceil(factor * _SCREENED_POINTS), _MOST_SCREENED_POINTS), starts, 1)
+    problem = problem_of(trials, options)
+    points = spread(screened, len(problem.free.names), np.random.default_rng(7))
+    points[0] = 0.5
+    problem = with_linear_ranges(problem, points)
+    if options.start is not None:
+        named = by_name("start", options.start, problem.free.order)
+        problem = replace(problem, free=with_start(problem.free, named))
+    _check_size(problem)
+    ends = minima_across_jumps(problem, _starts(problem, starts, points))
+    k = chosen(problem, ends)
+    idle = idle_levels(problem, ends.z[k], float(ends.cost[k]))
+    if idle:
+        held = {**by_name("fixed", options.fixed, problem.free.order), **idle}
+        return fitted(trials, replace(options, fixed=held))
+    return judged(problem, ends, k, level, points)
+
+
+def problem_of(trials: tuple[Trial, ...], options: Options) -> Likelihood:
+    """The likelihood of trials, with what is fixed, bounded or known before."""
+    solutions = list({id(trial.solution): trial.solution for trial in trials}.values())
+    used = {name for trial in trials for name in trial.parameters}
+    every = {name for solution in solutions for name in solution.parameters}
+    asked = (options.fixed, options.bounds, options.prior)
+    declared = [str(getattr(key, "name", key)) for each in asked for key in (each or ())]
+    ranges = ranges_of(trials, declared)
+    absent = [name for name in every if name not in used]
+    for option, given in (("fixed", options.fixed), ("bounds", options.bounds)):
+        for key in given or ():
+            if str(key) in absent:
+                raise OptionError(
+                    f"{option}: the experiments fix {quote(key)} themselves", term=key
+                )
+    free = free_parameters(
+        solutions, options.fixed, options.bounds, options.start, extras=ranges, absent=absent
+    )
+    priors = by_name("prior", options.prior, free.order)
+    for name in priors:
+        if name in free.fixed:
+            raise OptionError(f"{quote(name)} is fixed, and has a prior", term=name)
+    box = [(float(a), float(b)) for a, b in zip(free.lower, free.upper, strict=True)]
+    measures = measures_of(free.names, box, priors, {})
+    informed = tuple(measure for measure in measures if measure.distribution is not None)
+    if informed:
+        trials = with_levels(trials, always=True)
+        if {name for trial in trials for name in trial.extras} - set(free.order):
+            return problem_of(trials, options)
+    return Likelihood(trials, free, informed)
+
+
+def with_levels(trials: tuple[Trial, ...], *, always: bool = False) -> tuple[Trial, ...]:
+    """Trials with a level of noise for each observable where the noise is not known.
+
+    As they are if it is not known in any of them, unless ``always``.
+    """
+    unknown = [not trial.observations.sigma_known for trial in trials]
+    if not any(unknown) or (all(unknown) and not always):
+        return trials
+    return tuple(
+        replace(trial, observations=_with_constant_noise(trial)) if open_ else trial
+        for trial, open_ in zip(trials, unknown, strict=True)
+    )
+
+
+def _with_constant_noise(trial: Trial) -> Observations:
+    noises = tuple(
+        replace(noise_of("constant", name, noise.spread, given=False), spread=noise.spread)
+        for name, noise in zip(trial.observations.names, trial.observations.noises, strict=True)
+    )
+    return replace(trial.observations, noises=noises, sigma_known=True)
+
+
+def _check_size(problem: Likelihood) -> None:
+    """Raise an OptionError if there are fewer data than parameters."""
+    free_sigma = not problem.unit_known
+    names = problem.free.names
+    if problem.size + len(problem.priors) < len(names) + free_sigma:
+        raise OptionError(
+            f"there are {count(problem.size, 'value')} for "
+            f"{count(len(names), 'parameter')}{' and sigma' if free_sigma else ''}: "
+            f"{listing(names)}",
             remedy="measure more, or fix parameters: fixed={name: value}"
             + ("; or give sigma" if free_sigma else ""),
         )
 
 
-def _starts(problem: LeastSquares, starts: int, screened: int) -> tuple[Array, Array]:
-    """Residuals (N, m) at points all over the cube, and the best of them that are apart (k, n)."""
+def _starts(problem: Likelihood, starts: int, points: Array) -> Array:
+    """The best points (k, n) of the cube that are apart, after the start that was given."""
     n = len(problem.free.names)
-    points = spread(screened, n, np.random.default_rng(7))
-    points[0] = 0.5
-    residuals = problem.residuals(points)
-    squares = squares_of(residuals)
-    if not np.isfinite(squares).any():
+    places, costs = problem.costs(points, start=True)
+    usable = np.isfinite(costs)
+    if not usable.any():
         raise EvaluationError(
-            "the solution ends before the last of the data, wherever it was tried",
-            remedy="leave out later data, or restrict the solution to parameters where it goes on",
+            "the likelihood is not finite, wherever it was tried: the solution ends before the "
+            "last of the data, an observable has no value, or the noise is zero there",
+            remedy="leave out such data, or restrict the solution to parameters where it goes on",
         )
-    order = np.argsort(squares)[: np.isfinite(squares).sum()]
+    order = np.argsort(np.where(usable, costs, np.inf))[: usable.sum()]
+    searched = [j for j in range(n) if j not in {*problem.levels, *problem.linear}]
     chosen: list[Array] = [] if problem.free.start is None else [problem.free.start]
-    apart = 0.5 * starts ** (-1.0 / n) if starts else 0.0
-    most = len(chosen) + starts
-    for point in points[order]:
+    apart = 0.5 * starts ** (-1.0 / max(len(searched), 1)) if starts else 0.0
+    most = len(chosen) + (starts if searched else min(starts, 1))
+    for point in places[order]:
         if len(chosen) == most:
             break
-        if all(np.abs(point - start).max() >= apart for start in chosen):
+        if all(np.abs(point - start)[searched].max(initial=0.0) >= apart for start in chosen) or (
+            not searched
+        ):
             chosen.append(point)
-    return residuals, np.array(chosen)
-
-
-def _chosen(minima: Minima) -> int:
-    """The best minimum; among equally good ones the farthest from the bounds."""
-    mean = minima.cost.min() / minima.residuals.shape[1]
-    good = np.flatnonzero(minima.cost <= minima.cost.min() + _EQUAL_COST_SHARE * mean)
-    inside = np.minimum(minima.z[good], 1.0 - minima.z[good]).min(axis=1)
-    apart = np.abs(minima.z[good] - minima.z[minima.cost.argmin()]).max(axis=1)
-    if apart.max() <= _SAME_DISTANCE:
-        return int(minima.cost.argmin())
-    return int(good[np.argmax(inside)])
+    return np.array(chosen)

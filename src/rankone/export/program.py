@@ -137,14 +137,14 @@ def _solved(solve: Callable[..., SolutionCore], arguments: argparse.Namespace) -
         return error.solution
 
 
-def box_of(texts: Sequence[str] | None) -> dict[str, list[float | str]]:
+def box_of(texts: Sequence[str] | None, option: str = "--box") -> dict[str, list[float | str]]:
     """Ranges of parameters as ``--box`` has them: ``0.5:1.5``, or ``1e-3:10:log``."""
 
     def interval(text: str) -> list[float | str]:
         parts = text.split(":")
         return [*map(float, parts[:2]), *parts[2:]]
 
-    return pairs_of("--box", texts, interval, _RANGE_FORM)
+    return pairs_of(option, texts, interval, _RANGE_FORM)
 
 
 def options_of(texts: Sequence[str] | None, reserved: Sequence[str]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
@@ -15,8 +15,6 @@ from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
@@ -54,8 +52,9 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
 
     Notes
     -----
-    There is no band where the data do not identify the curve. Residuals have the unit of the data
-    if sigma is not given and the data are met exactly.
+    Each observable of each experiment has its curve. There is no band where the data do not
+    identify the curve. Residuals have the unit of the data if sigma is not given and the data are
+    met exactly.
     """
     if not isinstance(fit, Fit):
         raise OptionError(
@@ -63,64 +62,63 @@ def plot_fit(fit: Fit, *, ax: Axes | Sequence[Axes] | None = None) -> tuple[Axes
             term=fit,
             remedy="give what solution.fit(...) returns",
         )
-    solution = cast("Solution", fit.solution)
-    needs_time(solution, "curves of a fit")
+    for trial in fit.trials:
+        needs_time(cast("Solution", trial.solution), "curves of a fit")
     axes = _axes(ax)
-    outputs = [_output(fit, solution, i) for i in range(len(fit.observations.names))]
+    outputs = list(_outputs(fit))
+    solution = cast("Solution", fit.solution)
     _draw_data(axes[0], outputs, f"{100 * fit.level:g} % band of the curve")
-    axes[0].set_ylabel(style.labels_of(solution, fit.observations.names))
+    states = [name for name in fit.observed if name in solution.states]
+    ylabel = style.labels_of(solution, states) if len(states) == len(fit.observed) else None
+    axes[0].set_ylabel(ylabel or ", ".join(fit.observed))
     axes[-1].set_xlabel(style.label_of(solution, solution.metadata.time))
     if len(axes) > 1:
         _draw_residuals(axes[1], outputs)
-        unit = "[std]" if fit.observations.sigma_known else "[estimated std]"
+        unit = "[std]" if fit.noise_given else "[estimated std]"
         axes[1].set_ylabel("residual" if outputs[0].sigma is None else f"residual\n{unit}")
     return axes
 
 
 @dataclass(frozen=True)
 class _Output:
-    """What was measured of one state, its sigma if it is known, and the curve fitted.
+    """What was measured of one observable, its sigma if it is known, and the curve fitted.
 
-    The curve (3, times) has times, values, and half the width of its band.
+    The curve (3, times) has times, values, and half the width of its band. Residuals are
+    measurement less curve, in standard deviations if these are known.
     """
 
     name: str
     times: Array
     data: Array
-    fitted: Array
     sigma: Array | None
     curve: Array
 
-    @property
-    def residuals(self) -> Array:
-        """Measurement less curve, in standard deviations if these are known."""
-        return (self.data - self.fitted) / (1.0 if self.sigma is None else self.sigma)
+    residuals: Array
 
 
-def _output(fit: Fit, solution: Solution, index: int) -> _Output:
-    observed = fit.observations
-    name, here = observed.names[index], observed.owner == index
-    times, data = observed.times[here], observed.values[here]
-    unit = 1.0 if observed.sigma_known else fit.sigma
-    sigma = unit / observed.scale[here] if np.isfinite(unit) and unit > 0.0 else None
-    fine = fine_times(solution, float(times.max(initial=solution.time[0])), CURVE_TIMES)
-    curve = np.array([fine, solution[name](fine, fit.values), _half_widths(fit, name, fine)])
-    return _Output(name, times, data, solution[name](times, fit.values), sigma, curve)
-
-
-def _half_widths(fit: Fit, name: str, times: Array) -> Array:
-    """Half the width of the band of a curve, by its exact derivatives; NaN where it is unknown."""
-    solution = cast("Solution", fit.solution)
-    slopes = {p: solution.diff(p)[name](times, fit.values) for p in fit.parameters}
-
-    def ends(i: int) -> float:
-        def change(at: Mapping[str, float]) -> float:
-            return float(sum(slopes[p][i] * (at[p] - fit.x[p]) for p in slopes))
-
-        return fit.interval_of(change)[1]
-
-    widths = np.array([ends(i) for i in range(times.size)])
-    return np.where(np.isfinite(widths), widths, np.nan)
+def _outputs(fit: Fit) -> Iterator[_Output]:
+    """What was measured in each experiment."""
+    several = len(fit.trials) > 1
+    for k, trial in enumerate(fit.trials):
+        solution, observed = cast("Solution", trial.solution), trial.observations
+        for i, name in enumerate(observed.names):
+            here = observed.of(i)
+            times, data = observed.times[here], observed.values[here]
+            if not times.size:
+                continue
+            sigma = fit.deviations[k][here]
+            known = bool(np.isfinite(sigma).all() and (sigma > 0.0).all())
+            fine = fine_times(solution, float(times.max()), CURVE_TIMES)
+            curve = fit.curve(name, fine, k)
+            residuals = fit.standardised[k][here] if known else data - fit.curve(name, times, k)[0]
+            yield _Output(
+                f"{name}, {trial.name}" if several else name,
+                times,
+                data,
+                sigma if known else None,
+                np.array([fine, *curve]),
+                residuals,
+            )
 
 
 def _axes(ax: object) -> tuple[Axes, ...]:

@@ -58,13 +58,13 @@ def listing(subjects: Iterable[object]) -> str:
     return f"{', '.join(quoted[:-1])} and {quoted[-1]}"
 
 
-def did_you_mean(name: str, names: Iterable[str]) -> str:
+def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6) -> str:
     """Return ``" (did you mean `beta`?)"`` when one of the names is close, else nothing.
 
-    Names that differ in case alone are the closest.
+    Names that differ in case alone are the closest. ``cutoff`` is the least similarity, up to one.
     """
     lowered = {candidate.lower(): candidate for candidate in reversed(list(names))}
-    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=cutoff)
     return f" (did you mean {quote(lowered[close[0]])}?)" if close else ""
 
 

@@ -1,0 +1,91 @@
+"""What is odd about the residuals of a fit, in words.
+
+They are compared with what independent noise of the kind assumed would show by chance once in a
+thousand fits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy
+
+from rankone.estimation.experiments import Trial
+from rankone.support.arrays import Array
+from rankone.support.errors import with_remedy
+from rankone.support.wording import quote
+
+_UNLIKELY = 1e-3  # Probability by chance below which something is said
+_LEAST = 8  # Least number of data of an observable for patterns among them
+
+
+def residual_checks(
+    trials: Sequence[Trial], standardised: Sequence[Array], predicted: Sequence[Array]
+) -> Iterator[str]:
+    """Sentences about standardised residuals (m,) and predictions (m,) of each trial."""
+    names = dict.fromkeys(name for trial in trials for name in trial.observations.names)
+    for name in names:
+        series = []
+        for trial, r, p in zip(trials, standardised, predicted, strict=True):
+            if name in trial.observations.names:
+                here = trial.observations.of(trial.observations.names.index(name))
+                order = np.argsort(trial.observations.times[here], kind="stable")
+                series.append(
+                    (r[here][order], p[here][order], trial.observations.times[here][order])
+                )
+        yield from _of_observable(name, series)
+
+
+def _of_observable(name: str, series: Sequence[tuple[Array, Array, Array]]) -> Iterator[str]:
+    r, p, times = (np.concatenate(column) for column in zip(*series, strict=True))
+    if not np.isfinite(r).all() or r.size < 3 or not np.ptp(r) > 0.0:
+        return
+    yield from _outlier(name, r, times)
+    if r.size < _LEAST:
+        return
+    yield from _runs(name, [each for each, _, _ in series])
+    yield from _growing(name, r, p)
+
+
+def _outlier(name: str, r: Array, times: Array) -> Iterator[str]:
+    worst = int(np.argmax(np.abs(r)))
+    chance = 2.0 * float(scipy.stats.norm.sf(abs(r[worst]))) * r.size
+    if chance < _UNLIKELY:
+        yield with_remedy(
+            f"the measurement of {quote(name)} at {times[worst]:.4g} is "
+            f"{abs(r[worst]):.2g} standard deviations off",
+            'look at it, or fit with noise="student"',
+        )
+
+
+def _runs(name: str, series: Sequence[Array]) -> Iterator[str]:
+    """Neighbours in time that deviate to the same side (Wald & Wolfowitz 1940)."""
+    runs = expected = variance = 0.0
+    for r in series:
+        above = r > 0.0
+        a, b = int(above.sum()), int((~above).sum())
+        if a == 0 or b == 0 or a + b < 3:
+            continue
+        runs += 1.0 + np.count_nonzero(above[1:] != above[:-1])
+        mean = 2.0 * a * b / (a + b)
+        expected += 1.0 + mean
+        variance += mean * (mean - 1.0) / (a + b - 1.0)
+    if variance > 0.0 and scipy.stats.norm.cdf((runs - expected) / math.sqrt(variance)) < _UNLIKELY:
+        yield (
+            f"residuals of {quote(name)} keep their sign for long: {runs:.0f} runs, "
+            f"{expected:.0f} expected; the model may miss something"
+        )
+
+
+def _growing(name: str, r: Array, p: Array) -> Iterator[str]:
+    """Residuals that grow with the prediction (Spearman's rank correlation)."""
+    if not np.ptp(np.abs(p)) > 0.0:
+        return
+    test = scipy.stats.spearmanr(np.abs(r), np.abs(p))
+    if test.pvalue < _UNLIKELY:
+        larger, kind = ("grow", "proportional") if test.statistic > 0 else ("shrink", "constant")
+        yield with_remedy(
+            f"residuals of {quote(name)} {larger} with its values", f'try noise="{kind}"'
+        )

@@ -1,0 +1,318 @@
+"""Experiments: what was measured under which conditions, checked against a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.estimation.duals import Dual, Operand, coordinate
+from rankone.estimation.free_parameters import ParameterValues
+from rankone.estimation.models import Model, model_of
+from rankone.estimation.observations import Measurements, Observations, Sigma, label, observed
+from rankone.estimation.tables import Block, blocks_of, is_table
+from rankone.solution.core import SolutionCore
+from rankone.statistics.joint_distribution import by_name
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote, shown
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Measurements under known conditions, for :func:`rankone.fit`.
+
+    Parameters
+    ----------
+    data : table, mapping or array_like
+        A table (a pandas DataFrame, or a mapping that has a column of time), or measurements as
+        for :meth:`Solution.fit`, whose times are ``times``.
+    times : array_like or mapping, optional
+        Times of the measurements, where ``data`` is no table.
+    fixed : mapping, optional
+        Values of parameters in this experiment, by names or symbols: a dose, a temperature. For a
+        table with a column ``condition``, perhaps a mapping for each condition.
+    observe : name, symbol, expression, list or mapping, optional
+        What was measured; see :meth:`Solution.fit`.
+    sigma : optional
+        Standard deviations, numbers or expressions; see :meth:`Solution.fit`.
+    noise : str or mapping, optional
+        The kind of noise; see :meth:`Solution.fit`.
+    weights : array_like, optional
+        One over the variance up to a common factor.
+    name : str, optional
+        The name of the experiment in messages and plots.
+    missing : {"error", "drop"}
+        Whether NaN among the data is an error, or left out; tables leave out empty cells.
+    """
+
+    data: Any
+    times: Measurements | None = None
+    fixed: Mapping[Any, Any] = field(default_factory=dict)
+    observe: object = None
+    sigma: Sigma = None
+    noise: object = None
+    weights: Measurements | None = None
+    name: str = ""
+    missing: str = "error"
+
+    def __repr__(self) -> str:
+        fixed = ", ".join(f"{name}={value}" for name, value in self.fixed.items())
+        return f"Experiment {self.name or 'without a name'}{f' with {fixed}' if fixed else ''}"
+
+
+class Seeds(NamedTuple):
+    """Which derivatives are wanted: for each name its column among ``width``."""
+
+    columns: Mapping[str, int]
+    width: int
+
+
+class Predicted(NamedTuple):
+    """What the model says of one observable: its values, and the standard deviation of the data."""
+
+    value: Operand
+    sigma: Operand
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One experiment with the solution that describes it.
+
+    ``fixed`` are the parameters that this experiment fixes. The ``model`` has, for each observable
+    in turn, each of its states ``rows`` at each of its times.
+    """
+
+    name: str
+    solution: SolutionCore
+    fixed: dict[str, float]
+    observations: Observations
+    model: Model
+
+    @property
+    def rows(self) -> tuple[tuple[str, ...], ...]:
+        """For each observable the states that it and its noise depend on."""
+        return states_of(self.solution, self.observations)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters of the solution that this experiment does not fix."""
+        return tuple(name for name in self.solution.parameters if name not in self.fixed)
+
+    @property
+    def extras(self) -> tuple[str, ...]:
+        """Parameters that the observables and their noise have beside those of the solution."""
+        own = {*self.solution.states, *self.solution.parameters, self.solution.metadata.time}
+        own |= set(self.observations.names)
+        formulas = [*self.observations.formulas]
+        formulas += [noise.formula for noise in self.observations.noises if noise.formula]
+        names = (name for formula in formulas for name in formula.names)
+        return tuple(dict.fromkeys(name for name in names if name not in own))
+
+    def points(self, at: Mapping[str, Array]) -> Array:
+        """The parameters of the solution (d, K) for values (K,) by name."""
+        size = len(next(iter(at.values())))
+        every = self.solution.metadata.parameters
+        rows = [np.full(size, self.fixed[p]) if p in self.fixed else at[p] for p in every]
+        return np.array(rows).reshape(len(every), size)
+
+    def states(self, at: Mapping[str, Array]) -> Array:
+        """Values (K, M) of the states of the model."""
+        return self.model.values(self.points(at))
+
+    def linearised(self, at: Mapping[str, Array], seeds: Seeds) -> tuple[Array, Array]:
+        """The same with derivatives (K, M, w)."""
+        every = self.solution.metadata.parameters
+        moving = [name in seeds.columns and name not in self.fixed for name in every]
+        free = np.flatnonzero(moving).tolist()
+        points = self.points(at)
+        if not free:
+            states = self.model.values(points)
+            return states, np.zeros((*states.shape, seeds.width))
+        states, moved = self.model.linearised(points, free)
+        slopes = np.zeros((*states.shape, seeds.width))
+        slopes[..., [seeds.columns[every[j]] for j in free]] = moved
+        return states, slopes
+
+    def predicted(
+        self,
+        at: Mapping[str, Array],
+        states: Array,
+        slopes: Array | None = None,
+        seeds: Seeds | None = None,
+    ) -> list[Predicted]:
+        """What the model says of each observable, for states (K, M) and their derivatives.
+
+        Without seeds there are no derivatives.
+        """
+        names = {name: x[:, None] for name, x in at.items()}
+        names |= {name: np.array([[x]]) for name, x in self.fixed.items()}
+        operands: dict[str, Operand] = dict(names)
+        if seeds is not None:
+            moving = {name for name in seeds.columns if name not in self.fixed}
+            operands |= {
+                name: coordinate(at[name], seeds.columns[name], seeds.width) for name in moving
+            }
+        predictions, begin = [], 0
+        for i, (formula, rows) in enumerate(
+            zip(self.observations.formulas, self.rows, strict=True)
+        ):
+            here = self.observations.of(i)
+            size = here.stop - here.start
+            operands[self.solution.metadata.time] = self.observations.times[here]
+            for row in rows:
+                block = slice(begin, begin + size)
+                begin += size
+                value = states[:, block]
+                operands[row] = value if slopes is None else Dual(value, slopes[:, block])
+            prediction = formula(operands)
+            noise = self.observations.noises[i]
+            own = {**operands, self.observations.names[i]: prediction}
+            predictions.append(Predicted(prediction, noise.sigma(own)))
+        return predictions
+
+
+def states_of(solution: SolutionCore, observations: Observations) -> tuple[tuple[str, ...], ...]:
+    """For each observable the states that it and its noise depend on."""
+    rows = []
+    triples = zip(observations.names, observations.formulas, observations.noises, strict=True)
+    for name, formula, noise in triples:
+        names = [*formula.names]
+        if noise.formula is not None:
+            names += [each for each in noise.formula.names if each != name]
+        rows.append(tuple(dict.fromkeys(each for each in names if each in solution.states)))
+    return tuple(rows)
+
+
+def trial_of(
+    name: str, solution: SolutionCore, fixed: dict[str, float], observations: Observations
+) -> Trial:
+    """The trial of checked observations."""
+    rows: list[NDArray[np.intp]] = []
+    times: list[Array] = []
+    for i, states in enumerate(states_of(solution, observations)):
+        clock = observations.times[observations.of(i)]
+        for state in states:
+            rows.append(np.full(clock.size, solution.states.index(state), dtype=np.intp))
+            times.append(clock)
+    model = model_of(solution.outcome, np.concatenate(rows), np.concatenate(times))
+    return Trial(name, solution, fixed, observations, model)
+
+
+def trials_of(pairs: Sequence[tuple[SolutionCore, Experiment]]) -> tuple[Trial, ...]:
+    """The trials of experiments; a table may hold several."""
+    trials: list[Trial] = []
+    for solution, experiment in pairs:
+        solution._evaluator  # noqa: B018 - raises if nothing was solved
+        trials += _trials(solution, experiment)
+    names = [trial.name for trial in trials]
+    if len(set(names)) < len(names):
+        trials = [
+            replace(t, name=f"{t.name or 'experiment'} {i + 1}") for i, t in enumerate(trials)
+        ]
+    return tuple(trials)
+
+
+def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
+    if not isinstance(experiment, Experiment):
+        raise OptionError(
+            f"{shown(experiment)} is not an Experiment",
+            term=experiment,
+            remedy="give (solution, rankone.Experiment(data, ...))",
+        )
+    mapping = experiment.times is None and isinstance(experiment.data, Mapping)
+    if is_table(experiment.data) or mapping:
+        blocks = blocks_of(solution, experiment.data, experiment.observe)
+        fixed = _fixed_by_condition(solution, experiment.fixed, blocks)
+        for block, held in zip(blocks, fixed, strict=True):
+            yield _of_block(solution, experiment, block, held)
+        return
+    observations = observed(
+        solution,
+        experiment.times,  # type: ignore[arg-type]
+        experiment.data,
+        experiment.observe,
+        sigma=experiment.sigma,
+        noise=experiment.noise,
+        weights=experiment.weights,
+        missing=experiment.missing,
+    )
+    held = _held(solution, experiment.fixed)
+    yield trial_of(experiment.name, solution, held, observations)
+
+
+def _of_block(
+    solution: SolutionCore, experiment: Experiment, block: Block, held: dict[str, float]
+) -> Trial:
+    """The trial of one experiment in a table."""
+    if block.sigma is not None and experiment.sigma is not None:
+        raise OptionError("sigma is given, and the table has a column of it", remedy="give one")
+    if experiment.weights is not None:
+        raise OptionError("a table has no weights", remedy="give it a column `sigma`")
+
+    def own(given: object) -> Any:
+        """What is given for the observables of this block."""
+        if not isinstance(given, Mapping):
+            return given
+        named = {label(solution, key): entry for key, entry in given.items()}
+        return {name: entry for name, entry in named.items() if name in block.data}
+
+    observe = experiment.observe
+    if observe is not None and not isinstance(observe, Mapping):
+        keys = observe if isinstance(observe, list | tuple) else [observe]
+        observe = {label(solution, key): key for key in keys}
+    observations = observed(
+        solution,
+        block.times,
+        block.data,
+        own(observe),
+        sigma=own(block.sigma if experiment.sigma is None else experiment.sigma),
+        noise=own(experiment.noise),
+    )
+    name = ", ".join(filter(None, (experiment.name, block.name)))
+    return trial_of(name, solution, held, observations)
+
+
+def _held(solution: SolutionCore, fixed: ParameterValues) -> dict[str, float]:
+    """Parameters that an experiment fixes, inside of the box."""
+    held = {}
+    for name, value in by_name("fixed", fixed, tuple(solution.parameters)).items():
+        position = solution.metadata.parameters.index(name) + 1
+        array = solution._coordinates.checked(position, value)
+        if array.ndim:
+            raise OptionError(f"{quote(name)} is {value!r}, not a number", term=value)
+        held[name] = float(array)
+    return held
+
+
+def _fixed_by_condition(
+    solution: SolutionCore, fixed: Mapping[Any, Any], blocks: Sequence[Block]
+) -> list[dict[str, float]]:
+    """The parameters that each block of a table fixes."""
+    nested = {str(key): entry for key, entry in fixed.items() if isinstance(entry, Mapping)}
+    conditions = list(dict.fromkeys(block.condition for block in blocks))
+    for key in nested:
+        if key not in conditions:
+            raise OptionError(
+                f"fixed: the table has no condition {quote(key)}"
+                f"{did_you_mean(str(key), conditions)}",
+                term=key,
+                remedy=f"its conditions are {listing(conditions)}"
+                if any(conditions)
+                else "give it a column `condition`",
+            )
+    every = {key: entry for key, entry in fixed.items() if not isinstance(entry, Mapping)}
+    held = []
+    for block in blocks:
+        own = {**every, **nested.get(block.condition, {})}
+        names = by_name("fixed", own, tuple(solution.parameters))
+        for name in block.fixed:
+            if name in names:
+                raise OptionError(
+                    f"{quote(name)} is fixed, and the table has a column of it", term=name
+                )
+        held.append(_held(solution, {**names, **block.fixed}))
+    return held

@@ -1,0 +1,132 @@
+"""Reasons not to trust a fit, a sentence each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Protocol
+
+import numpy as np
+
+from rankone.estimation.experiments import Trial
+from rankone.estimation.jumps import Jump
+from rankone.support.arrays import Array
+from rankone.support.errors import with_remedy
+from rankone.support.wording import listing, quote
+
+_UNLIKELY = 1e-3  # Probability of residuals this large below which the model is rejected
+# Accepted shift of an estimate by the error of the solution, in its standard deviations
+_MODEL_SHARE = 0.5
+
+
+class Judged(Protocol):
+    """What the findings need of a fit."""
+
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def stuck(self) -> bool: ...
+    @property
+    def x(self) -> dict[str, float]: ...
+    @property
+    def identifiable(self) -> dict[str, bool]: ...
+    @property
+    def combinations(self) -> tuple[str, ...]: ...
+    @property
+    def at_bounds(self) -> dict[str, str]: ...
+    @property
+    def noise_levels(self) -> tuple[str, ...]: ...
+    @property
+    def jumps(self) -> tuple[Jump, ...]: ...
+    @property
+    def others(self) -> tuple[dict[str, float], ...]: ...
+    @property
+    def p_value(self) -> float: ...
+    @property
+    def sigma(self) -> float: ...
+    @property
+    def chi2(self) -> float: ...
+    @property
+    def dof(self) -> int: ...
+    @property
+    def trials(self) -> tuple[Trial, ...]: ...
+    @property
+    def model_errors(self) -> list[Array]: ...
+    @property
+    def deviations(self) -> list[Array]: ...
+
+
+def findings_of(fit: Judged) -> Iterator[str]:
+    """The sentences, the most important first."""
+    if fit.stuck or (fit.jumps and not fit.converged):
+        times = sorted({jump.time for jump in fit.jumps})
+        of = f"the time {times[0]:.6g}" if len(times) == 1 else "a time"
+        yield with_remedy(
+            "the search ended where the sum of squares jumps, because an event passes "
+            f"{of} of the data there: intervals by linearisation are not valid",
+            'use interval(method="profile"), or measure at times that no event can pass',
+        )
+    elif not fit.converged:
+        yield with_remedy("the search did not converge", "give a start, or more starts")
+    yield from _not_identified(fit.identifiable, fit.combinations)
+    for name, end in fit.at_bounds.items():
+        if fit.identifiable[name]:
+            yield _at_bound(fit, name, end)
+    for minimum in fit.others:
+        where = ", ".join(f"{name} = {x:.6g}" for name, x in minimum.items())
+        yield with_remedy(f"other values fit as well: {where}", "set bounds, or measure more")
+    if fit.p_value < _UNLIKELY:
+        yield (
+            f"the residuals are {fit.sigma:.3g} times as large as sigma (chi2 {fit.chi2:.4g} with "
+            f"{fit.dof} degrees of freedom, p = {fit.p_value:.1g}): the model does not describe "
+            "the data, or sigma is larger"
+        )
+    for solution in {id(trial.solution): trial.solution for trial in fit.trials}.values():
+        if not solution.success:
+            yield f"the solution itself is not a success: {solution.message}"
+    yield from _error_of_solution(fit)
+
+
+def _not_identified(
+    identifiable: Mapping[str, bool], combinations: tuple[str, ...]
+) -> Iterator[str]:
+    names = [name for name, identified in identifiable.items() if not identified]
+    subject = f"the data do not identify {listing(names)}"
+    if len(names) == 1:
+        yield with_remedy(subject, "fix it, or measure more")
+    elif names and combinations:
+        yield with_remedy(f"{subject} alone, only {listing(combinations)}", "fix one of them")
+    elif names:
+        remedy = "fix some, measure more, or widen the box"
+        yield with_remedy(f"{subject} within their bounds", remedy)
+
+
+def _at_bound(fit: Judged, name: str, end: str) -> str:
+    if name in fit.noise_levels and end == "lower":
+        return with_remedy(
+            f"the level of noise {quote(name)} tends to zero", "fix it, or give sigma as a number"
+        )
+    return with_remedy(
+        f"{quote(name)} = {fit.x[name]:.6g} is at the {end} end of its bounds: intervals "
+        "are not valid there",
+        "widen the bounds, or solve on a wider box",
+    )
+
+
+def _error_of_solution(fit: Judged) -> Iterator[str]:
+    """Where the error of the solution is not small beside the noise."""
+    told: set[str] = set()
+    for trial, errors, sigma in zip(fit.trials, fit.model_errors, fit.deviations, strict=True):
+        for i, name in enumerate(trial.observations.names):
+            here = trial.observations.of(i)
+            error, noise = errors[here], sigma[here]
+            if name in told or not error.size or np.isnan(error).any():
+                continue
+            shares = np.divide(error, noise, out=np.zeros(error.size), where=noise > 0.0)
+            if math.sqrt(float(np.sum(shares**2))) > _MODEL_SHARE:
+                told.add(name)
+                yield with_remedy(
+                    f"the error of the solution, {float(np.median(error)):.2g} in {quote(name)}, "
+                    f"is not small beside the noise, {float(np.median(noise)):.2g}",
+                    "solve with a smaller rtol",
+                )

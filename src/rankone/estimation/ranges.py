@@ -1,0 +1,124 @@
+"""Intervals of parameters that belong to no solution: of observables, and levels of noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rankone.estimation.experiments import Trial
+from rankone.estimation.formulas import linear_names
+from rankone.estimation.free_parameters import Range
+from rankone.estimation.likelihood import START_ROUNDS, Likelihood
+from rankone.estimation.observations import MISSPELT
+from rankone.support.arrays import Array
+from rankone.support.errors import OptionError
+from rankone.support.wording import did_you_mean, listing, quote
+
+# Levels of noise that are looked for, in shares of the size of the data
+_LEAST_LEVEL, _LARGEST_LEVEL = 1e-6, 10.0
+# Share of the screened points, the best, whose linear parameters say how large these are
+_GOOD_SHARE = 0.25
+# Rise of -2 log L without a level of noise below which the data do not need it
+_IDLE_RISE = 0.02
+_MARGIN = 2.0  # Margin of their interval to both sides, in lengths of what those points have
+
+
+def ranges_of(trials: Sequence[Trial], declared: Sequence[str]) -> dict[str, Range]:
+    """The ranges of parameters that observables and noise have of their own.
+
+    Linear ones have an infinite range, which :func:`with_linear_ranges` makes finite. Others are
+    ``declared`` by bounds or a value; an OptionError if they are not, or look like a misspelt name.
+    """
+    levels = {name for trial in trials for name in trial.observations.levels}
+    extras = dict.fromkeys(name for trial in trials for name in trial.extras)
+    formulas = [formula for trial in trials for formula in trial.observations.formulas]
+    linear = linear_names(formulas, [name for name in extras if name not in levels])
+    ranges = {}
+    for name in extras:
+        owners = [trial for trial in trials if name in trial.extras]
+        if any(name in trial.solution.parameters for trial in trials):
+            continue
+        if name in levels:
+            ranges[name] = _level_range(name, owners)
+            continue
+        if name not in declared:
+            _check_spelling(name, owners[0])
+            if name not in linear:
+                raise OptionError(
+                    f"the parameter {quote(name)} of an observable enters it nonlinearly, and has "
+                    "no bounds",
+                    term=name,
+                    remedy=f"give bounds={{{name!r}: (lower, upper)}}",
+                )
+        ranges[name] = Range(-math.inf, math.inf)
+    return ranges
+
+
+def with_linear_ranges(problem: Likelihood, points: Array) -> Likelihood:
+    """The same with finite ranges of linear parameters, from points (N, n) all over the cube."""
+    free = problem.free
+    endless = np.flatnonzero(~np.isfinite(free.width))
+    if not endless.size:
+        return problem
+    lower, upper = free.lower.copy(), free.upper.copy()
+    lower[endless], upper[endless] = 0.0, 1.0
+    start = replace(free, lower=lower, upper=upper)
+    values = start.values(points)
+    states = [trial.states(problem.at(values)) for trial in problem.trials]
+    values = problem.settled(values, states, None, START_ROUNDS, problem.linear)
+    costs = problem.costs_of(values, states)
+    usable = np.isfinite(costs) & np.isfinite(values[:, endless]).all(axis=1)
+    order = np.argsort(np.where(usable, costs, np.inf))[: max(int(usable.sum() * _GOOD_SHARE), 1)]
+    for j in endless:
+        column = values[order, j]
+        low, high = float(column.min()), float(column.max())
+        margin = _MARGIN * (high - low) + max(abs(low), abs(high))
+        margin = margin if np.isfinite(margin) and margin > 0.0 else 1.0
+        lower[j], upper[j] = low - margin, high + margin
+    return replace(problem, free=replace(free, lower=lower, upper=upper))
+
+
+def _level_range(name: str, trials: Sequence[Trial]) -> Range:
+    """From far below the data to above them; of one for levels that are relative."""
+    size = 0.0
+    relative = absolute = False
+    for trial in trials:
+        for i, noise in enumerate(trial.observations.noises):
+            if name in noise.levels:
+                data = trial.observations.values[trial.observations.of(i)]
+                size = max(size, math.sqrt(float(np.mean(data**2))) if data.size else 0.0)
+                relative |= name in noise.relative
+                absolute |= name not in noise.relative or len(noise.relative) == len(noise.levels)
+    sizes = [1.0] * relative + [size or 1.0] * absolute
+    return Range(_LEAST_LEVEL * min(sizes), _LARGEST_LEVEL * max(sizes), True)
+
+
+def _check_spelling(name: str, trial: Trial) -> None:
+    own = [*trial.solution.states, *trial.solution.parameters, trial.solution.metadata.time]
+    near = did_you_mean(name, own, MISSPELT)
+    if near:
+        raise OptionError(
+            f"an observable has {quote(name)}, which the solution has not{near}",
+            term=name,
+            remedy=f"it has {listing(own)}; a parameter of the observable with such a name needs "
+            "bounds",
+        )
+
+
+def idle_levels(problem: Likelihood, z: Array, cost: float) -> dict[str, float]:
+    """Levels of combined noise that the data do not need: they may as well be zero."""
+    free = problem.free
+    idle: dict[str, float] = {}
+    for group in problem.groups:
+        if len(group) < 2:
+            continue
+        for j in group:
+            lowest = z.copy()
+            lowest[j] = 0.0
+            if problem.costs(lowest[None])[1][0] <= cost + _IDLE_RISE:
+                idle[free.names[j]] = 0.0
+                break
+    return idle

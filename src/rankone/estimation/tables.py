@@ -1,0 +1,228 @@
+"""Tables of measurements: columns by name, cut into the experiments that they hold.
+
+A row is a time with what was measured then. Columns named like parameters hold values of them;
+rows that differ in these, in ``condition`` or in ``subject`` belong to different experiments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rankone.discretization.coordinates import name_of
+from rankone.estimation.observations import observables
+from rankone.solution.core import SolutionCore
+from rankone.support.arrays import Array
+from rankone.support.errors import EvaluationError, OptionError
+from rankone.support.wording import did_you_mean, listing, quote, shown
+
+GROUPS = ("condition", "subject")
+"""Columns that tell experiments apart."""
+SIGMA = "sigma"
+"""The column of standard deviations; ``sigma_x`` is that of x alone."""
+_EMPTY = ("", "None", "<NA>")  # Cells without a number, as text
+_TIME = "time"  # The column of time, if it has not the name of the problem's
+
+
+@dataclass(frozen=True)
+class Block:
+    """The rows of one experiment: times, data and perhaps sigma by observable, and parameters."""
+
+    name: str
+    condition: str
+    times: dict[str, Array]
+    data: dict[str, Array]
+    sigma: dict[str, Array] | None
+    fixed: dict[str, float]
+
+
+def is_table(data: object) -> bool:
+    """Whether an object has columns by name, like a pandas DataFrame."""
+    return hasattr(data, "columns") and hasattr(data, "__getitem__")
+
+
+def columns_of(table: Any) -> dict[str, Any]:
+    """The columns of a table, or of a mapping, by name."""
+    keys = list(table.columns) if is_table(table) else list(table)
+    columns = {}
+    for key in keys:
+        try:
+            name = name_of(key)
+        except EvaluationError:
+            name = str(key)
+        if name in columns:
+            raise OptionError(f"the table names the column {quote(name)} twice", term=name)
+        columns[name] = np.asarray(table[key])
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        texts = [f"{quote(name)} has {length}" for name, length in lengths.items()]
+        raise OptionError(f"the columns of the table differ in length: {', '.join(texts)}")
+    return columns
+
+
+def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> list[Block]:
+    """The experiments of a table.
+
+    Empty cells (NaN or None) are left out, and so are rows without anything measured. An
+    OptionError if the columns do not say what they are.
+    """
+    columns = columns_of(table)
+    time = _time_column(solution, columns)
+    measured = _measured(solution, columns, time, observe)
+    numbers = {name: _numbers(name, columns[name]) for name in measured}
+    clock = _numbers(time, columns[time])
+    held = {name: _numbers(name, columns[name]) for name in solution.parameters if name in columns}
+    spreads = {name: _numbers(name, columns[name]) for name in columns if _is_sigma(name, measured)}
+    labels = _labels(columns, held, len(clock))
+    blocks = []
+    for group in dict.fromkeys(labels):
+        rows = np.array([each == group for each in labels])
+        blocks.append(_block(group, rows, clock, numbers, held, spreads, time))
+    blocks = [block for block in blocks if any(row.size for row in block.data.values())]
+    if not blocks:
+        raise OptionError("the table has no measurements", remedy="fill its cells")
+    return blocks
+
+
+Group = tuple[str, str, tuple[float, ...]]
+
+
+def _block(
+    group: Group,
+    rows: NDArray[np.bool_],
+    clock: Array,
+    numbers: Mapping[str, Array],
+    held: Mapping[str, Array],
+    spreads: Mapping[str, Array],
+    time: str,
+) -> Block:
+    condition, name, fixed = group
+    times, data, sigma = {}, {}, {}
+    for observable, column in numbers.items():
+        here = rows & ~np.isnan(column)
+        if np.isnan(clock[here]).any():
+            raise OptionError(
+                f"{quote(observable)} is measured where {quote(time)} is empty", term=time
+            )
+        if not here.any():
+            continue
+        times[observable], data[observable] = clock[here], column[here]
+        spread = spreads.get(f"{SIGMA}_{observable}", spreads.get(SIGMA))
+        if spread is not None:
+            sigma[observable] = spread[here]
+    if sigma and len(sigma) < len(data):
+        missing = [observable for observable in data if observable not in sigma]
+        raise OptionError(
+            f"the table has no sigma of {listing(missing)}",
+            remedy=f"add columns {listing(f'{SIGMA}_{each}' for each in missing)}, or one `sigma`",
+        )
+    return Block(name, condition, times, data, sigma or None, dict(zip(held, fixed, strict=True)))
+
+
+def _labels(columns: Mapping[str, Any], held: Mapping[str, Array], rows: int) -> list[Group]:
+    """For each row its condition, the name of its experiment, and its parameters."""
+    groups = {
+        name: [_label(entry) for entry in columns[name]] for name in GROUPS if name in columns
+    }
+    labels: list[Group] = []
+    for i in range(rows):
+        own = [f"{each[i]}" for each in groups.values()]
+        values = tuple(float(column[i]) for column in held.values())
+        for name, value in zip(held, values, strict=True):
+            if np.isnan(value):
+                raise OptionError(
+                    f"row {i + 1} of the table: the parameter {quote(name)} is empty",
+                    term=name,
+                    remedy="fill it, or drop the column and fit the parameter",
+                )
+        texts = own or [f"{name}={value:g}" for name, value in zip(held, values, strict=True)]
+        condition = groups["condition"][i] if "condition" in groups else ""
+        labels.append((condition, ", ".join(texts), values))
+    return labels
+
+
+def _label(entry: object) -> str:
+    number = isinstance(entry, float) and float(entry).is_integer()
+    return str(int(entry)) if number else str(entry)  # type: ignore[call-overload]
+
+
+def _time_column(solution: SolutionCore, columns: Mapping[str, Any]) -> str:
+    time = solution.metadata.time
+    if solution.metadata.timeless:
+        raise OptionError("values that do not depend on time are not fitted from tables")
+    for name in (time, _TIME):
+        if name in columns:
+            return name
+    raise OptionError(
+        f"the table has no column {quote(time)} for time{did_you_mean(time, columns)}",
+        term=list(columns),
+        remedy=f"its columns are {listing(columns)}",
+    )
+
+
+def _measured(
+    solution: SolutionCore, columns: Mapping[str, Any], time: str, observe: object
+) -> tuple[str, ...]:
+    """Names of the observables among the columns."""
+    if observe is not None:
+        names = tuple(observables(solution, observe, None))
+    else:
+        names = tuple(name for name in columns if name in solution.states)
+    for name in names:
+        if name not in columns:
+            raise OptionError(
+                f"the table has no column {quote(name)}{did_you_mean(name, columns)}",
+                term=name,
+                remedy=f"its columns are {listing(columns)}",
+            )
+    if not names:
+        raise OptionError(
+            "the table has no column of an unknown",
+            term=list(columns),
+            remedy=f"name columns as one of {listing(solution.states)}, or say what they are with "
+            "observe={column: expression}",
+        )
+    known = {*names, *GROUPS, *solution.states, *solution.parameters, time}
+    for name in columns:
+        if name in known or _is_sigma(name, names):
+            continue
+        near = did_you_mean(name, [*solution.states, *solution.parameters, *GROUPS])
+        if near:
+            raise OptionError(
+                f"the column {quote(name)} of the table is unknown{near}",
+                term=name,
+                remedy="rename or drop it, or name what was measured: observe=[...]",
+            )
+    return names
+
+
+def _is_sigma(name: str, measured: Sequence[str]) -> bool:
+    return name == SIGMA or name in [f"{SIGMA}_{each}" for each in measured]
+
+
+def _numbers(name: str, column: NDArray[Any]) -> Array:
+    """A column of numbers, NaN where a cell is empty."""
+    cells = [np.nan if str(cell).strip() in _EMPTY else cell for cell in column.tolist()]
+    try:
+        numbers = np.array([float(cell) for cell in cells])
+    except (TypeError, ValueError):
+        row = next(i for i, cell in enumerate(cells) if not _is_number(cell))
+        raise OptionError(
+            f"row {row + 1} of the table: {quote(name)} is {shown(cells[row])}, not a number",
+            term=cells[row],
+        ) from None
+    if np.isinf(numbers).any():
+        raise OptionError(f"the column {quote(name)} has infinite values", remedy="leave them out")
+    return numbers
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return True

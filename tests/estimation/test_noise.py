@@ -1,0 +1,186 @@
+"""Noise models and expressions of unknowns, against likelihoods that SciPy minimises directly."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.stats
+
+from rankone.support.errors import OptionError
+from tests.estimation.systems import decay
+
+TIMES = np.linspace(0.05, 2.0, 25)
+TRUE = {"k": 1.3, "a": 2.0}
+
+
+def closed(k, a):
+    return a * np.exp(-k * TIMES)
+
+
+def draws(seed=1):
+    return np.random.default_rng(seed).standard_normal(TIMES.size)
+
+
+NORMAL = scipy.stats.norm.logpdf
+CASES = {
+    "constant": (lambda y, p, s: NORMAL(y, p, s[0]), lambda e, u: u + 0.05 * e),
+    "proportional": (lambda y, p, s: NORMAL(y, p, s[0] * p), lambda e, u: u * (1 + 0.05 * e)),
+    "combined": (
+        lambda y, p, s: NORMAL(y, p, np.hypot(s[0], s[1] * p)),
+        lambda e, u: u + np.hypot(0.03, 0.05 * u) * e,
+    ),
+    "log-normal": (
+        lambda y, p, s: scipy.stats.lognorm.logpdf(y, s[0], scale=p),
+        lambda e, u: u * np.exp(0.05 * e),
+    ),
+    "student": (
+        lambda y, p, s: scipy.stats.t.logpdf((y - p) / s[0], 4) - np.log(s[0]),
+        lambda e, u: u + 0.05 * e,
+    ),
+}
+
+
+def direct(density, data, levels):
+    """The largest log-likelihood and where it is, by a simplex search."""
+
+    def cost(z):
+        return -np.sum(density(data, closed(*z[:2]), np.exp(z[2:])))
+
+    start = [1.2, 1.9, *[np.log(0.05)] * levels]
+    options = {"xatol": 1e-9, "fatol": 1e-11, "maxiter": 4000, "maxfev": 4000}
+    end = scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options)
+    return -end.fun, end.x
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_the_largest_likelihood(kind):
+    density, measured = CASES[kind]
+    data = measured(draws(), closed(**TRUE))
+    fit = decay().fit(TIMES, data, noise=kind)
+    levels = 2 if kind == "combined" else 1
+    highest, z = direct(density, data, levels)
+    assert fit.log_likelihood == pytest.approx(highest, abs=1e-6)
+    np.testing.assert_allclose([fit.x["k"], fit.x["a"]], z[:2], rtol=1e-4)
+    assert fit.aic == pytest.approx(2 * (2 + levels) - 2 * highest, abs=1e-5)
+    assert fit.bic == pytest.approx(np.log(25) * (2 + levels) - 2 * highest, abs=1e-5)
+    assert fit.success, fit.message
+
+
+def test_levels_are_corrected_for_the_parameters():
+    """One level of constant noise is the estimate that a fit without sigma has, and its interval
+    that of a variance."""
+    data = closed(**TRUE) + 0.05 * draws()
+    fit, plain = decay().fit(TIMES, data, noise="constant"), decay().fit(TIMES, data)
+    assert fit.x["sigma_u"] == pytest.approx(plain.sigma, rel=1e-6)
+    for name in TRUE:
+        np.testing.assert_allclose(fit.interval()[name], plain.interval()[name], rtol=1e-6)
+        profile = fit.interval(method="profile")[name]
+        np.testing.assert_allclose(profile, plain.interval(method="profile")[name], rtol=1e-3)
+    wanted = plain.sigma * np.sqrt(23 / scipy.stats.chi2.ppf([0.975, 0.025], 23))
+    np.testing.assert_allclose(fit.interval()["sigma_u"], wanted, rtol=1e-4)
+    assert fit.dof == plain.dof == 23
+
+
+def test_a_given_level_and_an_expression_of_the_model():
+    data = closed(**TRUE) * (1.0 + 0.05 * draws())
+    given = decay().fit(TIMES, data, noise="proportional", sigma=0.05)
+    assert list(given.x) == ["k", "a"]
+    written = decay().fit(TIMES, data, sigma="0.05*u")
+    np.testing.assert_allclose(list(given.x.values()), list(written.x.values()), rtol=1e-9)
+    free = decay().fit(TIMES, data, noise="proportional")
+    level = decay().fit(TIMES, data, sigma="b*u")
+    assert level.x["b"] == pytest.approx(free.x["relative_u"], rel=1e-6)
+
+
+def test_a_part_of_the_noise_that_the_data_do_not_show():
+    data = closed(**TRUE) + 0.05 * draws(4)
+    fit = decay().fit(TIMES, data, sigma="s0 + s1*u")
+    assert fit.fixed == {"s1": 0.0}
+    assert "`s1` is zero: the data show no such part of the noise" in repr(fit)
+
+
+def test_scale_and_offset_without_bounds():
+    """The linear parameters are those of a direct fit, and so are the intervals of all."""
+    data = 3500.0 * closed(**TRUE) - 70.0 + 50.0 * draws()
+    observe = {"signal": "scale*u + offset"}
+    fit = decay().fit(TIMES, data, observe=observe, fixed={"a": 2.0})
+
+    def signal(_, k, offset, scale):
+        return scale * closed(k, 2.0) + offset
+
+    wanted, covariance = scipy.optimize.curve_fit(signal, TIMES, data, (1.0, 0.0, 1000.0))
+    np.testing.assert_allclose(list(fit.x.values()), wanted, rtol=1e-6)
+    np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-3)
+    assert list(fit.x) == ["k", "offset", "scale"]
+    values, half = fit.curve("signal", TIMES)
+    np.testing.assert_allclose(data - values, fit.residuals, atol=1e-9)
+    slopes = np.array(
+        [-TIMES * wanted[2] * closed(wanted[0], 2.0), 1 + 0 * TIMES, closed(wanted[0], 2.0)]
+    )
+    band = np.sqrt(np.einsum("it,ij,jt->t", slopes, covariance, slopes))
+    np.testing.assert_allclose(half, scipy.stats.t.ppf(0.975, 22) * band, rtol=1e-3)
+
+
+def test_a_scale_that_makes_up_for_a_parameter():
+    data = 3.0 * closed(**TRUE) + 0.05 * draws()
+    fit = decay().fit(TIMES, data, observe="scale*u", sigma=0.05)
+    assert not fit.identifiable["a"]
+    assert "a*scale" in fit.combinations
+    assert fit.value_of("a*scale") == pytest.approx(6.0, abs=0.1)
+
+
+def test_the_logarithm_of_an_unknown():
+    import sympy as sp
+
+    t = sp.Symbol("t")
+    u = sp.Function("u")(t)
+    data = np.log(closed(**TRUE)) + 0.05 * draws()
+    fits = [decay().fit(TIMES, data, observe=one, sigma=0.05) for one in ("log(u)", sp.log(u))]
+    line = np.polyfit(TIMES, data, 1)
+    for fit in fits:
+        assert fit.x["k"] == pytest.approx(-line[0], rel=1e-6)
+        assert fit.x["a"] == pytest.approx(np.exp(line[1]), rel=1e-6)
+
+
+def test_nonlinear_parameters_of_an_observable_have_bounds():
+    data = closed(**TRUE) ** 1.7 + 0.01 * draws()
+    bounds = {"power": (0.5, 3)}
+    fit = decay().fit(TIMES, data, observe="u**power", sigma=0.01, fixed={"a": 2}, bounds=bounds)
+    assert fit.interval()["power"][0] < 1.7 < fit.interval()["power"][1]
+
+
+def test_priors_and_bounds_over_decades():
+    """A prior is one more datum: the estimate of a normal model in closed form."""
+    data = closed(**TRUE) + 0.05 * draws()
+    prior = {"k": scipy.stats.norm(1.0, 0.02)}
+    fit = decay().fit(TIMES, data, sigma=0.05, prior=prior)
+
+    def residuals(z):
+        return [*((closed(*z) - data) / 0.05), (z[0] - 1.0) / 0.02]
+
+    wanted = scipy.optimize.least_squares(residuals, [1.2, 1.9], xtol=1e-14).x
+    np.testing.assert_allclose(list(fit.x.values()), wanted, rtol=1e-6)
+    decades = decay().fit(TIMES, data, sigma=0.05, bounds={"k": (0.2, 4, "log")})
+    plain = decay().fit(TIMES, data, sigma=0.05)
+    np.testing.assert_allclose(list(decades.x.values()), list(plain.x.values()), rtol=1e-6)
+    np.testing.assert_allclose(decades.covariance, plain.covariance, rtol=1e-5)
+    low, high = decades.interval()["k"]
+    assert low * high == pytest.approx(decades.x["k"] ** 2, rel=1e-9)
+
+
+def test_residuals_are_looked_at():
+    outlier = 0.05 * draws(2)
+    outlier[7] = 1.0
+    of = decay().fit(TIMES, closed(**TRUE) + outlier, noise="constant")
+    assert "standard deviations off; remedy: look at it" in of.checks[0]
+    assert of.success
+    wave = 0.05 * np.sign(np.sin(3.0 * TIMES))
+    assert "keep their sign for long" in decay().fit(TIMES, closed(**TRUE) + wave).checks[0]
+    times = np.linspace(0.05, 2.0, 80)
+    noise = 0.1 * np.random.default_rng(5).standard_normal(80)
+    grown = decay().fit(times, 2.0 * np.exp(-1.3 * times) * (1.0 + noise), noise="constant")
+    assert any('try noise="proportional"' in check for check in grown.checks)
+
+
+def test_log_normal_noise_of_data_below_zero():
+    with pytest.raises(OptionError, match=r"-1 of `u` is not positive, as log-normal noise wants"):
+        decay().fit([0.1, 0.2, 0.3, 0.4], [1, -1, 1, 1], noise="log-normal")
