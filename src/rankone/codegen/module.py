@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -13,9 +14,21 @@ from rankone.codegen.kernels import kernel_blocks
 from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.lowering import quadratic_system
 from rankone.codegen.pointwise import PointwiseWriter
+from rankone.codegen.printer import numpy_text
 from rankone.codegen.rates import GeneralWriter, SeparatedWriter
-from rankone.codegen.text import WIDTH, described_table, docstring, literal, nested, quoted, table
+from rankone.codegen.text import (
+    WIDTH,
+    Formula,
+    constants_table,
+    described_table,
+    docstring,
+    literal,
+    nested,
+    quoted,
+    table,
+)
 from rankone.expressions.admissible import known_functions
+from rankone.expressions.named_constants import named_constants
 from rankone.ir.forms import (
     Coordinate,
     EventForm,
@@ -87,7 +100,7 @@ def generate_source(
     n, names = len(system.differential), system.names
     start = number(system.coordinates[0].lower)
     rates = [(t.coefficient, t.equation, t.factors, t.monomial) for t in system.rhs]
-    starts = [(t.coefficient, t.equation, t.factors[1:]) for t in system.initial]
+    starts = [(_start(t, system), t.equation, t.factors[1:]) for t in system.initial]
     tables = _tables(True, names, n, system.products, system.coordinates)
     tables.append("# coefficient, state, row of the factor of each coordinate, states multiplied")
     tables += described_table("TERMS", rates, _term_texts(system.rhs, "{}'", system))
@@ -159,7 +172,17 @@ def _module(
     if "CubicSpline(" in body:
         imports.append("from scipy.interpolate import CubicSpline")
     lines = docstring(header_of(len(imports) > 1), indent="")
-    return "\n".join([*lines, "", *imports, "", *tables]) + "\n\n\n" + body
+    constants = {c.name: float(c) for c in named_constants(printed)}
+    before = ["", *constants_table(constants)] if constants else []
+    return "\n".join([*lines, "", *imports, *before, "", *tables]) + "\n\n\n" + body
+
+
+def _start(term: Term, system: QuadraticSystem) -> Fraction | float | Formula:
+    """The coefficient of an initial value, times the constants in it."""
+    if not term.factors[0]:
+        return term.coefficient
+    constants = system.factors[0][term.factors[0]].expression
+    return Formula(numpy_text(sp.Rational(term.coefficient) * constants, {}))
 
 
 def _tables(

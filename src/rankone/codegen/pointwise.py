@@ -85,7 +85,19 @@ class Printer(Protocol):
 class NumPyPrinter:
     """Writes functions of arrays: t (...), u (n, ...) and p (d, ...) broadcast together."""
 
-    reserved = ("np", "special", "CubicSpline", "t", "u", "x", "p", "kind", "shape", "out")
+    reserved = (
+        "np",
+        "special",
+        "CubicSpline",
+        "CONSTANTS",
+        "t",
+        "u",
+        "x",
+        "p",
+        "kind",
+        "shape",
+        "out",
+    )
     _MAX_BROADCAST_ARGUMENTS = 64
     """Arguments that ``np.broadcast`` takes."""
     expressions = staticmethod(common_subexpressions)

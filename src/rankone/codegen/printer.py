@@ -12,7 +12,8 @@ import sympy as sp
 from sympy.printing.precedence import PRECEDENCE, precedence
 from sympy.printing.printer import Printer
 
-from rankone.codegen.text import literal
+from rankone.codegen.text import literal, quoted
+from rankone.expressions.named_constants import NamedConstant
 from rankone.expressions.notation import plain_text
 from rankone.expressions.stable import fraction, scaled_power, stable
 from rankone.support.errors import ProblemError, SeparationError
@@ -116,6 +117,9 @@ class NumPyText(Printer):  # type: ignore[misc]
         return literal(float(expr))
 
     _print_NumberSymbol = _print_Float
+
+    def _print_NamedConstant(self, expr: NamedConstant) -> str:
+        return f"CONSTANTS[{quoted(expr.name)}]"
 
     def _print_Pi(self, expr: sp.Expr) -> str:
         return "np.pi"

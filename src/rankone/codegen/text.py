@@ -8,7 +8,7 @@ import keyword
 import re
 import textwrap
 import unicodedata
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import TypeAlias
 
@@ -24,6 +24,10 @@ Nested: TypeAlias = "str | Sequence[Nested]"
 """A text, or a tuple of them."""
 
 
+class Formula(str):
+    """Text of an expression, which stands in a table as it is."""
+
+
 def literal(constant: object) -> str:
     """A number, or a tuple of them, as ``ruff format`` writes it; fractions stay exact.
 
@@ -35,6 +39,8 @@ def literal(constant: object) -> str:
         return text.replace("/", " / ") if "/" in text else literal(float(constant))
     if isinstance(constant, tuple):
         return f"({', '.join(map(literal, constant))}{',' * (len(constant) == 1)})"
+    if isinstance(constant, Formula):
+        return str(constant)
     return quoted(constant) if isinstance(constant, str) else repr(constant).replace("e+", "e")
 
 
@@ -90,6 +96,26 @@ def table(name: str, items: Sequence[Nested]) -> list[str]:
     ['PAIRED = ((0, 2), (1,))']
     """
     return tuple_lines(f"{name} = ", items, "", indent="")
+
+
+def constants_table(constants: Mapping[str, float]) -> list[str]:
+    """The table of constants that other code reads, by name.
+
+    >>> constants_table({"m": 3.0})
+    ['CONSTANTS = {', '    "m": 3.0,', '}']
+    """
+    lines = (f"{INDENT}{quoted(name)}: {literal(value)}," for name, value in constants.items())
+    return ["CONSTANTS = {", *lines, "}"]
+
+
+def with_constants(source: str, constants: Mapping[str, float]) -> str:
+    """The text of a module with other numbers in its table of constants."""
+    before = re.search(r"^CONSTANTS = \{\n(?: .*\n)*\}$", source, re.M)
+    if before is None:
+        return source
+    names = re.findall(r"^ +(\".*\"): ", before[0], re.M)
+    after = constants_table({name: constants[name] for name in map(json.loads, names)})
+    return source[: before.start()] + "\n".join(after) + source[before.end() :]
 
 
 def described_table(name: str, rows: Sequence[object], comments: Sequence[str]) -> list[str]:

@@ -3,6 +3,9 @@
 ======================  ==========================================================================
 :mod:`~.problem`        :class:`rankone.Problem`, which calls all the checks below
 :mod:`~.box`            the time interval, the intervals or distributions of parameters, units
+:mod:`~.shorthand`      constants and definitions
+:mod:`~.run_time`       which constants are run-time values of compiled problems
+:mod:`~.changes`        other problems from one: constants set, parameters fixed or set free
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives
 :mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``

@@ -44,6 +44,7 @@ from rankone.frontend.jumps import (
 )
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.numeric import NumericEquations
+from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
 from rankone.frontend.text import events_of_text, formula, has_names, jumps_of_text, normalised
 from rankone.frontend.trajectory import Trajectory
@@ -123,7 +124,7 @@ class Problem:
     constants : mapping of Symbol to Expr
         Exact numbers.
     definitions : mapping of (Symbol or applied function of time) to Expr
-        In unknowns, time, parameters and numbers.
+        In unknowns, time, parameters and constants.
     distributions : mapping of str to str
         The distributions of parameters as texts, by name.
     unknowns : tuple of Expr
@@ -172,11 +173,14 @@ class Problem:
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
     mass: MassForm = field(init=False)
+    shorthand: Shorthand = field(init=False)
     written: Mapping[str, Any] = field(init=False)
+    compiled: list[Any] = field(init=False)
 
     def __post_init__(self) -> None:
         written = {f.name: _kept(getattr(self, f.name)) for f in fields(self) if f.init}
         object.__setattr__(self, "written", MappingProxyType(written))
+        object.__setattr__(self, "compiled", [])
         with bounded_depth():
             self._check()
 
@@ -187,9 +191,13 @@ class Problem:
             raise ProblemError(message, term=self.name, remedy="give a title")
         time = check_time(self.time)
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
-        shorthand = check_shorthand(self.constants, self.definitions, time[0])
+        shorthand = check_shorthand(self.written["constants"], self.written["definitions"], time[0])
         check_apart(shorthand, box, self.initial)
+        shorthand = with_decisive(shorthand, self.written)
         equations, residuals = check_equations(self.written["equations"], time[0], shorthand)
+        if coupled := coupled_by(residuals):
+            shorthand = with_decisive(shorthand, self.written, coupled)
+            equations, residuals = check_equations(equations, time[0], shorthand)
         residuals = [closed(residual) for residual in residuals]
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
@@ -228,6 +236,7 @@ class Problem:
             "events": events,
             "constants": MappingProxyType(dict(shorthand.constants)),
             "definitions": MappingProxyType(dict(shorthand.definitions)),
+            "shorthand": shorthand,
             "units": MappingProxyType(
                 check_units(self.units, time[0], [*box, *shorthand.symbols], states)
             ),
@@ -440,11 +449,6 @@ class Problem:
         unknowns = np.stack([by_name[name_of(unknown)] for unknown in self.unknowns])
         return Trajectory(times, unknowns, by_name, integration.events)
 
-    @property
-    def shorthand(self) -> Shorthand:
-        """The constants and definitions."""
-        return Shorthand(self.constants or {}, self.definitions or {})
-
     @cached_property
     def _numeric(self) -> NumericEquations:
         """The equations as functions of numbers."""
@@ -487,7 +491,8 @@ class Problem:
         Returns
         -------
         Problem
-            A parameter that is set has become a constant.
+            A parameter that is set has become a constant. Where constants that enter smoothly keep
+            their signs, what was compiled of one of the two problems serves the other.
 
         Raises
         ------
@@ -508,7 +513,10 @@ class Problem:
           m = 2.5
         """
         states = map(name_of, self.initial)
-        return type(self)(**with_constants(self.written, changes_of(values, named), states))
+        changed = type(self)(**with_constants(self.written, changes_of(values, named), states))
+        if changed.shorthand.is_like(self.shorthand):
+            object.__setattr__(changed, "compiled", self.compiled)
+        return changed
 
     def vary(self, intervals: Mapping[Any, Any] | None = None, /, **named: Any) -> Problem:
         """The same problem with constants set free, or other intervals of parameters.

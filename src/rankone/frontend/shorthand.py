@@ -1,4 +1,8 @@
-"""Constants and definitions: the names that a problem gives to numbers and to expressions."""
+"""Constants and definitions: the names that a problem gives to numbers and to expressions.
+
+Constants that enter smoothly are named numbers from here on, and run-time values of what is
+compiled (:mod:`~rankone.expressions.named_constants`); the others are written in.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,14 @@ import graphlib
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.discretization.coordinates import name_of
+from rankone.expressions.named_constants import NamedConstant
 from rankone.expressions.notation import exact, plain_text
 from rankone.frontend.box import Box, check_assumptions, real_number
 from rankone.support.errors import ProblemError
@@ -30,11 +36,23 @@ class Shorthand:
     constants : dict of Symbol to Expr
         Exact numbers.
     definitions : dict of (Symbol or applied function of time) to Expr
-        In the order given, each in terms of unknowns, time, parameters and numbers alone.
+        In the order given, each in terms of unknowns, time, parameters and constants.
+    decisive : frozenset of Symbol
+        The constants that are written in as numbers.
     """
 
     constants: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
     definitions: Mapping[sp.Expr, sp.Expr] = field(default_factory=dict)
+    decisive: frozenset[sp.Symbol] = frozenset()
+
+    @cached_property
+    def named(self) -> dict[sp.Symbol, NamedConstant]:
+        """The constants that are run-time values."""
+        return {
+            symbol: NamedConstant(symbol.name, number)
+            for symbol, number in self.constants.items()
+            if symbol not in self.decisive
+        }
 
     @property
     def symbols(self) -> tuple[sp.Expr, ...]:
@@ -52,19 +70,45 @@ class Shorthand:
         listed = (("constant", self.constants), ("definition", self.definitions))
         return [(name_of(s), f"{noun} {quote(s)}") for noun, of in listed for s in of]
 
+    def is_like(self, other: Shorthand) -> bool:
+        """Whether the two differ in numbers of run-time constants alone, and these in no sign."""
+        named, others = self.named, other.named
+        same = self.decisive == other.decisive and self.definitions == other.definitions
+        return (
+            same
+            and all(self.constants[s] == other.constants[s] for s in self.decisive)
+            and named.keys() == others.keys()
+            and all(named[s].is_positive == others[s].is_positive for s in named)
+        )
+
+    @cached_property
+    def _replacement(self) -> dict[sp.Expr, sp.Expr]:
+        """What stands for each name: no other name is in it."""
+        numbers: dict[sp.Expr, sp.Expr] = {**self.constants, **self.named}
+        return {**numbers, **{s: e.xreplace(numbers) for s, e in self.definitions.items()}}
+
     @property
     def texts(self) -> Iterator[tuple[str, str]]:
         """The definitions by name, of states by name: ``("F", "k*x + 0.1*x_t")``."""
-        for symbol, expression in self.definitions.items():
+        numbers = dict(self.constants)
+        for symbol, definition in self.definitions.items():
+            expression = definition.xreplace(numbers)
             states = expression.atoms(sp.Derivative) | expression.atoms(AppliedUndef)
             named = {state: sp.Symbol(name_of(state)) for state in states}
             yield name_of(symbol), plain_text(expression.xreplace(named))
 
+    def expanded(self, expression: sp.Basic) -> sp.Basic:
+        """An expression with definitions put in, and symbols for constants."""
+        return expression.xreplace(dict(self.definitions))
+
     def put_in(self, expression: sp.Expr) -> sp.Expr:
-        """An expression with numbers for constants and expressions for definitions."""
+        """An expression with numbers for constants and expressions for definitions.
+
+        Numbers of constants that are run-time values have their names.
+        """
         if not self.symbols:
             return expression
-        replaced: sp.Expr = expression.xreplace({**self.constants, **self.definitions})
+        replaced: sp.Expr = expression.xreplace(self._replacement)
         derivatives = replaced.atoms(sp.Derivative) - expression.atoms(sp.Derivative)
         carried_out = {d: d.doit() for d in derivatives if not isinstance(d.expr, AppliedUndef)}
         return replaced.xreplace(carried_out) if carried_out else replaced
@@ -76,8 +120,7 @@ def check_shorthand(constants: object, definitions: object, time: sp.Symbol) -> 
     A ProblemError if a constant is no number, or definitions go in a circle.
     """
     numbers = _check_constants(constants, time)
-    written = _check_definitions(definitions, time)
-    return Shorthand(numbers, _expanded(written, numbers))
+    return Shorthand(numbers, _expanded(_check_definitions(definitions, time)))
 
 
 def _check_constants(constants: object, time: sp.Symbol) -> dict[sp.Symbol, sp.Expr]:
@@ -157,10 +200,8 @@ def _check_definitions(definitions: object, time: sp.Symbol) -> dict[sp.Expr, sp
     return written
 
 
-def _expanded(
-    written: Mapping[sp.Expr, sp.Expr], constants: Mapping[sp.Symbol, sp.Expr]
-) -> dict[sp.Expr, sp.Expr]:
-    """The definitions with constants and each other put in, in the order given."""
+def _expanded(written: Mapping[sp.Expr, sp.Expr]) -> dict[sp.Expr, sp.Expr]:
+    """The definitions with each other put in, in the order given."""
     needs = {symbol: _among(written, expression) for symbol, expression in written.items()}
     try:
         order = list(graphlib.TopologicalSorter(needs).static_order())
@@ -185,7 +226,7 @@ def _expanded(
                 term=symbol,
                 remedy="make one of those it needs an unknown with an equation of its own",
             )
-        expanded[symbol] = expression.xreplace({**constants, **expanded})
+        expanded[symbol] = expression.xreplace(expanded)
     return {symbol: expanded[symbol] for symbol in written}
 
 

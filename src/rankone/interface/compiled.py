@@ -32,12 +32,15 @@ from typing import Any, Literal
 import sympy as sp
 from threadpoolctl import ThreadpoolController
 
+from rankone.agreement.comparison import LOST_SHARE
 from rankone.agreement.problems import DisagreementError, check_problem
 from rankone.codegen.header import equation_texts, general_equation_texts
 from rankone.codegen.loading import ModuleSpecification
 from rankone.codegen.module import general_source, generated_module
+from rankone.codegen.text import with_constants
 from rankone.frontend.problem import Problem
 from rankone.interface.lifted import LiftedProblem, lifted_problem
+from rankone.interface.renumbered import other_numbers, renumbered
 from rankone.interface.solution import Solution
 from rankone.interface.stretched import StretchedProblem, known_times
 from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
@@ -55,17 +58,19 @@ from rankone.support.errors import (
     ConvergenceError,
     OptionError,
     ProblemError,
+    RankoneError,
     SeparationError,
     bounded_depth,
     check_kind,
 )
 from rankone.support.options import refuse_positional
 from rankone.support.progress import Report, resolve_progress, timed
-from rankone.support.wording import count, quote
+from rankone.support.wording import count, number, quote
 from rankone.symbolic import (
     FirstOrderSystem,
     WeakForm,
     check_moved,
+    check_stages,
     check_start,
     symbolic_forms,
 )
@@ -413,7 +418,7 @@ class CompiledProblem:
 
     def metadata(self, rtol: float = 1e-6, method: str = "train") -> SolutionMetadata:
         """What a solution of the problem says was asked."""
-        form = self.separated
+        form, named = self.separated, self.problem.shorthand.named.values()
         clock, *parameters = form.coordinates
         return SolutionMetadata(
             states=tuple(state.name for state in form.states),
@@ -428,7 +433,8 @@ class CompiledProblem:
                 general_equation_texts(self.first_order)
                 if self.quadratic is None
                 else equation_texts(self.quadratic)
-            ),
+            )
+            + tuple(f"{constant} = {number(float(constant))}" for constant in named),
             version=__version__,
             source=self.source,
             units=tuple((self.problem.units or {}).items()),
@@ -471,7 +477,43 @@ def compile_problem(problem: Problem) -> CompiledProblem:
         remedy = "this one is compiled already; call its .solve(...)"
     check_kind("compile", problem, Problem, remedy=remedy)
     with bounded_depth():
-        return _compiled(problem)
+        alike = (_renumbered(compiled, problem) for compiled in problem.compiled)
+        compiled = next(filter(None, alike), None) or _compiled(problem)
+    if problem.shorthand.named and not problem.compiled:
+        problem.compiled.append(compiled)
+    return compiled
+
+
+def _renumbered(compiled: CompiledProblem, problem: Problem) -> CompiledProblem | None:
+    """What was compiled of a problem that differs in numbers of run-time constants alone.
+
+    None if that does not hold for these numbers: then compiling anew says why, or does better.
+    """
+    if compiled.problem is problem:
+        return compiled
+    timings: dict[str, float] = {}
+    try:
+        with timed(timings, "constants"):
+            numbers = other_numbers(compiled.problem, problem)
+            constants = {c.name: float(c) for c in problem.shorthand.named.values()}
+            other = CompiledProblem(
+                problem,
+                renumbered(compiled.first_order, numbers),
+                renumbered(compiled.weak_form, numbers),
+                renumbered(compiled.separated, numbers),
+                renumbered(compiled.quadratic, numbers),
+                with_constants(compiled.source, constants),
+                timings,
+            )
+            coordinates, first_order = other.separated.coordinates, other.first_order
+            check_gaps(first_order.piecewise(), coordinates)
+            check_stages(first_order, other.separated, other.system, coordinates)
+        with timed(timings, "agreement"):
+            lost = LOST_SHARE if other.quadratic is None else _SEPARATION_TOLERANCE
+            check_problem(problem, first_order, other.system, lost)
+    except RankoneError:
+        return None
+    return other
 
 
 def _compiled(problem: Problem) -> CompiledProblem:

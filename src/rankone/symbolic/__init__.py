@@ -17,13 +17,20 @@ Each pass takes frozen data and returns frozen data. Code generation reads the l
 
 from rankone.symbolic.first_order import FirstOrderSystem, WeakForm, first_order, weak_form
 from rankone.symbolic.separation import separate, symbolic_forms
-from rankone.symbolic.well_posed import check_known, check_moved, check_start, check_tables
+from rankone.symbolic.well_posed import (
+    check_known,
+    check_moved,
+    check_stages,
+    check_start,
+    check_tables,
+)
 
 __all__ = [
     "FirstOrderSystem",
     "WeakForm",
     "check_known",
     "check_moved",
+    "check_stages",
     "check_start",
     "check_tables",
     "first_order",

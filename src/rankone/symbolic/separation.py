@@ -15,6 +15,7 @@ from fractions import Fraction
 import sympy as sp
 
 from rankone.expressions.admissible import located_defect
+from rankone.expressions.named_constants import NamedConstant
 from rankone.frontend.problem import Problem
 from rankone.ir.forms import Factor, GeneralTerm, SeparatedForm, Term
 from rankone.support.errors import ProblemError, check_kind
@@ -80,6 +81,22 @@ def symbolic_forms(
     return system, weak, separated
 
 
+def _named_in_time(terms: MonomialSum) -> MonomialSum:
+    """The same with named constants of coefficients in the factors of time.
+
+    They are functions of time that do not change, so that coefficients are numbers.
+    """
+    moved = []
+    for monomial, coefficient in terms.items():
+        number, constants = coefficient.as_coeff_Mul()
+        if coefficient.atoms(NamedConstant):
+            first, *others = monomial.factors
+            factors = (constants * first, *others)
+            monomial, coefficient = Monomial(factors, monomial.powers), number
+        moved.append((monomial, coefficient))
+    return MonomialSum.of(moved)
+
+
 class _Separation:
     """The working state of one separation."""
 
@@ -126,7 +143,7 @@ class _Separation:
                 self.general.append(self._explained(reason, signed, state, initial=initial))
                 continue
             sums.append(split)
-        return MonomialSum.total(sums)
+        return _named_in_time(MonomialSum.total(sums))
 
     def _check(self, term: sp.Expr, monomial: Monomial, coefficient: sp.Expr) -> None:
         """Refuse negative powers, and (x/1e6)**60: no floating-point number is 1e-360."""

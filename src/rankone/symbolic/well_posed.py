@@ -179,12 +179,22 @@ def check_moved(
                 constants=problem.constants,
                 definitions=problem.definitions,
             )
-        check_tables(first_order, coordinates)
-        if form.general:
-            check_known(first_order, coordinates)
-            check_start(first_order, system, coordinates)
+        check_stages(first_order, form, system, coordinates)
     except ProblemError as error:
         raise OptionError(error.message, term=error.term, remedy=error.remedy) from error
+
+
+def check_stages(
+    first_order: FirstOrderSystem,
+    form: SeparatedForm,
+    system: System,
+    coordinates: Sequence[Coordinate],
+) -> None:
+    """Raise unless what was compiled for one domain, or other constants, holds on coordinates."""
+    check_tables(first_order, coordinates)
+    if form.general:
+        check_known(first_order, coordinates)
+        check_start(first_order, system, coordinates)
     for dimension, coordinate in enumerate(coordinates):
         for factor in form.factors[dimension]:
             defect = located_defect(factor.expression, coordinate, dimension)

@@ -1,0 +1,87 @@
+"""Which constants of a problem are run-time values, and which are written in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import replace
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from rankone.expressions.named_constants import named_constants, written_in
+from rankone.frontend.equations import highest_orders
+from rankone.frontend.events import Event
+from rankone.frontend.jumps import instants_of
+from rankone.frontend.shorthand import Shorthand
+
+
+def with_decisive(
+    shorthand: Shorthand, written: Mapping[str, Any], coupled: Set[str] = frozenset()
+) -> Shorthand:
+    """The same with the constants that decide what is generated of the arguments of a problem.
+
+    A constant that is zero does: terms vanish. So do those of expressions that are not finite, for
+    the errors to say so, and those with the names ``coupled``.
+    """
+    constants = frozenset(shorthand.constants)
+    numbers = shorthand.constants.items()
+    decisive = {symbol for symbol, at in numbers if at.is_zero or symbol.name in coupled}
+    for expression in _smooth(written):
+        expression = shorthand.expanded(expression)
+        decisive |= written_in(expression, constants)
+        if expression.xreplace(dict(numbers)).has(sp.zoo, sp.nan, sp.oo, -sp.oo):
+            decisive |= expression.free_symbols & constants
+    for expression in _deciding(written):
+        expression = shorthand.expanded(expression)
+        if not _of_states(expression):
+            decisive |= expression.free_symbols & constants
+    return replace(shorthand, decisive=frozenset(decisive))
+
+
+def coupled_by(residuals: Sequence[sp.Expr]) -> set[str]:
+    """The named constants in a mass matrix that is inverted: its inverse would be long."""
+    highest = highest_orders(residuals)
+    names: set[str] = set()
+    for residual in residuals:
+        orders = {d for d in residual.atoms(sp.Derivative) if d.derivative_count == highest[d.expr]}
+        if len(orders) > 1:
+            terms = (term for term in sp.Add.make_args(residual) if term.has(*orders))
+            names |= {constant.name for constant in named_constants(terms)}
+    return names
+
+
+def _of_states(expression: sp.Basic) -> bool:
+    return bool(expression.atoms(AppliedUndef))
+
+
+def _smooth(written: Mapping[str, Any]) -> Iterator[sp.Basic]:
+    """Equations, initial values, and values after jumps and events."""
+    resets = [*_values(written["jumps"]), *(event.then for event in _events(written))]
+    listed = [
+        *_values(written["initial"]),
+        *(value for reset in resets for value in _values(reset)),
+    ]
+    equations = written["equations"]
+    if isinstance(equations, Sequence):
+        listed += equations
+    listed += [event.when for event in _events(written)]
+    yield from (e for e in listed if isinstance(e, sp.Basic))
+
+
+def _deciding(written: Mapping[str, Any]) -> Iterator[sp.Basic]:
+    """Times of jumps and events, delays and priorities."""
+    jumps = written["jumps"]
+    listed = [at for key in jumps for at in instants_of(key)] if isinstance(jumps, Mapping) else []
+    for event in _events(written):
+        listed += [event.when, event.delay, event.priority]
+    yield from (e for e in listed if isinstance(e, sp.Basic))
+
+
+def _events(written: Mapping[str, Any]) -> list[Event]:
+    events = written["events"]
+    return [e for e in events if isinstance(e, Event)] if isinstance(events, Sequence) else []
+
+
+def _values(mapping: object) -> list[Any]:
+    return [*mapping.values()] if isinstance(mapping, Mapping) else []
