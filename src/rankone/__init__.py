@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rankone.codegen.loading import load_module
     from rankone.codegen.lowering import quadratic_system
     from rankone.codegen.module import generate_source
+    from rankone.estimation.design import Design
     from rankone.estimation.experiments import Experiment
     from rankone.estimation.fit import Fit
     from rankone.estimation.minimize import Optimum
@@ -72,6 +73,7 @@ __all__ = [
     "CompiledProblem",
     "ConvergenceError",
     "CrossOptions",
+    "Design",
     "EvaluationError",
     "Event",
     "Experiment",
@@ -123,6 +125,7 @@ _MODULES = {
     "codegen.loading": ("load_module",),
     "codegen.lowering": ("quadratic_system",),
     "codegen.module": ("generate_source",),
+    "estimation.design": ("Design",),
     "estimation.experiments": ("Experiment",),
     "estimation.fit": ("Fit",),
     "estimation.minimize": ("Optimum",),

@@ -23,12 +23,15 @@
 ``identification``      which parameters and combinations the data identify; profile likelihoods
 ``posterior``           ``posterior``, by quadrature or by a Markov chain
 ``cube_distributions``  distributions in a unit cube, on cells or as points of a chain
+``design``           where to measure next
+``candidates``       the information of measurements at candidate times
 ``objective``           objectives and constraints on a unit cube, with derivatives
 ``minimize``            ``minimize``
 ``expressions``         quantities of parameters: functions, text, or symbols
 ======================  ==========================================================================
 """
 
+from rankone.estimation import design as _design
 from rankone.estimation import minimize as _minimize
 from rankone.estimation import posterior as _posterior
 from rankone.estimation import search as _search
@@ -43,3 +46,4 @@ class EstimationFromData(SolutionCore):
     fit = _search.fit
     posterior = _posterior.posterior
     minimize = _minimize.minimize
+    design = _design.design

@@ -240,7 +240,7 @@ def _trials(solution: SolutionCore, experiment: Experiment) -> Iterable[Trial]:
         weights=experiment.weights,
         missing=experiment.missing,
     )
-    held = _held(solution, experiment.fixed)
+    held = held_parameters(solution, experiment.fixed)
     yield trial_of(experiment.name, solution, held, observations)
 
 
@@ -276,7 +276,7 @@ def _of_block(
     return trial_of(name, solution, held, observations)
 
 
-def _held(solution: SolutionCore, fixed: ParameterValues) -> dict[str, float]:
+def held_parameters(solution: SolutionCore, fixed: ParameterValues) -> dict[str, float]:
     """Parameters that an experiment fixes, inside of the box."""
     held = {}
     for name, value in by_name("fixed", fixed, tuple(solution.parameters)).items():
@@ -314,5 +314,5 @@ def _fixed_by_condition(
                 raise OptionError(
                     f"{quote(name)} is fixed, and the table has a column of it", term=name
                 )
-        held.append(_held(solution, {**names, **block.fixed}))
+        held.append(held_parameters(solution, {**names, **block.fixed}))
     return held

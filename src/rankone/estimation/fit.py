@@ -285,6 +285,13 @@ class Fit:
         return covariance
 
     @property
+    def information(self) -> Array:
+        """The Fisher information of the data about the parameters (n, n), at the estimate."""
+        jacobian = self._problem.linearised(self._z[None], settle=False).jacobian[0]
+        slopes = jacobian / self._problem.free.slopes(self._z) / self._unit
+        return np.asarray(slopes.T @ slopes)
+
+    @property
     def std(self) -> dict[str, float]:
         """Standard deviation of each estimate."""
         roots = np.sqrt(np.diag(self.covariance))

@@ -1,0 +1,126 @@
+"""Designs against an exhaustive search, and against what fits of simulated data show."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from rankone.support.errors import EvaluationError, OptionError
+from tests.estimation.experiments import HOURS, TRUE, bateman, draws, oral
+from tests.estimation.systems import decay, fall
+
+AT = {name: TRUE[name] for name in ("ka", "ke", "V")}
+CANDIDATES = np.linspace(0.25, 24, 40)
+
+
+def derivatives(times, sigma=0.1):
+    """Of the concentration in closed form, over sigma, by differences of eighth order or so."""
+    columns = []
+    for name in AT:
+        steps = 1e-3 * AT[name] * np.array([-2.0, -1.0, 1.0, 2.0])
+        values = []
+        for step in steps:
+            at = {**AT, name: AT[name] + step}
+            rate = at["ka"] - at["ke"]
+            curve = np.exp(-at["ke"] * times) - np.exp(-at["ka"] * times)
+            values.append(100.0 * at["ka"] / (at["V"] * rate) * curve)
+        slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * steps[2])
+        columns.append(slope / sigma)
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+def test_three_times_are_those_of_an_exhaustive_search(criterion):
+    design = oral().design(
+        3, CANDIDATES, at=AT, observe="C", sigma=0.1, fixed={"dose": 100}, criterion=criterion
+    )
+    rows = derivatives(CANDIDATES)
+    triples = np.array(list(itertools.combinations_with_replacement(range(40), 3)))
+    information = np.einsum("kip,kiq->kpq", rows[triples], rows[triples])
+    relative = information * np.outer(list(AT.values()), list(AT.values()))
+
+    def measure(matrices):
+        eigenvalues = np.linalg.eigvalsh(matrices)
+        usable = eigenvalues[:, 0] > 1e-9 * eigenvalues[:, -1]
+        eigenvalues = eigenvalues[usable]
+        values = np.zeros(len(matrices))
+        values[usable] = {
+            "D": np.prod(eigenvalues, axis=1),
+            "A": 1.0 / np.sum(1.0 / eigenvalues, axis=1),
+            "E": eigenvalues[:, 0],
+        }[criterion]
+        return values
+
+    best = measure(relative).max()
+    scale = np.outer(list(AT.values()), list(AT.values()))
+    assert measure(design.information[None] * scale)[0] == pytest.approx(best, rel=1e-4)
+    if criterion == "D":
+        np.testing.assert_allclose(design.times, CANDIDATES[triples[np.argmax(measure(relative))]])
+        covariance = np.linalg.inv(information[np.argmax(measure(relative))])
+        np.testing.assert_allclose(design.covariance, covariance, rtol=1e-3)
+
+
+def test_expected_intervals_are_those_of_fits():
+    design = oral().design(8, at=AT, observe="C", sigma=0.1, fixed={"dose": 100})
+    estimates = []
+    for seed in range(60):
+        data = bateman(design.times) + 0.1 * draws(seed, design.times.shape)
+        fit = oral().fit(design.times, data, observe="C", sigma=0.1, fixed={"dose": 100}, starts=1)
+        estimates.append(list(fit.x.values()))
+    spread = np.std(estimates, axis=0, ddof=1)
+    np.testing.assert_allclose(list(design.std.values()), spread, rtol=0.3)
+
+
+def test_after_a_fit_its_information_counts():
+    data = bateman(HOURS[:10]) + 0.1 * draws(3, (10,))
+    fit = oral().fit(HOURS[:10], data, observe="C", sigma=0.1, fixed={"dose": 100})
+    design = oral().design(2, after=fit)
+    for name in AT:
+        assert design.std[name] < fit.std[name]
+    np.testing.assert_allclose(np.linalg.inv(fit.information), fit.covariance, rtol=1e-6)
+    assert design.efficiency([0.25, 20]) < 1.0
+    assert design.efficiency(design.times) == pytest.approx(1.0)
+
+
+def test_on_average_over_a_posterior():
+    generator = np.random.default_rng(0)
+    at = {name: x * (1 + 0.2 * generator.standard_normal(20)) for name, x in AT.items()}
+    design = oral().design(4, CANDIDATES, at=at, observe="C", fixed={"dose": 100}, interest="ke")
+    assert design.success
+    assert "sigma" in repr(design)
+
+
+def test_what_cannot_be_identified():
+    design = fall().design(4, at={"C_D": 0.5, "m": 1.0}, sigma=0.1)
+    assert not design.success
+    assert "cannot identify all parameters" in design.message
+    assert np.isinf(design.std["m"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"at": None}, "at has no value of `k` and `a`"),
+        ({"at": {"k": 1}}, "at has no value of `a`"),
+        ({"at": {"k": 1, "a": 1, "b": 1}}, "at: there is no parameter `b`"),
+        ({"times": 1}, "1 time cannot identify 2 parameters"),
+        ({"times": 0}, "times=0"),
+        ({"times": [1, 2]}, "times="),
+        ({"criterion": "F"}, "criterion='F' is unknown"),
+        ({"interest": "b"}, "interest: `b` is not estimated"),
+        ({"observe": "v"}, "there is no unknown `v`"),
+        ({"fixed": {"k": 1, "a": 1}}, "all parameters are fixed"),
+        ({"after": 3}, "is not a Fit"),
+        ({"level": 1.0}, "level=1"),
+    ],
+)
+def test_bad_options(options, message):
+    with pytest.raises(OptionError, match=message):
+        decay().design(**{"times": 2, "at": {"k": 1, "a": 1}, **options})
+
+
+def test_outside():
+    with pytest.raises(EvaluationError, match="outside its horizon"):
+        decay().design(2, [0, 5], at={"k": 1, "a": 1})
+    with pytest.raises(EvaluationError, match="outside its range"):
+        decay().design(2, at={"k": 10, "a": 1})
