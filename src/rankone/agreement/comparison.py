@@ -350,7 +350,8 @@ class Comparison:
 
         A residual above the share ``lost`` of the largest computed value is never rounding, unless
         it is below ``negligible``. If that is zero, each point counts on its own. Points at which
-        the expressions have no value are left out.
+        the expressions have no value are left out. Where nothing is computed, rounding is that of
+        the other leaves.
         """
         leaves = list(points)
         exact_sums = [self._sums_at(point) for point in leaves]
@@ -362,6 +363,8 @@ class Comparison:
                 spread = self._spread(leaves[k], residual)
                 if spread is not None and abs(residual) > _SPREAD_RATIO * spread:
                     return k, residual
+        if not self._computed:
+            return None
         largest = max((abs(computed) for *_, computed in sums.values()), default=0.0)
         least = max(floor, negligible or 0.0, _NEGLIGIBLE_SHARE * largest_size)
         for k, (residual, _, computed) in sums.items():

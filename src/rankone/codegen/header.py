@@ -98,9 +98,10 @@ def general_equation_texts(system: FirstOrderSystem) -> list[str]:
     start = number(system.coordinates[0].lower)
     texts = []
     for left, expressions in (("{}'", system.rhs), (f"{{}}({start})", system.initial)):
-        for state, expression in zip(system.states, expressions, strict=True):
+        for i, (state, expression) in enumerate(zip(system.states, expressions, strict=True)):
+            guess = expressions is system.initial and i in system.constraints.guessed
             text = plain_text(expression.xreplace(names))
-            texts.append(f"{left.format(state.name)} = {text}")
+            texts.append(f"{left.format(state.name)} {'near' if guess else '='} {text}")
     return texts + _jump_texts(system.states, system.coordinates, system.jumps)
 
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from rankone.codegen.constraints import constraint_blocks
 from rankone.codegen.factors import coordinate_functions
 from rankone.codegen.header import general_header, header, sum_text
 from rankone.codegen.kernels import kernel_blocks
@@ -30,6 +31,7 @@ from rankone.codegen.text import (
 from rankone.expressions.admissible import known_functions
 from rankone.expressions.named_constants import named_constants
 from rankone.ir.forms import (
+    ConstraintForms,
     Coordinate,
     EventForm,
     Jump,
@@ -55,6 +57,7 @@ def generate_source(
     form: QuadraticSystem | SeparatedForm,
     title: str | None = None,
     meanings: Sequence[sp.Expr] = (),
+    constraints: ConstraintForms | None = None,
 ) -> str:
     """Python source of the module for a system.
 
@@ -66,6 +69,8 @@ def generate_source(
         First line of the module's docstring.
     meanings : sequence of Expr
         What the last of the differential states stand for, in the others.
+    constraints : ConstraintForms, optional
+        What algebraic equations say of the states.
 
     Returns
     -------
@@ -94,6 +99,7 @@ def generate_source(
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
         "Lifted states": _lifted(writer, system.differential, meanings),
+        "Constraints": constraint_blocks(writer, constraints or ConstraintForms()),
         **_further_sections(writer, features, system.jumps, system.differential, []),
         "Kernels": kernel_blocks(system),
     }
@@ -133,6 +139,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         ),
         "Right-hand side": writer.functions(),
         "Initial values": [writer.initial()],
+        "Constraints": constraint_blocks(writer, system.constraints),
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
         "Events": _events(writer, system.events, [c.symbol for c in system.coordinates[1:]]),
     }
@@ -363,5 +370,5 @@ def generated_module(
         if quadratic is None:
             source = general_source(system, name)
         else:
-            source = generate_source(quadratic, name)
+            source = generate_source(quadratic, name, constraints=system.constraints)
     return quadratic, ModuleSpecification(source, name or "system", system.user_functions)

@@ -10,7 +10,7 @@ expressions with u for u(t), du/dt for its derivative and decimals for fractions
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 import mpmath
 import sympy as sp
@@ -214,9 +214,17 @@ def latex_of(expression: sp.Basic) -> str:
     return " &= ".join(latex_text(side, symbol_names=names) for side in sides)
 
 
-def initial_texts(names: Iterable[str], start: float, values: Iterable[sp.Expr]) -> list[str]:
-    """Initial values as text: ``u(0) = 1``."""
-    return [f"{u}({start:g}) = {text_of(v)}" for u, v in zip(names, values, strict=True)]
+def initial_texts(
+    names: Iterable[str],
+    start: float,
+    values: Iterable[sp.Expr],
+    guessed: Container[int] = (),
+) -> list[str]:
+    """Initial values as text: ``u(0) = 1``; ``u(0) near 1`` at the positions that are guesses."""
+    return [
+        f"{u}({start:g}) {'near' if i in guessed else '='} {text_of(v)}"
+        for i, (u, v) in enumerate(zip(names, values, strict=True))
+    ]
 
 
 def initial_latex(states: Iterable[sp.Expr], start: float, values: Iterable[sp.Expr]) -> list[str]:

@@ -8,6 +8,9 @@
 :mod:`~.changes`        other problems from one: constants set, parameters fixed or set free
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives
+:mod:`~.algebraic`      algebraic equations reduced to rates and constraints
+:mod:`~.elimination`    linear equations solved symbolically, and what they leave over
+:mod:`~.consistency`    initial values and resets that satisfy algebraic equations
 :mod:`~.jumps`          resets at known times, also those written as ``DiracDelta``
 :mod:`~.events`         what happens where an expression crosses zero
 :mod:`~.text`           formulas by name as the expressions that the checks take

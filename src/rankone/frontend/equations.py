@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import sympy as sp
@@ -147,6 +147,16 @@ def highest_orders(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
     return highest
 
 
+def algebraic_unknowns(residuals: Sequence[sp.Expr]) -> dict[sp.Expr, int]:
+    """Unknowns that are not differentiated, and the number of the first equation of each."""
+    differentiated = highest_orders(residuals)
+    first: dict[sp.Expr, int] = {}
+    for i, residual in enumerate(residuals, 1):
+        for applied in _in_order(residual.atoms(AppliedUndef) - differentiated.keys()):
+            first.setdefault(applied, i)
+    return first
+
+
 def _derivatives(residuals: Iterable[sp.Expr]) -> Iterator[tuple[int, sp.Expr, int]]:
     """Yield (equation from 0, unknown, order of the derivative), equation by equation."""
     for i, residual in enumerate(residuals):
@@ -172,37 +182,38 @@ def check_unknowns(
     """Return the unknowns in order.
 
     Unknowns come in the order in which their highest derivatives enter the equations; those that
-    enter in the same equation come in the order of ``initial``.
+    enter in the same equation come in the order of ``initial``. Algebraic ones are the last.
     """
     highest = highest_orders(residuals)
     first: dict[sp.Expr, int] = {}
     for i, unknown, order in _derivatives(residuals):
         if order == highest[unknown]:
             first.setdefault(unknown, i)
-    for i, residual in enumerate(residuals, 1):
-        for applied in _in_order(residual.atoms(AppliedUndef)):
-            if applied not in first:
-                raise ProblemError(
-                    f"{quote(applied)} has no equation: its derivative appears nowhere",
-                    equation=i,
-                    term=applied,
-                    remedy=f"add an equation with {applied}.diff({time}), "
-                    f"or use a symbol and declare it in `parameters`",
-                )
+    algebraic = algebraic_unknowns(residuals)
+    for applied, i in algebraic.items():
+        if len(first) + len(algebraic) > len(residuals):
+            raise ProblemError(
+                f"{quote(applied)} has no equation: its derivative appears nowhere",
+                equation=i,
+                term=applied,
+                remedy=f"add an equation with {applied}.diff({time}), or an algebraic one that "
+                "determines it, or use a symbol and declare it in `parameters`",
+            )
     if not isinstance(initial, Mapping):
         raise ProblemError(
             f"initial is {quote(initial)}, not a mapping",
             term=initial,
             remedy="give {unknown: value, ...}, for example {x: 1}",
         )
-    if len(first) != len(residuals):
+    unknowns = [*first, *algebraic]
+    if len(unknowns) != len(residuals) or not first:
         raise ProblemError(
-            f"{count(len(residuals), 'equation')} for {count(len(first), 'unknown')} "
-            f"({listing(first) if first else 'nothing is differentiated'})",
+            f"{count(len(residuals), 'equation')} for {count(len(unknowns), 'unknown')} "
+            f"({listing(unknowns) if first else 'nothing is differentiated'})",
             remedy="give one equation for each unknown",
         )
     place = {key: i for i, key in enumerate(initial)}
-    return tuple(sorted(first, key=lambda u: (first[u], place.get(u, len(place)))))
+    return (*sorted(first, key=lambda u: (first[u], place.get(u, len(place)))), *algebraic)
 
 
 def state_expressions(
@@ -214,7 +225,7 @@ def state_expressions(
         unknown.diff(time, order) if order else unknown
         for order in range(max(highest.values()))
         for unknown in unknowns
-        if order < highest[unknown]
+        if order < highest.get(unknown, 1)
     ]
 
 
@@ -310,8 +321,12 @@ def check_value(
         raise ProblemError(message, term=expression, remedy=remedy)
 
 
-def check_initial(initial: Mapping[Any, object], symbols: Symbols) -> dict[sp.Expr, sp.Expr]:
+def check_initial(
+    initial: Mapping[Any, object], symbols: Symbols, optional: Collection[sp.Expr] = ()
+) -> dict[sp.Expr, sp.Expr]:
     """Return the initial value of every state, in the order of the states.
+
+    Some that are ``optional`` may be missing.
 
     Keys of ``initial`` are unknowns ``x(t)`` and, for higher order, their derivatives
     ``x(t).diff(t)``; also understood are both at the initial time: ``x(0)``,
@@ -339,14 +354,14 @@ def check_initial(initial: Mapping[Any, object], symbols: Symbols) -> dict[sp.Ex
         if state in start:
             raise ProblemError(f"{quote(state)} has two initial values", term=key)
         start[state] = exact(_initial_value(state, written, symbols))
-    missing = [state for state in symbols.states if state not in start]
+    missing = [s for s in symbols.states if s not in start and s not in optional]
     if missing:
         raise ProblemError(
             f"no initial value for {listing(missing)}",
             term=missing[0],
             remedy=f"add it to `initial`, for example {{{missing[0]}: 0}}",
         )
-    return {state: start[state] for state in symbols.states}
+    return {state: start[state] for state in symbols.states if state in start}
 
 
 def _state(key: Any, symbols: Symbols) -> sp.Expr:

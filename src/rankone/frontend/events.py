@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy as sp
@@ -92,6 +92,17 @@ class Event:
         """What crosses zero, the values after it, delay and priority."""
         further = [e for e in (self.delay, self.priority) if e is not None]
         return [self.when, *(self.then or {}).values(), *further]
+
+    def xreplace(self, replacements: Mapping[sp.Expr, sp.Expr]) -> Event:
+        """The same event with expressions put in for others, but for the states that it resets."""
+        if not replacements:
+            return self
+        then = self.then and {u: after.xreplace(replacements) for u, after in self.then.items()}
+        when, delay, priority = (
+            None if each is None else each.xreplace(replacements)
+            for each in (self.when, self.delay, self.priority)
+        )
+        return replace(self, when=when, then=then, delay=delay, priority=priority)
 
 
 def event_name(name: object, position: int) -> str:

@@ -72,6 +72,7 @@ class Integration:
             with np.errstate(all="ignore"), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "lsoda: ", UserWarning)  # failures are handled
                 self._integrate()
+                self.values = equations.completed(times, self.values, point)
 
     @property
     def events(self) -> dict[str, Array]:

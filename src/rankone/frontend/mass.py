@@ -30,11 +30,13 @@ class MassForm:
 
     ``leading`` has the highest derivative of each unknown. Each equation has a row of the mass
     matrix, by the position in ``leading``, and a remainder: its terms without those derivatives.
+    ``origins`` are the numbers of the user's equations, where the rows are not those themselves.
     """
 
     leading: tuple[sp.Expr, ...]
     rows: tuple[Row, ...]
     remainders: tuple[list[sp.Expr], ...]
+    origins: tuple[int | None, ...] | None = None
 
     @cached_property
     def places(self) -> dict[int, int] | None:
@@ -62,7 +64,8 @@ class MassForm:
                 [_divide(-term, self.rows[e][i]) for term in self.remainders[e]]
                 for i, e in enumerate(order)
             ]
-            return [sp.Add(*terms) for terms in quotients], [e + 1 for e in order]
+            origins = self.origins or range(1, 1 + len(order))
+            return [sp.Add(*terms) for terms in quotients], [origins[e] for e in order]
         inverse = self.matrix.inv().to_Matrix()
         solved = []
         for i in unknowns:
@@ -85,13 +88,11 @@ def check_mass(
     Equations have to be linear in the highest derivatives with a regular matrix; a single mass must
     not vanish on the interval of its coordinate.
     """
-    highest = highest_orders(residuals)
-    time = coordinates[0].symbol
-    leading = tuple(unknown.diff(time, highest[unknown]) for unknown in unknowns)
+    leading = leading_derivatives(residuals, unknowns, coordinates[0].symbol)
     stand_in = {v: sp.Symbol(f"v_{i}") for i, v in enumerate(leading)}
     rows, remainders = [], []
     for i, residual in enumerate(residuals, 1):
-        row, remainder = _linear_in(stand_in, residual, i)
+        row, remainder = linear_in(stand_in, residual, i)
         _check_row(row, leading, coordinates, i)
         rows.append(row)
         remainders.append(remainder)
@@ -107,8 +108,16 @@ def check_mass(
     return form
 
 
-def _linear_in(
-    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, equation: int
+def leading_derivatives(
+    residuals: Sequence[sp.Expr], unknowns: Sequence[sp.Expr], time: sp.Symbol
+) -> tuple[sp.Expr, ...]:
+    """The highest derivative of each unknown; itself where it has none."""
+    highest = highest_orders(residuals)
+    return tuple(u.diff(time, highest[u]) if u in highest else u for u in unknowns)
+
+
+def linear_in(
+    stand_in: Mapping[sp.Expr, sp.Symbol], residual: sp.Expr, equation: int | None
 ) -> tuple[Row, list[sp.Expr]]:
     """Split a residual into a row of the mass matrix and the remaining terms.
 
@@ -153,7 +162,7 @@ def _check_row(
             "the mass matrix is singular: this equation has no highest derivative "
             f"(of {listing(leading)})",
             equation=equation,
-            remedy="differential-algebraic systems are not supported; eliminate the unknown",
+            remedy="give one independent equation for each unknown",
         )
     for i, entry in row.items():
         if entry.has(sp.DiracDelta):

@@ -20,7 +20,9 @@ from rankone.expressions.boundaries import boundaries
 from rankone.expressions.derivatives import slope
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import NUMPY, stable
+from rankone.frontend.algebraic import Reduction
 from rankone.frontend.box import Time
+from rankone.frontend.consistency import no_consistent_values
 from rankone.frontend.events import Event, known_time
 from rankone.frontend.jumps import (
     Impulses,
@@ -31,6 +33,8 @@ from rankone.frontend.jumps import (
     without_impulses,
 )
 from rankone.frontend.mass import MassForm
+from rankone.ir.constraints import Constraints
+from rankone.ir.features import VectorLike
 from rankone.ir.functions import known_applied
 from rankone.support.arrays import Array
 
@@ -197,6 +201,7 @@ class NumericEquations:
         initial: Mapping[sp.Expr, sp.Expr],
         resets: Resets,
         events: Sequence[Event],
+        reduction: Reduction | None = None,
     ) -> None:
         self.time, self.states = time, tuple(initial)
         self.clock, self.parameters = time[0].name, [symbol.name for symbol in parameters]
@@ -210,8 +215,13 @@ class NumericEquations:
         when = [event.when for event in events]
         self._switches = self._known_switches([*entries, *remainders, *when], when)
         self.initial = self.function(list(initial.values()))
+        solved = {} if reduction is None else reduction.solved
+        self._solved_places = [self.states.index(unknown) for unknown in solved]
+        self._solved = self.function(list(solved.values()))
+        if reduction is not None and reduction.guessed:
+            self.initial = self._consistent(self.initial, reduction)
         self.jumps = self._known_jumps(mass, resets)
-        self.events = NumericEvents(self, events)
+        self.events = NumericEvents(self, [event.xreplace(solved) for event in events])
 
     def function(self, expressions: Sequence[sp.Expr]) -> Numbers:
         """Expressions of time, states and parameters as a function of numbers."""
@@ -236,6 +246,45 @@ class NumericEquations:
         variables = [self._arguments[v] for v in (self.time[0], *self.states)]
         present = plain.free_symbols
         return {j: slope(plain, v) for j, v in enumerate(variables) if v in present}
+
+    def completed(self, times: Array, states: Array, parameters: Array) -> Array:
+        """States (n, T) of a trajectory with the unknowns that algebraic equations give."""
+        complete = states.copy()
+        if self._solved_places:
+            for i, time in enumerate(times.tolist()):
+                complete[self._solved_places, i] = self._solved(time, states[:, i], parameters)
+        return complete
+
+    def _consistent(self, guess: Numbers, reduction: Reduction) -> Numbers:
+        """The initial values with those of guessed unknowns found by Newton's method."""
+        expressions = [constraint.expression for constraint in reduction.constraints]
+        places = [(k, j - 1) for k, e in enumerate(expressions) for j in self.partials(e) if j]
+        residuals = self.function(expressions)
+        partials = self.function(
+            [slope for e in expressions for j, slope in self.partials(e).items() if j]
+        )
+
+        def slopes(time: float | Array, states: VectorLike, parameters: VectorLike) -> Array:
+            matrix = np.zeros((len(expressions), len(self.states), 1))
+            column = partials(float(time), np.ravel(states), np.ravel(parameters))
+            matrix[tuple(np.transpose(places))] = column[:, None]
+            return matrix
+
+        constraints = Constraints(
+            names=tuple(constraint.name for constraint in reduction.constraints),
+            guessed=tuple(self.states.index(unknown) for unknown in reduction.iterated),
+            residuals=lambda t, u, p: residuals(float(t), np.ravel(u), np.ravel(p))[:, None],
+            slopes=slopes,
+        )
+
+        def consistent(time: float, states: Array, parameters: Array) -> Array:
+            start = guess(time, states, parameters)
+            found = constraints.consistent(time, start[:, None], parameters[:, None])[:, 0]
+            if np.isfinite(start).all() and not np.isfinite(found).all():
+                raise no_consistent_values(self.parameters, parameters, reduction.guessed)
+            return found
+
+        return consistent
 
     def highest(self, time: float, states: Array, parameters: Array) -> Array:
         """The highest derivatives, in the order of the unknowns; NaN if nothing determines them."""

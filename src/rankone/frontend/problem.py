@@ -14,10 +14,19 @@ import sympy as sp
 from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
+from rankone.frontend.algebraic import Reduction, has_constraints, reduced
 from rankone.frontend.box import check_correlation, check_parameters, check_time, check_units
 from rankone.frontend.changes import changes_of, with_constants, with_parameters
+from rankone.frontend.consistency import (
+    check_consistent,
+    check_impulses,
+    consistent_events,
+    consistent_initial,
+    consistent_jumps,
+)
 from rankone.frontend.equations import (
     Symbols,
+    algebraic_unknowns,
     check_equations,
     check_initial,
     check_lengths,
@@ -74,7 +83,8 @@ class Problem:
     equations : sequence of Eq or Expr
         One for each unknown: an equation, or an expression that vanishes. Unknowns are applied
         functions of time such as ``x(t)``. The equations are linear in the highest derivatives
-        with any coefficients (a mass matrix), and polynomial in everything below.
+        with any coefficients (a mass matrix), and polynomial in everything below. Some may be
+        algebraic, without any highest derivative, and unknowns may appear undifferentiated.
     time : tuple
         ``(t, t0, t1)``: the symbol of time, the start and the end.
     parameters : mapping of Symbol to (float, float) or distribution
@@ -86,7 +96,9 @@ class Problem:
         then those under it.
     initial : mapping of Expr to Expr or number
         For each unknown its value at ``t0``, a number or an expression of the parameters. Unknowns
-        of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``.
+        of higher order need their derivatives as well: ``{x: 1, x.diff(t): v0}``. Those of
+        unknowns that are not differentiated are starting guesses, needed only where no equation
+        is linear in the unknown.
     name : str, optional
         A title.
     jumps : mapping of float to mapping, optional
@@ -129,11 +141,14 @@ class Problem:
         The distributions of parameters as texts, by name.
     unknowns : tuple of Expr
         In the order in which their highest derivatives enter the equations; those that enter in
-        the same equation are in the order of ``initial``.
+        the same equation are in the order of ``initial``. Algebraic unknowns are the last.
     residuals : tuple of Expr
         For each equation its left minus its right side, with constants and definitions put in.
     mass : MassForm
-        The residuals as mass matrix times highest derivatives, and the rest.
+        The residuals as mass matrix times highest derivatives, and the rest; with algebraic
+        equations the rates that follow from them.
+    reduction : Reduction or None
+        What algebraic equations were reduced to.
 
     Raises
     ------
@@ -173,6 +188,7 @@ class Problem:
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
     mass: MassForm = field(init=False)
+    reduction: Reduction | None = field(init=False, default=None)
     shorthand: Shorthand = field(init=False)
     written: Mapping[str, Any] = field(init=False)
     compiled: list[Any] = field(init=False)
@@ -205,7 +221,7 @@ class Problem:
         check_names(named_states, box, time[0], shorthand.owners)
         symbols = Symbols(time, tuple(box), unknowns, states, shorthand)
         check_symbols(residuals, symbols)
-        initial = check_initial(self.initial, symbols)
+        initial = check_initial(self.initial, symbols, algebraic_unknowns(residuals))
         initial = {state: closed(start) for state, start in initial.items()}
         known, moving = moving_jumps(self.jumps, symbols)
         jumps = {
@@ -245,8 +261,28 @@ class Problem:
         }
         for name, attribute in checked.items():
             object.__setattr__(self, name, attribute)
+        if has_constraints(residuals, unknowns, time[0]):
+            self._reduce(states)
+            return
         object.__setattr__(self, "mass", check_mass(residuals, unknowns, self.coordinates))
         self._take_out_impulses(symbols, len(moving))
+
+    def _reduce(self, states: Sequence[sp.Expr]) -> None:
+        """Reduce algebraic equations, and complete initial values and resets by them."""
+        check_impulses(self.residuals, self.time[0])
+        reduction = reduced(self.residuals, self.unknowns, self.coordinates, self.initial)
+        initial = consistent_initial(self.initial, states, reduction, self.time)
+        check_consistent(initial, reduction, self.coordinates)
+        jumps = consistent_jumps(self.jumps or {}, reduction, self.time[0])
+        completed = {
+            "reduction": reduction,
+            "mass": reduction.mass,
+            "initial": MappingProxyType(initial),
+            "jumps": MappingProxyType(jumps),
+            "events": consistent_events(self.events, reduction),
+        }
+        for name, attribute in completed.items():
+            object.__setattr__(self, name, attribute)
 
     def _take_out_impulses(self, symbols: Symbols, first: int) -> None:
         """Make events of the impulses at times of parameters, numbered from ``first`` on."""
@@ -459,6 +495,7 @@ class Problem:
             self.initial,
             self.jumps or {},
             self.events,
+            self.reduction,
         )
 
     @property
@@ -555,7 +592,11 @@ class Problem:
         definitions = (self.written["definitions"] or {}).items()
         lines += [f"  {name_of(symbol)} = {text_of(sp.sympify(e))}" for symbol, e in definitions]
         lines += [f"  {text_of(equation)}" for equation in self._shown()]
-        at_start = initial_texts(map(name_of, self.initial), self.time[1], self.initial.values())
+        starts = self._shown_initial()
+        guessed = {
+            i for i, u in enumerate(starts) if self.reduction and u in self.reduction.guessed
+        }
+        at_start = initial_texts(map(name_of, starts), self.time[1], starts.values(), guessed)
         units = self.units or {}
         intervals = [
             with_measure(
@@ -580,13 +621,19 @@ class Problem:
         written = {**(self.written["definitions"] or {}), **(self.constants or {})}
         lines = [f"{sp.latex(s)} &= {latex_of(sp.sympify(e))}" for s, e in written.items()]
         lines += [latex_of(equation) for equation in self._shown()]
-        lines += initial_latex(self.initial, self.time[1], self.initial.values())
+        starts = self._shown_initial()
+        lines += initial_latex(starts, self.time[1], starts.values())
         lines += [
             rf"{sp.latex(c.symbol)} &\in [{c.lower:g}, {c.upper:g}]" for c in self.coordinates
         ]
         lines += jump_latex(list(self.initial), self._jumps(), self.time[0])
         lines += event_latex(self.events)
         return aligned_equations(lines)
+
+    def _shown_initial(self) -> dict[sp.Expr, sp.Expr]:
+        """The initial values without those that algebraic equations give."""
+        solved = self.reduction.solved if self.reduction else {}
+        return {state: start for state, start in self.initial.items() if state not in solved}
 
     def _jumps(self) -> tuple[Jump, ...]:
         """The jumps that were given, in the states as they are written."""

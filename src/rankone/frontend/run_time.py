@@ -10,7 +10,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.expressions.named_constants import named_constants, written_in
-from rankone.frontend.equations import highest_orders
+from rankone.frontend.equations import algebraic_unknowns, highest_orders
 from rankone.frontend.events import Event
 from rankone.frontend.jumps import instants_of
 from rankone.frontend.shorthand import Shorthand
@@ -40,11 +40,19 @@ def with_decisive(
 
 
 def coupled_by(residuals: Sequence[sp.Expr]) -> set[str]:
-    """The named constants in a mass matrix that is inverted: its inverse would be long."""
+    """The named constants in a mass matrix that is inverted: its inverse would be long.
+
+    With algebraic equations those are all, since they decide what is solved for what.
+    """
     highest = highest_orders(residuals)
+    everywhere = {constant.name for constant in named_constants(residuals)}
+    if algebraic_unknowns(residuals):
+        return everywhere
     names: set[str] = set()
     for residual in residuals:
         orders = {d for d in residual.atoms(sp.Derivative) if d.derivative_count == highest[d.expr]}
+        if not orders:
+            return everywhere
         if len(orders) > 1:
             terms = (term for term in sp.Add.make_args(residual) if term.has(*orders))
             names |= {constant.name for constant in named_constants(terms)}

@@ -525,7 +525,7 @@ def _compiled(problem: Problem) -> CompiledProblem:
     compiled = CompiledProblem(problem, system, weak, separated, quadratic, source, timings)
     with timed(timings, "import"):
         vars(compiled)["system"] = specification.load()
-    if separated.general:
+    if separated.general or system.constraints.guessed:
         check_start(system, compiled.system, system.coordinates)
     with timed(timings, "agreement"):
         return _agreeing(compiled)

@@ -35,7 +35,8 @@ class LiftedProblem:
     @cached_property
     def source(self) -> str:
         """Text of the generated module."""
-        return generate_source(self.quadratic, self.name, self.lifting.meanings)
+        constraints = self.lifting.system.constraints
+        return generate_source(self.quadratic, self.name, self.lifting.meanings, constraints)
 
     @cached_property
     def system(self) -> System:

@@ -100,8 +100,13 @@ def _does_not_separate(term: GeneralTerm) -> SeparationError:
 
 
 def known_times(first_order: FirstOrderSystem, system: System) -> bool:
-    """Whether all events are at known times, and there are some, or switches that move."""
+    """Whether all events are at known times, and there are some, or switches that move.
+
+    Not where initial values are guesses.
+    """
     events = first_order.events
+    if first_order.constraints.guessed:
+        return False
     plain = all(
         e.at is not None and e.delay is None and e.priority is None and e.persistent for e in events
     )

@@ -122,6 +122,19 @@ class EventForm:
 
 
 @dataclass(frozen=True, slots=True)
+class ConstraintForms:
+    """Expressions of the states that vanish on all trajectories, in time and parameters.
+
+    ``names`` say where each comes from. ``guessed`` are the positions of states whose initial
+    values are starting guesses: the constraints determine them.
+    """
+
+    names: tuple[str, ...] = ()
+    expressions: tuple[sp.Expr, ...] = ()
+    guessed: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Factor:
     """A function of one coordinate; factor 0 of every dimension is the constant one."""
 

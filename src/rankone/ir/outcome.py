@@ -44,7 +44,8 @@ class Measured:
     difference between lifted states and what they stand for, relative to their sizes; None where
     none are lifted. ``time_error`` is the largest error of the time of an event, over the horizon,
     and ``share_error`` the largest one of a state at equal shares of stretches, relative to its
-    size; both None without events.
+    size; both None without events. ``constraint_drift`` is how far states are from satisfying
+    algebraic equations, relative to their sizes, and a part of the errors; None without any.
     """
 
     interior: tuple[float, ...]
@@ -59,6 +60,7 @@ class Measured:
     integrator: str = "stack"
     time_error: float | None = None
     share_error: float | None = None
+    constraint_drift: float | None = None
 
     @property
     def error(self) -> float:

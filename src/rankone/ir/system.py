@@ -34,11 +34,12 @@ A module leaves out what its system does not have; :func:`system_of` fills in wh
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
+from rankone.ir.constraints import Constraints
 from rankone.ir.events import EventOrder, OfTrajectory, SystemEvent
 from rankone.ir.features import (
     GAP_REMEDY,
@@ -123,7 +124,8 @@ class System:
     where piecewise functions in its rates have no branch. ``specification`` is what it is loaded
     from, if rankone compiled it. ``events`` reset its trajectories or end them; a system in
     stretches between them has the ``clock`` that it runs by. ``separated_stretches`` makes a
-    separated system of that kind, of a clock and a box, where that is asked for.
+    separated system of that kind, of a clock and a box, where that is asked for. ``constraints``
+    vanish on all trajectories.
     """
 
     separated: bool
@@ -154,6 +156,7 @@ class System:
     events: tuple[SystemEvent, ...] = ()
     clock: Clock | None = None
     separated_stretches: Callable[[Clock, Box], System] | None = None
+    constraints: Constraints = field(default_factory=Constraints)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -167,6 +170,16 @@ class System:
 
     def initial(self, p: Array) -> Array:
         """Initial values at p (d, m): shape (n_differential, m)."""
+        start = self._initial(p)
+        if not self.constraints.guessed:
+            return start
+        start = self.constraints.consistent(self.horizon[0], start, p)
+        for _ in range(self.n_lifted):  # some stand for functions of others
+            start[self.n_differential - self.n_lifted :] = self.meanings(self.horizon[0], start, p)
+        return start
+
+    def _initial(self, p: Array) -> Array:
+        """The initial values as they were written; those of some states may be guesses."""
         if not self.separated:
             with np.errstate(all="ignore"):
                 return self.unseparated_initial(p)
@@ -178,7 +191,8 @@ class System:
             for row, index in zip(rows, factors, strict=True):
                 product = product * row[index]
             start[state] += product
-        return start if self.initial_separates else start + self.unseparated_initial(p)
+        coupled = self.unseparated_initial(p)
+        return start + coupled if coupled.size else start
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +256,12 @@ def system_of(names: Mapping[str, object]) -> System:
     jacobian: OfStates = member("jacobian", no_rows)
     peaks, kinks, steps = member("STATE_SURFACES", (0, 0, 0))
     jumps: tuple[tuple[float, int], ...] = member("JUMPS", ())
+    constraints = Constraints(
+        names=member("CONSTRAINTS", ()),
+        guessed=member("GUESSED", ()),
+        residuals=member("constraints", no_rows),
+        slopes=member("constraint_slopes", no_rows),
+    )
     return System(
         separated=member("SEPARATED", False),
         states=member("STATES", ()),
@@ -257,7 +277,7 @@ def system_of(names: Mapping[str, object]) -> System:
         jacobian=jacobian,
         with_products=member("with_products", no_rows),
         quadratic_jacobian=member("quadratic_jacobian", jacobian),
-        initial_separates="unseparated_initial" not in names,
+        initial_separates=not {"unseparated_initial", "GUESSED"} & names.keys(),
         unseparated_initial=member("unseparated_initial", no_rows),
         terms=member("TERMS", ()),
         initial_terms=member("INITIAL", ()),
@@ -290,6 +310,7 @@ def system_of(names: Mapping[str, object]) -> System:
         ),
         gaps=Gaps(member("GAPS", ()), member("gaps", no_rows)),
         events=_events(names),
+        constraints=constraints,
     )
 
 

@@ -103,6 +103,8 @@ def _error(solution: SolutionCore) -> str:
     text = f"{solution.error:.2g} measured on {measured.points} trajectories {means}, {tolerance}"
     if measured.drift is not None:
         text += f", lifted states drift by {measured.drift:.2g}"
+    if measured.constraint_drift is not None:
+        text += f", constraints drift by {measured.constraint_drift:.2g}"
     if measured.counted is not None:
         text = f"of {listing(solution.states[i] for i in measured.counted)} {text}"
     if measured.quantile is not None:

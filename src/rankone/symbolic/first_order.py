@@ -19,7 +19,7 @@ from rankone.frontend.events import Event, event_latex, event_texts, known_time
 from rankone.frontend.jumps import at_start, jump_latex, jump_texts, system_jumps, without_impulses
 from rankone.frontend.problem import Problem
 from rankone.ir.events import BOTH, FALLING, RISING
-from rankone.ir.forms import Coordinate, EventForm, Jump, State
+from rankone.ir.forms import ConstraintForms, Coordinate, EventForm, Jump, State
 from rankone.ir.functions import namespace_of
 from rankone.ir.metadata import Role
 from rankone.support.errors import check_kind
@@ -82,16 +82,20 @@ class FirstOrderSystem(Stage):
         For each state the right-hand side of its derivative, in the states' ``functions``.
     events : tuple of EventForm
         In the order of the user.
+    constraints : ConstraintForms
+        What algebraic equations say of the states.
     """
 
     rhs: tuple[sp.Expr, ...]
     events: tuple[EventForm, ...] = field(default=(), kw_only=True)
+    constraints: ConstraintForms = field(default_factory=ConstraintForms, kw_only=True)
 
     @property
     def user_functions(self) -> Mapping[str, Callable[..., object]]:
         """The functions of the user in the equations, by the names that generated source uses."""
         jumps = (after for jump in self.jumps for after in jump.values)
-        return namespace_of([*self.rhs, *self.initial, *jumps, *self.event_expressions])
+        further = (*self.event_expressions, *self.constraints.expressions)
+        return namespace_of([*self.rhs, *self.initial, *jumps, *further])
 
     @property
     def event_expressions(self) -> tuple[sp.Expr, ...]:
@@ -126,14 +130,23 @@ class FirstOrderSystem(Stage):
         states = count(len(self.states), "state")
         lines = [f"First-order system: {states}, {count(len(self.coordinates) - 1, 'parameter')}"]
         lines += [f"  {text_of(equation)}" for equation in self._equations()]
-        lines.append("  " + ", ".join(self._initial_texts()))
+        pairs = zip(self._constraint_equations(), self.constraints.names, strict=True)
+        lines += [f"  {text_of(equation)}  ({name})" for equation, name in pairs]
+        names = (state.name for state in self.states)
+        start, guessed = self.coordinates[0].lower, self.constraints.guessed
+        lines.append("  " + ", ".join(initial_texts(names, start, self.initial, guessed)))
         texts = [*self._jump_texts(), *event_texts(self._events())]
         return "\n".join([*lines, *(f"  {text}" for text in texts)])
 
     def _repr_latex_(self) -> str:
-        lines = [latex_of(equation) for equation in self._equations()]
+        equations = [*self._equations(), *self._constraint_equations()]
+        lines = [latex_of(equation) for equation in equations]
         events = event_latex(self._events())
         return aligned_equations([*lines, *self._conditions_latex(), *events])
+
+    def _constraint_equations(self) -> list[sp.Eq]:
+        """Each constraint as an expression that vanishes."""
+        return [sp.Eq(0, e, evaluate=False) for e in self.constraints.expressions]
 
     def _events(self) -> Iterator[Event]:
         """The events in the states, with what they change."""
@@ -199,6 +212,19 @@ def first_order(problem: Problem) -> FirstOrderSystem:
         origins=tuple(origins),
         jumps=jumps,
         events=tuple(_event(event, functions, time) for event in problem.events),
+        constraints=_constraints(problem, functions),
+    )
+
+
+def _constraints(problem: Problem, functions: Mapping[sp.Expr, sp.Expr]) -> ConstraintForms:
+    """The constraints of a problem in the states of the first-order system."""
+    if problem.reduction is None:
+        return ConstraintForms()
+    constraints, places = problem.reduction.constraints, list(functions)
+    return ConstraintForms(
+        names=tuple(constraint.name for constraint in constraints),
+        expressions=tuple(c.expression.xreplace(dict(functions)) for c in constraints),
+        guessed=tuple(places.index(unknown) for unknown in problem.reduction.iterated),
     )
 
 

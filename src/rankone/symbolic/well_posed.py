@@ -21,6 +21,7 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from rankone.expressions.admissible import gaps, known_functions, located_defect, numeric
+from rankone.frontend.consistency import no_consistent_values
 from rankone.frontend.problem import Problem
 from rankone.ir.features import GAP_REMEDY
 from rankone.ir.forms import Coordinate, SeparatedForm, State
@@ -115,6 +116,9 @@ def check_start(
         f = system.rhs(clock.lower, u, p)
     for i, state in enumerate(first_order.states):
         bad = np.flatnonzero(~np.isfinite(u[i]))
+        if bad.size and i in first_order.constraints.guessed:
+            names = [c.name for c in parameters]
+            raise no_consistent_values(names, p[:, bad[0]], [state.expression])
         if bad.size:
             raise ProblemError(
                 f"the initial value of {quote(state.expression)}, "

@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from rankone.discretization.radau import insets
+from rankone.ir.constraints import Constraints
 from rankone.ir.features import Jumps, OfParameters, VectorLike
 from rankone.ir.system import System
 from rankone.support.arrays import Array
@@ -56,6 +57,7 @@ def _begun_with(system: System, states: OfParameters) -> System:
         initial_separates=False,
         unseparated_initial=states,
         jumps=Jumps(),
+        constraints=Constraints(),
     )
 
 

@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from rankone.ir.constraints import Constraints
 from rankone.ir.events import RISING, EventOrder, OfTrajectory, SystemEvent
 from rankone.ir.features import Features, Jumps, VectorLike
 from rankone.ir.system import Clock, ModuleSpecification, System, UserFunction
@@ -169,6 +170,7 @@ def in_stretches(clock: Clock) -> System:
         features=features,
         jumps=Jumps(),
         events=(),
+        constraints=Constraints(),
         clock=clock,
         specification=specification
         and StretchSpecification(specification, order, clock.cuts, clock.horizon),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rankone.ir.system import Clock
+from rankone.ir.system import Clock, System
 from rankone.ir.timeline import Timeline
 from rankone.support.arrays import Array
 from rankone.tensors.slab import SlabTrain
@@ -28,13 +28,14 @@ class ClockErrors:
     ``states`` (n, m) are the largest ones at clock times, and ``largest`` (n, m) the largest states
     there; ``at_shares`` (n, m) are those where both are at the same share of the same stretch, up
     to the end of the horizon. ``time`` is the largest error of the time of an event before the end,
-    over the horizon.
+    over the horizon. ``off_constraints`` (n, m) is how far states are from satisfying constraints.
     """
 
     states: Array
     largest: Array
     at_shares: Array
     time: float
+    off_constraints: Array
 
 
 def clock_errors(
@@ -47,7 +48,7 @@ def clock_errors(
     """
     evaluator = TimelineEvaluator(slabs, clock.horizon, Timeline.of(clock).affine_borders)
     n = clock.system.n_differential
-    errors, largest = np.zeros((n, len(reference.points))), np.zeros((n, len(reference.points)))
+    errors, largest, off = np.zeros((3, n, len(reference.points)))
     rows, time_error = slice(0, n), 0.0
     columns = np.ascontiguousarray(reference.points.T)
     borders = evaluator.borders(columns)
@@ -67,13 +68,26 @@ def clock_errors(
         missed = np.abs(borders[:, k] - exact_borders)[inside].max(initial=0.0)
         time_error = max(time_error, float(missed) / clock.length)
         largest[:, k] = np.abs(np.where(missing, 0.0, exact)).max(axis=1, initial=0.0)
+        off[:, k] = _off_constraints(clock.system, times, solution, point)
     begins = np.arange(clock.order.stretches)[:, None]
     pseudo = np.minimum(begins + _SHARES, np.nextafter(begins + 1.0, begins)).ravel()
     exact = np.swapaxes(reference(pseudo), 1, 2)
     found = evaluator.trains.curves(pseudo[:, None], columns, rows)
     before = exact[n] <= clock.horizon[1]  # the row behind the states is the clock
     at_shares = np.where(before, np.abs(found - exact[:n]), 0.0).max(axis=1)
-    return ClockErrors(errors, largest, at_shares, time_error)
+    return ClockErrors(errors, largest, at_shares, time_error, off)
+
+
+def _off_constraints(system: System, times: Array, states: Array, point: Array) -> Array:
+    """How far states (n, T) of a trajectory are from satisfying constraints, at most: (n,)."""
+    there = ~np.isnan(states).any(axis=0)
+    if not system.constraints.names or not there.any():
+        return np.zeros(len(states))
+    times, states = times[there], states[:, there]
+    sizes = np.abs(states).max(axis=1)
+    sizes = np.where(sizes > 0.0, sizes, sizes.max() or 1.0)
+    columns = np.repeat(point[:, None], times.size, axis=1)
+    return np.asarray(system.constraints.distances(times, states, columns, sizes).max(axis=1))
 
 
 def _each(reference: Reference) -> Iterator[tuple[StretchTrajectories, int]]:

@@ -22,7 +22,7 @@ from rankone.ir.timeline import CLOCK_STATES
 from rankone.ir.verdict import NumericallyZero
 from rankone.support.arrays import Array
 from rankone.support.budget import charge, unlimited
-from rankone.support.costs import function_cost
+from rankone.support.costs import Cost, function_cost
 from rankone.support.errors import ConvergenceError
 from rankone.tensors.slab import SlabTrain
 from rankone.trajectories.choice import following
@@ -54,6 +54,8 @@ _GROWTH_STEPS = 32  # Steps over the horizon by which the growth of errors is fo
 _GROWTH_TRAJECTORIES = 5  # Check points at which it is followed, the centre first
 _BESIDE_POLE = 0.99  # Factor on the Jacobian where its Cayley transform does not exist
 _SAFE_QUANTILE = 0.95  # Part of the points whose errors the reported quantile bounds
+# Operations of a least change that satisfies constraints, for each entry of their slopes
+_CONSTRAINT_COST = Cost(50e3, 400.0)
 _DRIFT_POINTS = 24  # Points at which lifted states are compared with what they stand for
 _DRIFT_SHARES = np.array([0.0, 0.31, 0.69, 1.0])  # Compared times, in slab lengths
 
@@ -209,19 +211,32 @@ class ReferenceSet:
             return self._over_clock_time(clock, slabs)
         with unlimited():
             errors, largest = np.zeros((self.states.size, m)), self.states
+            off = np.zeros_like(errors)
             all_exact = np.split(reference(np.concatenate(all_times)), len(slabs), axis=2)
             carried = _with_contractions(slabs, reference.points)
             for (slab, contraction), times, exact in zip(
                 carried, all_times, all_exact, strict=True
             ):
-                defects = np.abs(slab.on_grid(times, contraction) - exact)
-                errors = np.maximum(errors, defects.max(axis=2))
+                states = slab.on_grid(times, contraction)
+                errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
+                off = np.maximum(off, self._off_constraints(times, states))
                 at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
                 largest = np.maximum(largest, at_corners)
         units = np.repeat(self.states[:, None], m, axis=1)
         units[:, corners] = largest[:, None]
         errors = (np.where(np.isfinite(errors), errors, np.inf) / units)[:unknowns]
-        return self._measured(errors)
+        return self._measured(errors, (off / units)[:unknowns])
+
+    def _off_constraints(self, times: Array, states: Array) -> Array:
+        """How far states (n, m, T) are from satisfying the constraints, at most: (n, m)."""
+        constraints, (n, m, count) = self.system.constraints, states.shape
+        if not constraints.names:
+            return np.zeros((n, m))
+        charge(_CONSTRAINT_COST(m * count * n * len(constraints.names)))
+        columns = np.repeat(self.reference.points.T, count, axis=1)
+        flat = states.reshape(n, m * count)
+        off = constraints.distances(np.tile(times, m), flat, columns, self.states)
+        return np.asarray(off.reshape(n, m, count).max(axis=2))
 
     def _over_clock_time(self, clock: Clock, slabs: Sequence[SlabTrain]) -> Measured:
         """Errors of slabs over stretches, over clock time, in units of the sizes over it."""
@@ -236,12 +251,17 @@ class ReferenceSet:
         units[:, corners] = np.maximum(interior, largest[:, corners].max(axis=1, initial=0.0))[
             :, None
         ]
-        measured = self._measured(errors.states / units)
+        measured = self._measured(errors.states / units, errors.off_constraints / units)
         at_shares = float((errors.at_shares / units).max())
         return replace(measured, time_error=errors.time, share_error=at_shares)
 
-    def _measured(self, errors: Array) -> Measured:
-        """What errors (unknowns, m) in units of the sizes amount to."""
+    def _measured(self, errors: Array, off: Array) -> Measured:
+        """What errors (unknowns, m) in units of the sizes amount to.
+
+        The distances ``off`` from where constraints hold are errors as well.
+        """
+        drift = float(off.max(initial=0.0)) if self._has_constraints else None
+        errors = np.maximum(errors, off)
         reference, m, corners = self.reference, errors.shape[1], slice(1, 1 + self.corners)
         counts = np.ones(m, dtype=bool)
         counts[corners] = self.whole_box
@@ -258,7 +278,14 @@ class ReferenceSet:
             worst=tuple(reference.points[counts][np.argmax(of_points)].tolist()),
             counted=self.counted,
             integrator=reference.integrator,
+            constraint_drift=drift,
         )
+
+    @property
+    def _has_constraints(self) -> bool:
+        clock = self.system.clock
+        system = self.system if clock is None else clock.system
+        return bool(system.constraints.names)
 
     def amplification(self) -> Callable[[float], float]:
         """Largest later growth of an error made at time t, along a few trajectories.

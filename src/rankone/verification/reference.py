@@ -288,6 +288,12 @@ def _check_start(system: System, start: float, initial: Array, points: Array) ->
         state, index = np.nonzero(~np.isfinite(np.broadcast_to(numbers, initial.shape)))
         if state.size:
             refuse_gap(system, start, initial[:, index[0]], points[index[0]])
+            if state[0] in system.constraints.guessed:
+                raise ConvergenceError(
+                    f"Newton's method finds no initial value of `{system.states[state[0]]}`"
+                    f"{_at(system, points[index[0]])}",
+                    remedy="give a starting guess closer to it, or move the box",
+                )
             raise ConvergenceError(
                 f"the {what} of `{system.states[state[0]]}` is not finite"
                 f"{_at(system, points[index[0]])}",

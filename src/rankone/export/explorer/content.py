@@ -268,6 +268,9 @@ def quality(solution: DistributionOverBox, model: PackedModel) -> list[str]:
         lines.append(f"95 % of the trajectories are met to {measured.quantile:.2g}.")
     if measured.drift is not None:
         lines.append(f"Lifted states drift by {measured.drift:.2g} from what they stand for.")
+    if measured.constraint_drift is not None:
+        drift = f"{measured.constraint_drift:.2g}"
+        lines.append(f"The constraints of algebraic equations are met to {drift}.")
     if measured.time_error is not None:
         lines.append(f"Times of events are met to {measured.time_error:.2g} of the horizon.")
     if model.timeline is not None and _has_indices(solution):
