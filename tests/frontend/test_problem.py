@@ -121,7 +121,6 @@ OTHER_T = sp.Symbol("t", real=True)
         (None, "not a list"),
         ([3.0], "equation 1: `3.0` is a float, not a scalar equation"),
         ([GOOD, "y"], "equation 2: `y` is a str"),
-        ([sp.Matrix([dx, dy])], "not a scalar equation"),
         ([sp.Eq(dx, k * x.subs(t, t - 1))], r"`x\(t - 1\)` .* delays are not supported"),
         ([sp.Eq(dx, k * x.subs(t, s))], r"`x\(s\)` is not a function of the time `t` alone"),
         ([sp.Eq(dx, k * x.subs(t, OTHER_T))], "another symbol `t` than the time"),

@@ -10,6 +10,7 @@ from sympy.core.function import AppliedUndef
 
 from rankone.expressions.notation import exact
 from rankone.frontend.box import Time
+from rankone.frontend.matrices import scalar_equations
 from rankone.frontend.shorthand import Shorthand
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
@@ -19,19 +20,15 @@ _UNSUPPORTED = (sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
 _NOT_FINITE = (sp.oo, -sp.oo, sp.zoo, sp.nan)
 
 
-def check_equations(
-    equations: object, time: sp.Symbol, shorthand: Shorthand
-) -> tuple[tuple[sp.Basic, ...], list[sp.Expr]]:
-    """Return the equations as given and their residuals (left minus right).
-
-    In the residuals constants and definitions are put in, and every derivative is one of an
-    unknown: ``Derivative(x**2, t)`` is carried out.
-    """
+def listed_equations(equations: object) -> tuple[sp.Basic, ...]:
+    """The scalar equations as they were given, those between matrices row by row."""
     single = isinstance(equations, sp.Basic) and not isinstance(equations, sp.Tuple | sp.MatrixBase)
+    if isinstance(equations, sp.Eq) and any(map(_is_matrix, equations.args)):
+        equations, single = (equations,), False
     try:
         if single or isinstance(equations, str | Mapping | Set) or hasattr(equations, "dtype"):
             raise TypeError
-        written: tuple[sp.Basic, ...] = tuple(equations)  # type: ignore[arg-type]
+        written: tuple[Any, ...] = tuple(equations)  # type: ignore[arg-type]
     except TypeError:
         raise ProblemError(
             f"equations are {quote(equations)}, not a list of SymPy equations",
@@ -41,10 +38,19 @@ def check_equations(
     if not written:
         remedy = "give one equation for each unknown"
         raise ProblemError("the list of equations is empty", remedy=remedy)
-    check_lengths((e for e in written if isinstance(e, sp.Basic)), len(written))
-    return written, [
-        _residual(equation, i, time, shorthand) for i, equation in enumerate(written, 1)
-    ]
+    return scalar_equations(written)
+
+
+def check_equations(
+    equations: Sequence[sp.Basic], time: sp.Symbol, shorthand: Shorthand
+) -> list[sp.Expr]:
+    """Return the residuals of the equations, left minus right.
+
+    In the residuals constants and definitions are put in, and every derivative is one of an
+    unknown: ``Derivative(x**2, t)`` is carried out.
+    """
+    check_lengths((e for e in equations if isinstance(e, sp.Basic)), len(equations))
+    return [_residual(equation, i, time, shorthand) for i, equation in enumerate(equations, 1)]
 
 
 def _is_matrix(side: object) -> bool:
@@ -62,11 +68,18 @@ def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) 
             f"{quote(equation)} is a truth value, not an equation",
             equation,
             "write sympy.Eq(left, right); `left == right` compares the two as they stand, and "
-            "SymPy turns an equation of two equal sides, or of two numbers, into a truth value",
+            "SymPy turns an equation of two equal sides, of two numbers, of a matrix and a "
+            "number, or of matrices of different shapes into a truth value",
         )
-    if isinstance(equation, sp.Eq) and not any(map(_is_matrix, equation.args)):
+    if isinstance(equation, list | tuple | sp.Tuple):
+        raise error(
+            f"equation {index} is a list of {count(len(equation), 'equation')}",
+            equation,
+            "write all equations in one list: [*first, *second]",
+        )
+    if isinstance(equation, sp.Eq):
         residual = equation.lhs - equation.rhs
-    elif isinstance(equation, sp.Expr) and not _is_matrix(equation):
+    elif isinstance(equation, sp.Expr):
         residual = equation
     else:
         raise error(

@@ -33,6 +33,7 @@ from rankone.frontend.equations import (
     check_names,
     check_symbols,
     check_unknowns,
+    listed_equations,
     state_expressions,
 )
 from rankone.frontend.events import (
@@ -52,6 +53,7 @@ from rankone.frontend.jumps import (
     system_jumps,
 )
 from rankone.frontend.mass import MassForm, check_mass
+from rankone.frontend.matrices import MatrixSystem
 from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
@@ -81,7 +83,8 @@ class Problem:
     Parameters
     ----------
     equations : sequence of Eq or Expr
-        One for each unknown: an equation, or an expression that vanishes. Unknowns are applied
+        One for each unknown: an equation, or an expression that vanishes. An equation between
+        matrices stands for its rows. Unknowns are applied
         functions of time such as ``x(t)``. The equations are linear in the highest derivatives
         with any coefficients (a mass matrix), and polynomial in everything below. Some may be
         algebraic, without any highest derivative, and unknowns may appear undifferentiated.
@@ -209,11 +212,13 @@ class Problem:
         box, distributions = check_parameters(self.parameters, time[0], self.tail)
         shorthand = check_shorthand(self.written["constants"], self.written["definitions"], time[0])
         check_apart(shorthand, box, self.initial)
-        shorthand = with_decisive(shorthand, self.written)
-        equations, residuals = check_equations(self.written["equations"], time[0], shorthand)
+        equations = listed_equations(self.written["equations"])
+        arguments = {**self.written, "equations": equations}
+        shorthand = with_decisive(shorthand, arguments)
+        residuals = check_equations(equations, time[0], shorthand)
         if coupled := coupled_by(residuals):
-            shorthand = with_decisive(shorthand, self.written, coupled)
-            equations, residuals = check_equations(equations, time[0], shorthand)
+            shorthand = with_decisive(shorthand, arguments, coupled)
+            residuals = check_equations(equations, time[0], shorthand)
         residuals = [closed(residual) for residual in residuals]
         unknowns = check_unknowns(residuals, self.initial, time[0])
         states = state_expressions(residuals, unknowns, time[0])
@@ -417,6 +422,65 @@ class Problem:
                 for name, text in definitions.items()
             },
         )
+
+    @classmethod
+    def from_matrices(
+        cls,
+        M: Any,
+        C: Any = None,
+        K: Any = None,
+        force: Any = None,
+        *,
+        time: tuple[sp.Symbol, float, float],
+        parameters: Mapping[sp.Symbol, Any],
+        initial: Any,
+        names: str | Sequence[str] = "q",
+        **further: Any,
+    ) -> Problem:
+        """Build a problem ``M q'' + C q' + K q = force`` from matrices.
+
+        Parameters
+        ----------
+        M, C, K : matrix or mapping of Expr to matrix
+            Mass, damping and stiffness (n, n): a SymPy matrix, an array, a sparse matrix of SciPy,
+            or a sum ``{1: K0, k: K1}`` of coefficients times such matrices. Coefficients and
+            entries of SymPy matrices may have parameters, constants, time and unknowns. With
+            ``M=None`` the system is of first order, ``C q' + K q = force``. The matrix of the
+            highest derivatives is of numbers or diagonal if it has more than six rows.
+        force : vector or mapping of Expr to vector, optional
+            The right-hand side (n,), given in the same way: ``{F0 * sp.cos(w*t): b}``.
+        time, parameters
+            As for the class.
+        initial : array, pair of arrays or mapping
+            The values of the unknowns (n,), or a pair of these and their derivatives (n,), numbers
+            or expressions of parameters; or a mapping from unknowns, or their names ``"q0"`` and
+            ``"q0_t"``. What is left out is zero.
+        names : str or sequence of str
+            ``"q"`` calls the unknowns ``q0``, ``q1``, ...; or a name for each.
+        **further
+            ``name``, ``jumps``, ``units``, ``constants`` and other arguments of the class.
+
+        Raises
+        ------
+        ProblemError
+            As for the class, and if the matrices do not fit each other or M is singular.
+
+        Examples
+        --------
+        >>> t, k = sp.symbols("t k")
+        >>> stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]])
+        >>> Problem.from_matrices(
+        ...     np.eye(2), K={k: stiffness}, time=(t, 0, 5), parameters={k: (1, 2)}, initial=[0, 1]
+        ... )
+        Problem: 2 unknowns, 1 parameter
+          d²q0/dt² + 2*k*q0 - k*q1 = 0
+          d²q1/dt² - k*q0 + k*q1 = 0
+          q0(0) = 0, q1(0) = 1, q0_t(0) = 0, q1_t(0) = 0
+          t in [0, 5], k in [1, 2]
+        """
+        matrices = {"M": M, "C": C, "K": K}
+        system = MatrixSystem.of(matrices, force, check_time(time)[0], names)
+        return cls(system.equations, time, parameters, system.initial(initial), **further)
 
     def trajectory(self, *at: object, rtol: float = 1e-8, **named: object) -> Trajectory:
         """Integrate one ordinary trajectory by SciPy, for a first check.

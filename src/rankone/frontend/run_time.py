@@ -70,9 +70,7 @@ def _smooth(written: Mapping[str, Any]) -> Iterator[sp.Basic]:
         *_values(written["initial"]),
         *(value for reset in resets for value in _values(reset)),
     ]
-    equations = written["equations"]
-    if isinstance(equations, Sequence):
-        listed += equations
+    listed += written["equations"]
     listed += [event.when for event in _events(written)]
     yield from (e for e in listed if isinstance(e, sp.Basic))
 
