@@ -5,8 +5,9 @@ Read in this order:
 =================  ================================================================================
 ``integrator``     what an integrator takes and gives: the protocol, tolerances, trajectories
 ``choice``         the choice of one, by counted work and again where a stack stalls
-``stacks``         DOP853 and Radau, with all trajectories as one stacked system
+``stacks``         Taylor series, DOP853 and Radau, with all trajectories as one stacked system
 ``steppers``       its steps, made again where they missed something
+``taylor``         those of Taylor series, where rates are polynomials in the states
 ``explicit``       those of DOP853
 ``implicit``       those of Radau, after SciPy's
 ``single``         SciPy's LSODA, one trajectory after the other

@@ -28,6 +28,7 @@ from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.single import SingleIntegrator
 from rankone.trajectories.stacks import StackedIntegrator
 from rankone.trajectories.stretch_integrator import StretchIntegrator
+from rankone.trajectories.taylor import steps_ratio
 
 _UNWATCHED_WORK = 1e6  # Operations for each trajectory up to which a stack is not looked at
 _PILOTS = 3  # Trajectories that tell what single ones cost; as many or fewer are not watched
@@ -106,10 +107,12 @@ def following(integrator: str, taken: str, trajectories: int) -> str:
     return taken if stalled else integrator
 
 
-def explicit_steps(dense: DenseTrajectories) -> float:
-    """Steps of DOP853 that trajectories take, by those that were made."""
+def explicit_steps(dense: DenseTrajectories, accuracy: float) -> float:
+    """Steps of DOP853 that trajectories take at a relative tolerance, by those that were made."""
     if dense.method == "Radau":
         return dense.avoided
+    if dense.method == "Taylor" and dense.integrator == "stack":
+        return dense.steps / steps_ratio(accuracy)
     return dense.steps / _LSODA_STEPS if dense.method == "LSODA" else dense.steps
 
 

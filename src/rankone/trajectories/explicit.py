@@ -24,8 +24,9 @@ _LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
 class NestedPiece(Piece):
     """A step of DOP853: a nested polynomial of the share and what is left of it."""
 
-    @staticmethod
-    def weights(shares: Array) -> Array:
+    method = "DOP853"
+
+    def weights(self, shares: Array) -> Array:
         factors = np.empty((shares.size, _NESTED_ROWS))
         factors[:, ::2], factors[:, 1::2] = shares[:, None], 1.0 - shares[:, None]
         return factors.cumprod(axis=1)

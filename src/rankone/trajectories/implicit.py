@@ -66,8 +66,9 @@ _TO_START = -np.linalg.solve(np.vander(_NODES, increasing=True).T, np.eye(3)[0])
 class PowerPiece(Piece):
     """A step of Radau: powers of the share."""
 
-    @staticmethod
-    def weights(shares: Array) -> Array:
+    method = "Radau"
+
+    def weights(self, shares: Array) -> Array:
         return shares[:, None] ** _EXPONENTS
 
 
@@ -262,7 +263,7 @@ class StackedRadau(Stepper, scipy.integrate.Radau):  # type: ignore[misc]
         """The modes (3, n m) that the last step continued to the nodes has there."""
         if self.sol is None:
             return np.zeros((3, self.n))
-        weights = PowerPiece.weights((times - self.sol.t_old) / self.sol.h)
+        weights = self.sol.weights((times - self.sol.t_old) / self.sol.h)
         return (_TO_MODES @ (weights - 1.0)) @ self.sol.rows
 
     def _error(self, h: float, states: Array, refused: bool) -> float:

@@ -65,7 +65,7 @@ def _over_shares(system: System) -> System:
     """The system over the share of the way; where each begins is told by further parameters.
 
     They are its state, its time, the length of the way, and how far times stay inside of it: rates
-    may jump at its ends.
+    may jump at its ends. It has no terms, which would be those of the system over times.
     """
     cost, n = function_cost(system.rhs, system.user_functions), system.n_differential
 
@@ -90,4 +90,4 @@ def _over_shares(system: System) -> System:
         return system.features.state_surfaces(times, u, parameters)
 
     features = replace(system.features, state_surfaces=surfaces)
-    return replace(system, rhs=rhs, jacobian=jacobian, features=features)
+    return replace(system, rhs=rhs, jacobian=jacobian, features=features, terms=())

@@ -1,6 +1,7 @@
 """Trajectories at many parameter points, integrated together as one stacked system by SciPy.
 
-DOP853, or Radau where a trajectory is stiff, with the generated pointwise right-hand side.
+By Taylor series where the rates are polynomials in the states, else by DOP853, with the generated
+pointwise right-hand side; by Radau where a trajectory is stiff.
 """
 
 from __future__ import annotations
@@ -35,15 +36,16 @@ from rankone.trajectories.integrator import (
 from rankone.trajectories.paths import NODES, Path
 from rankone.trajectories.shares import paths_over_shares
 from rankone.trajectories.steppers import Piece, Rates, Stepper
+from rankone.trajectories.taylor import StackedTaylor, TaylorSeries, steps_ratio, taylor_order
 
-_FIRST_PROBES = (10, 15, 20, 30)  # Steps of DOP853 before stability is probed
+_FIRST_PROBES = (10, 15, 20, 30)  # Explicit steps before stability is probed
 _PROBE_INTERVAL = 100  # Steps between later probes: each costs a Jacobian and its eigenvalues
 _PROBE_REFUSALS = 10  # Refused steps after which stability is probed as well
-_STIFF_PRODUCT = 3.0  # Step times decay rate that limits DOP853; it is unstable from about 6
 _RADAU_TOLERANCE = 1.7  # Factor on tolerances of Radau, whose error estimate is cautious
 _SMOOTH_DEGREE = 4  # Degree of polynomial rates up to which nothing is narrow over the states
 _TINY_STEP = 1e-9  # Length of a step, in horizons, that makes no progress
 _MOST_TINY_STEPS = 1000  # Tiny steps in a row that end a trajectory
+_DOP853_STAGES = 15  # Rates of a step of DOP853 and of what reads it
 _STAGE_COST = Cost(8e3, 5.0)  # Operations besides the rates: once, and for each number
 _STEP_COST = Cost(40e3, 5.0)  # Operations of a step besides its stages
 _READ_COST = Cost(60e3, 12.0)  # Operations of reading states off a step: once, and for each number
@@ -57,9 +59,10 @@ _Record: TypeAlias = "_DenseRecord | _SampleRecord"  # Keeps something of each s
 class StackedIntegrator:
     """An :class:`Integrator` whose steps suit all trajectories at once.
 
-    It begins with Radau if ``stiff``; otherwise Radau takes over where DOP853 meets stiffness. So
-    many ``bearable_steps`` of DOP853 are cheaper than those of Radau although stability limits
-    them, and less accurate in between. With ``looks_anywhere`` steps are checked at random places
+    It begins with Radau if ``stiff``; otherwise Radau takes over where explicit steps, of a Taylor
+    series or of DOP853, meet stiffness. So many ``bearable_steps`` are cheaper than those of Radau
+    although stability limits them, and less accurate in between. With ``looks_anywhere`` steps are
+    checked at random places
     too, and not only at state surfaces. Systems that separate are never checked: polynomials in the
     states are not narrow over them. ``watch`` is called with the time after each step, and may end
     the integration by an exception.
@@ -110,7 +113,8 @@ def has_smooth_rates(system: System, start: float) -> bool:
     """
     if not system.separated or len(system.time_factors(np.array([start]))) > 1:
         return False
-    return max((len(states) for *_, states in system.terms), default=0) <= _SMOOTH_DEGREE
+    degrees = [len(states) for *_, states in system.terms]
+    return bool(degrees) and max(degrees) <= _SMOOTH_DEGREE
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,7 @@ class StackedTrajectories:
 
     @property
     def method(self) -> str:
-        return "Radau" if self.avoided else "DOP853"
+        return self.pieces[-1].method if self.pieces else "DOP853"
 
     def __call__(self, times: Array) -> Array:
         """States at times (T,), after a jump at its time: shape (n, m, T)."""
@@ -168,7 +172,7 @@ class StackedTrajectories:
 
     @cached_property
     def paths(self) -> tuple[Path, ...]:
-        breaks = np.array(self.times)
+        breaks = np.concatenate([self.times[:1], *(piece.ends for piece in self.pieces)])
         within = breaks[:-1, None] + np.diff(breaks)[:, None] * NODES
         states = self(within.ravel()) if within.size else np.zeros((*self.state.shape, 0))
         nodal = states.reshape(*self.state.shape, *within.shape).transpose(1, 2, 3, 0)
@@ -176,8 +180,9 @@ class StackedTrajectories:
 
     def samples(self, count: int) -> list[tuple[float, Array]]:
         """Ends of steps with the states there; see :meth:`DenseTrajectories.samples`."""
-        steps = self.pieces[:: max(1, len(self.pieces) // count)]
-        return [(step.t, step(step.t).reshape(self.state.shape)) for step in steps]
+        ends = [(piece, end) for piece in self.pieces for end in piece.ends.tolist()]
+        chosen = ends[:: max(1, len(ends) // count)]
+        return [(end, piece(end).reshape(self.state.shape)) for piece, end in chosen]
 
 
 class _DenseRecord:
@@ -188,14 +193,17 @@ class _DenseRecord:
         self.begin(start)
 
     def begin(self, start: float) -> None:
-        self.times, self.steps = [start], list[Piece]()
+        self.times, self.steps, self.parts = [start], list[Piece](), 0
         self.largest = self.early = np.zeros(self.shape)
 
     def add(self, solver: Stepper) -> None:
+        piece = solver.dense_output()
         self.times.append(solver.t)
-        self.steps.append(solver.dense_output())
-        self.largest = np.maximum(self.largest, np.abs(solver.y).reshape(self.shape))
-        if len(self.steps) <= EARLY_STEPS:
+        self.steps.append(piece)
+        sizes = np.abs(solver.y if piece.parts == 1 else piece.at(piece.ends))
+        sizes = sizes.reshape(-1, *self.shape).max(axis=0)
+        self.largest, self.parts = np.maximum(self.largest, sizes), self.parts + piece.parts
+        if self.parts <= EARLY_STEPS:
             self.early = self.largest
 
     def trajectories(self, state: Array, avoided: float) -> StackedTrajectories:
@@ -277,7 +285,7 @@ class _Stack:
         return np.ascontiguousarray(self.points.T)
 
     def integrate(self, record: _Record) -> tuple[Array, float]:
-        """The last state (n, m), and the steps of DOP853 left when it was given up."""
+        """The last state (n, m), and the explicit steps left when they were given up."""
         control = None
         if not self.system.separated:
             control = DefectControl(self.system, self.points, self.options.looks_anywhere)
@@ -285,6 +293,8 @@ class _Stack:
         with np.errstate(all="ignore"):
             if not self.options.stiff:
                 explicit = partial(StackedDOP853, tolerances=self.tolerances, control=control)
+                if (series := self._series()) is not None:
+                    explicit = partial(StackedTaylor, tolerances=self.tolerances, series=series)
                 state, avoided = self._steps(explicit, record, self._explicit_steps_left)
                 if not avoided:
                     return state, avoided
@@ -297,6 +307,20 @@ class _Stack:
             )
             state, _ = self._steps(implicit, record, lambda solver, count: 0.0)
         return state, avoided
+
+    def _series(self) -> TaylorSeries | None:
+        """The Taylor series of the rates, where it costs less than DOP853."""
+        system, p, start = self.system, self.parameters, self.edges[0]
+        if not has_smooth_rates(system, start):
+            return None
+        series, tolerance = TaylorSeries.of(system, p), self.tolerances.relative
+        n, m = self.shape
+        rates = function_cost(system.rhs, system.user_functions)
+        stages = _DOP853_STAGES * (rates(m) + _STAGE_COST(n * m)) + _STEP_COST(n * m)
+        if steps_ratio(tolerance) * series.cost(taylor_order(tolerance)) > stages:
+            return None
+        state = system.initial(p)
+        return series if series.agrees(state, system.rhs(start, state, p)) else None
 
     def _steps(
         self, method: _Method, record: _Record, steps_left: Callable[[Stepper, int], float]
@@ -357,7 +381,7 @@ class _Stack:
         blocks = jacobians(self.system, self.points, solver.t, solver.y)
         if not np.isfinite(blocks).all():
             return 0.0
-        return left if _decays_faster(blocks, _STIFF_PRODUCT / longest) else 0.0
+        return left if _decays_faster(blocks, solver.stiff_product / longest) else 0.0
 
 
 def _decays_faster(blocks: Array, rate: float) -> bool:

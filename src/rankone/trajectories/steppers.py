@@ -35,16 +35,27 @@ class Rates(Protocol):
 
 
 class Piece(scipy.integrate.DenseOutput):  # type: ignore[misc]
-    """A step as a function of time: its start, and ``rows`` (k, n m) weighted by polynomials."""
+    """A step as a function of time: its start, and ``rows`` (k, n m) weighted by polynomials.
+
+    ``method`` is the name of what made it. A long step is looked at in several ``parts``.
+    """
+
+    method: str
+    parts = 1
 
     def __init__(self, t_old: float, t: float, y_old: Array, rows: Array) -> None:
         super().__init__(t_old, t)
         self.h, self.y_old, self.rows = t - t_old, y_old, rows
 
-    @staticmethod
-    def weights(shares: Array) -> Array:
+    def weights(self, shares: Array) -> Array:
         """Weights (T, k) of the rows at shares (T,) of a step."""
         raise NotImplementedError
+
+    @property
+    def ends(self) -> Array:
+        """Ends of the parts, ascending: (parts,)."""
+        shares = np.arange(1, self.parts) / self.parts
+        return np.append(self.t_old + (self.t - self.t_old) * shares, self.t)
 
     def at(self, times: Array) -> Array:
         """States at times (T,), stacked: (T, n m)."""
@@ -61,7 +72,10 @@ class Stepper(scipy.integrate.OdeSolver):  # type: ignore[misc]
 
     The stacked state is in the order (state, trajectory); ``states`` (n, m) are those at the start.
     ``refusals`` counts the steps made again since the last call of :meth:`longest_tried`.
+    ``stiff_product`` is the step times a decay rate from which stability limits explicit steps.
     """
+
+    stiff_product = 3.0  # DOP853 is unstable from about 6
 
     def __init__(
         self,

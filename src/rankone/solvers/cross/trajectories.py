@@ -178,7 +178,7 @@ def sampling_choice(reference_set: ReferenceSet) -> SamplingChoice:
         reference_set.taken,
         reference.integrator,
         reference_set.accuracy,
-        explicit_steps(reference.batches[0]),
+        explicit_steps(reference.batches[0], reference_set.accuracy),
     )
 
 

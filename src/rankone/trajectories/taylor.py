@@ -1,0 +1,309 @@
+"""Taylor steps of stacked trajectories whose rates are polynomials in the states.
+
+The coefficients of a step come from those before by products of polynomials (Jorba & Zou, A
+software package for the numerical integration of ODEs by means of high-order Taylor methods,
+Experimental Mathematics 14 (2005), 99). An order of all trajectories takes a few calls of NumPy,
+however many terms the rates have, and the steps are longer than those of DOP853.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.integrate
+from numpy.typing import NDArray
+
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.budget import charge
+from rankone.trajectories.integrator import Tolerances
+from rankone.trajectories.steppers import Piece, Rates, Stepper
+
+_LEAST_ORDER, _MOST_ORDER = 8, 40
+_STEP_ORDERS = 8.0  # Orders that cost as much as what a step takes besides
+_LAST_COEFFICIENTS = 2  # Coefficients that choose a step: one may vanish by symmetry
+# Size of the last coefficient, and the largest error of a step, over the tolerance
+_AIMED_ERROR, _MOST_ERROR = 0.1, 0.2
+_LEAST_FACTOR, _MOST_FACTOR = 0.2, 10.0  # Change of the step from one to the next
+_FIRST_SHARE = 1e-3  # First trial of the first step, over the way
+_FIRST_FACTOR = 1e3  # Largest factor from there to the first step
+_FIRST_TRIALS = 12  # Trials of a first step whose coefficients are not finite
+# Steps over those of DOP853 at a tolerance of one, and the power of the tolerance that they fall by
+_STEPS_RATIO, _DOP853_POWER = 4.2, 0.125
+_LEAST_STEP = 10.0  # Shortest step, in floating-point numbers
+# Step times decay rate from which stability limits a step, over the one at which the last
+# coefficient is as large as the state
+_STIFF_SHARE = 0.7
+_SAME_RATES = 1e-9  # Difference between the series and the rates, over the terms: rounding
+_ORDER_COST = 9e3  # Operations of an order: its calls of NumPy
+_TERM_COST = 0.6  # Operations of a term, or of a coefficient that is read, for each trajectory
+_PRODUCT_COST = 0.5  # Operations of a product of two coefficients
+_STEP_COST = 80e3  # Operations of a step besides
+
+
+def steps_ratio(tolerance: float) -> float:
+    """Steps of a series over those of DOP853, where the tolerance limits both."""
+    return _STEPS_RATIO * math.pow(tolerance, _DOP853_POWER)
+
+
+def taylor_order(tolerance: float) -> int:
+    """The order for a tolerance: more than Jorba & Zou take, since calls of NumPy are what costs.
+
+    The last coefficient then falls by a factor e with each order.
+    """
+    digits = -math.log(tolerance)
+    order = 0.5 * (digits + math.sqrt(digits**2 + 4.0 * _STEP_ORDERS * digits))
+    return min(max(round(order), _LEAST_ORDER), _MOST_ORDER)
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Products of variables ``left`` and ``right``, which are the variables at ``places``."""
+
+    left: NDArray[np.intp]
+    right: NDArray[np.intp]
+    places: slice
+
+
+@dataclass(frozen=True)
+class TaylorSeries:
+    """The rates of m trajectories as polynomials in n states, for their Taylor coefficients.
+
+    Variables are the states, then their ``products``, level by level. The rates are ``constant``
+    (n, m) and ``sums`` (n, terms) of the ``factors`` (terms, m) times the ``variables`` (terms,);
+    where no factor depends on the parameters, ``sums`` (n, variables) has them and takes all
+    variables.
+    """
+
+    constant: Array
+    sums: Array
+    products: tuple[_Products, ...]
+    variables: NDArray[np.intp]
+    factors: Array | None = None
+
+    @classmethod
+    def of(cls, system: System, parameters: Array) -> TaylorSeries:
+        """The series of a separated system without functions of time at parameters (d, m)."""
+        n, m = system.n_differential, parameters.shape[1]
+        rows = [system.parameter_factors(j, p) for j, p in enumerate(parameters)]
+        constant = np.zeros((n, m))
+        monomials, factors, targets = list[tuple[int, ...]](), list[Array](), list[int]()
+        for coefficient, state, (_, *indices), states in system.terms:
+            factor = np.full(m, coefficient)
+            for row, index in zip(rows, indices, strict=True):
+                factor = factor * row[index] if index else factor
+            if states:
+                monomials.append(tuple(sorted(states)))
+                factors.append(factor)
+                targets.append(state)
+            else:
+                constant[state] += factor
+        places, products = _variables(n, monomials)
+        variables = np.array([places[monomial] for monomial in monomials], dtype=np.intp)
+        varying = any(any(indices) for _, _, (_, *indices), states in system.terms if states)
+        if varying:
+            sums = np.zeros((n, variables.size))
+            sums[targets, range(variables.size)] = 1.0
+            return cls(constant, sums, products, variables, np.array(factors))
+        sums = np.zeros((n, len(places)))
+        for place, factor in zip(zip(targets, variables, strict=True), factors, strict=True):
+            sums[place] += factor[0]
+        return cls(constant, sums, products, variables)
+
+    @property
+    def size(self) -> int:
+        """Number of variables."""
+        return len(self.constant) + sum(level.left.size for level in self.products)
+
+    def coefficients(self, states: Array, h: float, order: int) -> Array:
+        """Taylor coefficients of the states (n, m), times powers of ``h``: (order + 1, n, m)."""
+        n, m = states.shape
+        powers = np.empty((order + 1, self.size, m))
+        powers[0, :n] = states
+        halves = [np.empty((2, order, level.left.size, m)) for level in self.products]
+        levels = list(zip(self.products, halves, strict=True))
+        for k in range(order):
+            now, back = powers[k], order - 1 - k
+            for level, (left, right) in levels:  # those of the right factor stand in reverse
+                now.take(level.left, axis=0, out=left[k], mode="clip")
+                now.take(level.right, axis=0, out=right[back], mode="clip")
+                np.einsum("kqm,kqm->qm", left[: k + 1], right[back:], out=now[level.places])
+            rates = np.dot(self.sums, self._weighted(now))
+            if not k:
+                rates += self.constant
+            np.multiply(rates, h / (k + 1), out=powers[k + 1, :n])
+        return powers[:, :n]
+
+    def _weighted(self, variables: Array) -> Array:
+        """What the sums take: the variables, or terms with factors of the parameters."""
+        if self.factors is None:
+            return variables
+        return np.asarray(variables.take(self.variables, axis=0) * self.factors)
+
+    def agrees(self, states: Array, rates: Array) -> bool:
+        """Whether rates (n, m) at states are those of the series, but for rounding."""
+        slopes = self.coefficients(states, 1.0, 1)[1]
+        sums = replace(self, constant=np.abs(self.constant), sums=np.abs(self.sums))
+        if self.factors is not None:
+            sums = replace(sums, factors=np.abs(self.factors))
+        terms = sums.coefficients(np.abs(states), 1.0, 1)[1]
+        return bool((np.abs(slopes - rates) <= _SAME_RATES * terms).all())
+
+    def cost(self, order: int) -> float:
+        """Operations of a step."""
+        n, m = self.constant.shape
+        products = self.size - n
+        multiplied = 0.5 * order * order * products * _PRODUCT_COST
+        read = order * _TERM_COST * (2.0 * n + self.variables.size + 2.0 * products)
+        return float(order * _ORDER_COST + _STEP_COST + m * (multiplied + read))
+
+
+def _variables(
+    n: int, monomials: Sequence[tuple[int, ...]]
+) -> tuple[dict[tuple[int, ...], int], tuple[_Products, ...]]:
+    """Places of the variables, by the states that they multiply, and the products that they are.
+
+    A product of three or four states is one of variables that stand before it.
+    """
+    needed = sorted({part for monomial in monomials for part in _halved(monomial)})
+    places: dict[tuple[int, ...], int] = {(state,): state for state in range(n)}
+    levels: list[_Products] = []
+    for level in (1, 2):
+        chosen = [part for part in needed if len(part) > 1 and (len(part) > 2) == (level == 2)]
+        if not chosen:
+            continue
+        first = len(places)
+        halves = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in chosen]
+        left, right = np.array([(places[a], places[b]) for a, b in halves], dtype=np.intp).T
+        places |= {part: first + i for i, part in enumerate(chosen)}
+        levels.append(_Products(left, right, slice(first, len(places))))
+    return places, tuple(levels)
+
+
+def _halved(monomial: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """A monomial of at most four states, and its halves that are products."""
+    half = len(monomial) // 2
+    return [monomial, *(part for part in (monomial[:half], monomial[half:]) if len(part) > 1)]
+
+
+class TaylorPiece(Piece):
+    """A step of a Taylor series: powers of the time since its start, in units of a trial step."""
+
+    method = "Taylor"
+    parts = 4
+
+    def __init__(self, t_old: float, t: float, y_old: Array, rows: Array, unit: float) -> None:
+        super().__init__(t_old, t, y_old, rows)
+        self.h, self.order = unit, len(rows)
+
+    def weights(self, shares: Array) -> Array:
+        factors = np.broadcast_to(shares, (self.order, shares.size))
+        return np.multiply.accumulate(factors, axis=0).T
+
+
+class _TaylorSolver(scipy.integrate.OdeSolver):  # type: ignore[misc]
+    """What SciPy's solvers of Runge and Kutta begin with, for a series."""
+
+    def __init__(
+        self,
+        rates: Rates,
+        start: float,
+        states: Array,
+        end: float,
+        *,
+        rtol: float,
+        atol: Array,
+        max_step: float,
+    ) -> None:
+        super().__init__(rates, start, states, end, vectorized=False)
+        self.rtol, self.atol, self.max_step = rtol, atol, max_step
+
+
+class StackedTaylor(Stepper, _TaylorSolver):
+    """Steps that suit every trajectory, of the order that suits the tolerance.
+
+    The last coefficients choose the step. The defect at its end, where the series has to have the
+    slope that the rates have, is the error that it leaves: it has to be within the tolerance.
+    """
+
+    t: float
+    y: Array
+    y_old: Array
+    rtol: float
+    atol: Array
+
+    def __init__(
+        self,
+        rates: Rates,
+        start: float,
+        states: Array,
+        end: float,
+        tolerances: Tolerances,
+        series: TaylorSeries,
+    ) -> None:
+        super().__init__(rates, start, states, end, tolerances)
+        self.series, self.order = series, taylor_order(tolerances.relative)
+        self.stiff_product = _STIFF_SHARE * math.exp(math.lgamma(self.order + 1.0) / self.order)
+        self.cost = series.cost(self.order)
+        self.h_abs, self.unit, self.most = _FIRST_SHARE * (end - start), 0.0, _FIRST_FACTOR
+        self.powers = np.empty((0, 0))
+
+    def _step_impl(self) -> tuple[bool, str | None]:
+        """A step whose error is within the tolerance."""
+        t, y = self.t, self.y
+        shortest = _LEAST_STEP * float(np.spacing(abs(t)))
+        self.unit = min(self.h_abs, self.max_step)
+        self.powers = powers = self._powers(shortest)
+        h = min(max(self._longest(powers), shortest), self.max_step)
+        while h >= shortest:
+            end = min(t + h, self.t_bound)
+            h = end - t
+            y_new, slope = self._at(powers, h / self.unit)
+            scale = self.atol + np.maximum(np.abs(y), np.abs(y_new)) * self.rtol
+            missed = np.abs(slope / self.unit - self.fun(end, y_new)) / scale
+            error = float(missed.max(initial=0.0)) * h / (self.order + 1)
+            if error <= _MOST_ERROR:
+                self.h_abs, self.most = h, _MOST_FACTOR
+                self.t, self.y, self.y_old = end, y_new, y
+                return True, None
+            reduced = (_AIMED_ERROR / error) ** (1.0 / (self.order + 1))
+            h *= max(_LEAST_FACTOR, reduced) if math.isfinite(error) else _LEAST_FACTOR
+        return False, self.TOO_SMALL_STEP
+
+    def _powers(self, shortest: float) -> Array:
+        """Coefficients in powers of a trial step, of which all are finite: (order + 1, n m)."""
+        states = self.y.reshape(self.trajectory_states, -1)
+        for _ in range(_FIRST_TRIALS):
+            charge(self.cost)
+            powers = self.series.coefficients(states, self.unit, self.order)
+            if np.isfinite(powers[-_LAST_COEFFICIENTS:]).all() or self.unit < shortest:
+                break
+            self.unit *= _FIRST_SHARE
+        return powers.reshape(self.order + 1, -1)
+
+    def _longest(self, powers: Array) -> float:
+        """The longest step whose last terms are within the tolerance, for the worst state."""
+        scale = self.atol + self.rtol * np.maximum(np.abs(powers[0]), np.abs(powers[1]))
+        last = np.abs(powers[-_LAST_COEFFICIENTS:] / scale).max(axis=1, initial=0.0)
+        factor = self.most
+        for i, size in enumerate(last.tolist()):
+            k = self.order + 1 - _LAST_COEFFICIENTS + i
+            if size > 0.0:
+                factor = min(factor, (_AIMED_ERROR / size) ** (1.0 / k))
+        return factor * self.unit
+
+    def _at(self, powers: Array, share: float) -> tuple[Array, Array]:
+        """States at a share of the trial step, and their slopes over it."""
+        exponents = np.arange(self.order + 1)
+        weights = np.zeros((2, exponents.size))
+        weights[0] = share**exponents
+        weights[1, 1:] = exponents[1:] * weights[0, :-1]
+        y_new, slope = np.dot(weights, powers)
+        return y_new, slope
+
+    def dense_output(self) -> TaylorPiece:
+        """The last step as a function of time."""
+        return TaylorPiece(self.t_old, self.t, self.y_old, self.powers[1:], self.unit)
