@@ -110,6 +110,17 @@ def test_no_step_misses_what_is_narrow_in_time(rate, integral):
     np.testing.assert_allclose(value, integral, rtol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [4, 10.5, 40])
+def test_no_step_straddles_a_jump_of_the_rates(scale):
+    """x' = -floor(scale x) falls in straight lines, each until scale*x is a whole number."""
+    trajectory = problem(rate=-sp.floor(scale * x), box={}, time=(t, 0, 0.2)).trajectory(0.2)
+    remaining, level = 0.2, 1.0
+    for slope in range(int(np.ceil(scale)) - 1, 0, -1):
+        span = min(remaining, (level - slope / scale) / slope)
+        remaining, level = remaining - span, level - slope * span
+    np.testing.assert_allclose(trajectory[x], [level], rtol=1e-8)
+
+
 def test_functions_of_the_user_and_of_data():
     """A function of the user may have the name of one that SymPy knows."""
     squared = ro.function("sin", lambda z: z**2, lambda z: 2 * z)

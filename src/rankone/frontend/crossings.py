@@ -22,6 +22,27 @@ _ROOT_ACCURACY = 4.0 * np.finfo(float).eps  # Relative accuracy of times: a few 
 _HALVINGS = 60  # Of a sample's distance from the start of a step, in search of a short excursion
 
 
+def first_change(
+    cells: Callable[[float], tuple[float, ...]], start: float, end: float
+) -> float | None:
+    """When what is constant between jumps first differs from the start of a step; None if never.
+
+    The time is right behind the jump.
+    """
+    first, before = cells(start), start
+    for behind in (start + (end - start) * SHARES).tolist():
+        if cells(behind) != first:
+            break
+        before = behind
+    else:
+        return None
+    middle = 0.5 * (before + behind)
+    while before < middle < behind:
+        before, behind = (middle, behind) if cells(middle) == first else (before, middle)
+        middle = 0.5 * (before + behind)
+    return float(behind)
+
+
 class Crossing(NamedTuple):
     """When a trajectory crosses the surface of an event, by its index, and to which side.
 

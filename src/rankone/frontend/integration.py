@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 import scipy
 
-from rankone.frontend.crossings import Crossing, Sides
+from rankone.frontend.crossings import Crossing, Sides, first_change
 from rankone.frontend.numeric import NumericEquations
 from rankone.support.arrays import Array
 from rankone.support.errors import BlowUpError, ConvergenceError, ProblemError
@@ -35,6 +35,7 @@ _MOST_STEPS = 200_000  # Steps of a trajectory: about a minute
 _SHORT_STEP = 1e-10  # Part of the horizon of the first step after one that failed
 _REACH = 1e-9  # Part of the horizon over which a trajectory is continued straight to an event
 _MOST_ROUNDS = 100  # Rounds of events at one instant
+_SHARE_BEFORE = 0.98  # Of the time to a jump of the rates, up to which the next step may go
 
 
 class Integration:
@@ -68,6 +69,7 @@ class Integration:
         self._steps = self._rounds = 0
         self._interrupted, self._ended = -np.inf, False
         self._first_step: float | None = None
+        self._limit = np.inf  # before which rates do not jump with the states
         if times.size:
             with np.errstate(all="ignore"), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "lsoda: ", UserWarning)  # failures are handled
@@ -96,7 +98,9 @@ class Integration:
             self._react(a, fired)
             while self._goes_on() and self._time < b:
                 due = min(itertools.chain(*self._due), default=b)
-                self._follow(min(b, due))
+                self._follow(min(b, due, self._limit))
+                if self._time >= self._limit:
+                    self._limit = np.inf
                 if self._goes_on() and self._time == due < b - self._instant:
                     self._react(due, [])
             if not self._goes_on():
@@ -158,10 +162,36 @@ class Integration:
                 raise self._too_long()
             self._sizes = np.maximum(self._sizes, np.abs(solver.y))
             path = solver.dense_output()
+            if self._jumps_within(path, solver.t):
+                return
             if with_events and solver.t > self._time and self._interrupts(path, solver.t):
                 return
             self._keep(solver.t, path)
             self._time, self._state = solver.t, solver.y
+
+    def _jumps_within(self, path: Callable[[Array], Array], end: float) -> bool:
+        """Whether rates jump with the states within a step, which is then not taken.
+
+        The next one ends before they seem to jump. Once a step is as short as an instant, the
+        trajectory goes on from behind the jump.
+        """
+        steps = self.equations.steps
+        if not len(steps) or end <= self._time:
+            return False
+
+        def cells(time: float) -> tuple[float, ...]:
+            return steps.cells(time, path(np.array([time]))[:, 0], self.point)
+
+        behind = first_change(cells, self._time, end)
+        if behind is None:
+            return False
+        self._limit = self._time + _SHARE_BEFORE * (behind - self._time)
+        if end - self._time <= self._instant or self._limit <= self._time + self._instant:
+            behind = min(end, max(behind, self._time + self._instant))
+            state = path(np.array([behind]))[:, 0]
+            self._keep(behind, path)
+            self._time, self._state, self._limit = behind, state, np.inf
+        return True
 
     def _keep(self, end: float, path: Callable[[Array], Array]) -> None:
         """Keep the states at the times after the present one, up to an end."""

@@ -16,7 +16,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from rankone.discretization.coordinates import name_of
-from rankone.expressions.boundaries import boundaries
+from rankone.expressions.boundaries import DISCONTINUOUS, boundaries
 from rankone.expressions.derivatives import slope
 from rankone.expressions.peaks import peaks, steps
 from rankone.expressions.stable import NUMPY, stable
@@ -91,6 +91,33 @@ class _Switch:
         return [levels[(levels >= a) & (levels <= b)] for a, b in pairs]
 
 
+class NumericSteps:
+    """Where the rates of a problem jump with its states: a threshold, a relay, a rounded number.
+
+    States and parameters are divided into cells in which the rates do not jump.
+    """
+
+    def __init__(self, equations: NumericEquations, expressions: Sequence[sp.Expr]) -> None:
+        moving = [
+            (surface, levels)
+            for surface, levels in boundaries(expressions, DISCONTINUOUS)
+            if surface.has(AppliedUndef)
+        ]
+        self._heights = equations.function([surface for surface, _ in moving])
+        self._levels = [None if levels is None else np.array(levels) for _, levels in moving]
+
+    def __len__(self) -> int:
+        return len(self._levels)
+
+    def cells(self, time: float, states: Array, parameters: Array) -> tuple[float, ...]:
+        """The cell of a state: for each surface how many of its levels are below."""
+        heights = self._heights(time, states, parameters)
+        return tuple(
+            float(np.floor(height)) if levels is None else float(np.searchsorted(levels, height))
+            for height, levels in zip(heights, self._levels, strict=True)
+        )
+
+
 class NumericEvents:
     """The events of a problem as functions of numbers.
 
@@ -124,12 +151,7 @@ class NumericEvents:
             )
         )
         self.when = equations.function([event.when for event in events])
-        self.then = [
-            equations.function([event.then.get(state, state) for state in equations.states])
-            if event.then
-            else None
-            for event in events
-        ]
+        self.then = [_reset(equations, event.then) if event.then else None for event in events]
         partials = [equations.partials(event.when) for event in events]
         self._places = [(k, j) for k, row in enumerate(partials) for j in row]
         self._partials = equations.function([entry for row in partials for entry in row.values()])
@@ -191,6 +213,8 @@ class NumericEquations:
         states after it.
     events : NumericEvents
         The events.
+    steps : NumericSteps
+        Where rates jump with the states.
     """
 
     def __init__(
@@ -222,6 +246,7 @@ class NumericEquations:
             self.initial = self._consistent(self.initial, reduction)
         self.jumps = self._known_jumps(mass, resets)
         self.events = NumericEvents(self, [event.xreplace(solved) for event in events])
+        self.steps = NumericSteps(self, [*entries, *remainders])
 
     def function(self, expressions: Sequence[sp.Expr]) -> Numbers:
         """Expressions of time, states and parameters as a function of numbers."""
@@ -362,6 +387,19 @@ class NumericEquations:
             for jump in system_jumps(resets, impulses, functions, self.time)
             if not at_end(jump, self.time)
         ]
+
+
+def _reset(equations: NumericEquations, then: Mapping[sp.Expr, sp.Expr]) -> Numbers:
+    """Maps time, states and parameters to the states after an event."""
+    places = [equations.states.index(state) for state in then]
+    values = equations.function(list(then.values()))
+
+    def after(time: float, states: Array, parameters: Array) -> Array:
+        reset = states.copy()
+        reset[places] = values(time, states, parameters)
+        return reset
+
+    return after
 
 
 def _is_linear(expression: sp.Expr, time: sp.Symbol) -> bool:
