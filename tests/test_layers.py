@@ -98,6 +98,7 @@ FRONT_END = (
     "frontend",
     "interface",
     "ir",
+    "models",
     "symbolic",
     "__main__",
 )

@@ -49,6 +49,8 @@ if TYPE_CHECKING:
         table,
     )
     from rankone.ir.verdict import Status
+    from rankone.models.model import Model
+    from rankone.models.sbml import read_sbml
     from rankone.solvers.cross import CrossOptions
     from rankone.solvers.greedy import GreedyOptions
     from rankone.solvers.train import TrainOptions
@@ -82,6 +84,7 @@ __all__ = [
     "Fit",
     "GeneralTerm",
     "GreedyOptions",
+    "Model",
     "Optimum",
     "OptionError",
     "Posterior",
@@ -115,6 +118,7 @@ __all__ = [
     "minimum",
     "posterior",
     "quadratic_system",
+    "read_sbml",
     "separate",
     "solve",
     "table",
@@ -142,6 +146,8 @@ _MODULES = {
         *("function", "maximum", "minimum", "table"),
     ),
     "ir.verdict": ("Status",),
+    "models.model": ("Model",),
+    "models.sbml": ("read_sbml",),
     "solvers.cross": ("CrossOptions",),
     "solvers.greedy": ("GreedyOptions",),
     "solvers.train": ("TrainOptions",),

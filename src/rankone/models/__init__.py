@@ -1,0 +1,17 @@
+"""Models from files of other tools, as problems.
+
+==================  ==============================================================================
+:mod:`~.document`   opens a file, puts submodels into one model, raises earlier levels
+:mod:`~.mathml`     formulas as SymPy expressions
+:mod:`~.quantities` compartments, species, parameters, stoichiometries
+:mod:`~.reactions`  rates of reactions and what they change
+:mod:`~.rules`      rules and initial assignments
+:mod:`~.happenings` events as the file has them
+:mod:`~.elements`   all of these
+:mod:`~.assembly`   states and their rates, definitions, initial values, numbers
+:mod:`~.units`      units as texts
+:mod:`~.model`      :class:`Model`, which makes problems
+:mod:`~.triggers`   conditions as what crosses zero
+:mod:`~.sbml`       :func:`rankone.read_sbml`
+==================  ==============================================================================
+"""
