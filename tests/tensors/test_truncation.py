@@ -1,17 +1,27 @@
 """Truncated SVD: the dropped part is below the tolerance, the frames are orthonormal."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from rankone.tensors.train import row_space, truncated_svd
 
 
+@cache
 def decaying(m, n, rate, seed=0):
     rng = np.random.default_rng(seed)
     k = min(m, n)
     left, _ = np.linalg.qr(rng.standard_normal((m, k)))
     right, _ = np.linalg.qr(rng.standard_normal((n, k)))
-    return (left * rate ** np.arange(k)) @ right.T
+    matrix = (left * rate ** np.arange(k)) @ right.T
+    matrix.flags.writeable = False  # all tests share it
+    return matrix
+
+
+@cache
+def singular_values(m, n, rate):
+    return np.linalg.svd(decaying(m, n, rate), compute_uv=False)
 
 
 @pytest.mark.parametrize(("m", "n"), [(20, 30), (300, 280), (500, 120), (90, 400)])
@@ -51,7 +61,7 @@ def test_a_row_space_has_its_error_and_nearly_the_least_rank(m, n, tolerance, ex
     remainder = matrix - (matrix @ rows.T) @ rows
     assert np.linalg.norm(remainder) <= tolerance * (1 + 1e-6) + 1e-14
     np.testing.assert_allclose(rows @ rows.T, np.eye(weights.size), atol=1e-12)
-    exact = np.linalg.svd(matrix, compute_uv=False)[: weights.size]
+    exact = singular_values(m, n, 0.5)[: weights.size]
     np.testing.assert_allclose(weights, exact, atol=tolerance)
     assert weights.size <= truncated_svd(matrix, tolerance, 1000)[1].size + 2
 

@@ -37,9 +37,10 @@ PROBLEMS = {
 
 
 @cache
-def solved(name: str, rtol: float) -> Outcome:
-    """The outcome for one of the problems without options."""
-    return solve(PROBLEMS[name][0], rtol)
+def solved(name: str) -> Outcome:
+    """The outcome for one of the problems without options, checked at many points."""
+    problem, rtol = PROBLEMS[name]
+    return solve(problem, rtol, check=256)
 
 
 def values(outcome: Outcome, times: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -52,9 +53,10 @@ def values(outcome: Outcome, times: np.ndarray, points: np.ndarray) -> np.ndarra
     return result
 
 
-def trajectories(problem: ro.Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@cache
+def trajectories(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """SciPy at 256 random points and 21 times: states (n, m, T), times (T,), points (m, d)."""
-    system = ro.compile(problem).system
+    system = ro.compile(PROBLEMS[name][0]).system
     box = np.array(system.box)
     points = box[:, 0] + (box[:, 1] - box[:, 0]) * np.random.default_rng(77).random((256, len(box)))
     times = np.linspace(*system.horizon, 21)
@@ -68,10 +70,9 @@ def relative(gap: np.ndarray, exact: np.ndarray) -> float:
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_without_options_the_tolerance_is_met(name: str) -> None:
-    problem, rtol = PROBLEMS[name]
-    outcome = solved(name, rtol)
+    rtol, outcome = PROBLEMS[name][1], solved(name)
     assert outcome.status is Status.CONVERGED
-    exact, times, points = trajectories(problem)
+    exact, times, points = trajectories(name)
     assert relative(values(outcome, times, points) - exact, exact) <= rtol
 
 
@@ -84,11 +85,11 @@ def test_agreement_with_train_and_scipy_within_the_stated_errors(name: str) -> N
     the first by a few per cent, never both.
     """
     problem, rtol = PROBLEMS[name]
-    greedy = solve(problem, rtol, check=256)
+    greedy = solved(name)
     train = ro.compile(problem).solve(rtol=0.1 * rtol, check=256).outcome
     assert greedy.measured is not None
     assert train.measured is not None
-    exact, times, points = trajectories(problem)
+    exact, times, points = trajectories(name)
     stated, stated_by_train = (
         max(*measured.interior, *measured.corners) for measured in (greedy.measured, train.measured)
     )
@@ -137,7 +138,7 @@ def test_minimal_residuals_fall_with_every_mode(formulation: str, update: str) -
 
 def test_residuals_of_the_identity_fall_with_every_mode() -> None:
     """The Volterra form without own terms is a best approximation."""
-    outcome = solved("coupled", 1e-3)
+    outcome = solved("coupled")
     for record in outcome.history:
         assert isinstance(record, GreedySlabRecord)
         for equation in record.equations:
@@ -146,7 +147,7 @@ def test_residuals_of_the_identity_fall_with_every_mode() -> None:
 
 
 def test_the_history_holds_every_loop() -> None:
-    outcome = solved("coupled", 1e-2)
+    outcome = solved("coupled")
     record = outcome.history[0]
     assert isinstance(record, GreedySlabRecord)
     assert {equation.state for equation in record.equations} == {"u1", "u2", "u3"}
@@ -176,7 +177,7 @@ def test_a_triangular_system_is_not_lagged() -> None:
 
 
 def test_solves_are_reproducible() -> None:
-    first, second = solved("coupled", 1e-2), solve(PROBLEMS["coupled"][0], 1e-2)
+    first, second = solved("coupled"), solved.__wrapped__("coupled")
     for a, b in zip(first.slabs, second.slabs, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a.cores, b.cores, strict=True))
     assert first.history == second.history
