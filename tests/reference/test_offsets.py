@@ -2,12 +2,12 @@
 
 import importlib.util
 import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 import rankone as ro
+from tests.export.alone import PythonAlone
 from tests.export.node import NODE, script
 from tests.export.test_models import COMPILER
 from tests.reference.offsets import END, JUMP, SYSTEMS
@@ -105,17 +105,20 @@ def in_c(solution, at, folder):
     return [float(line) for line in run.stdout.split()]
 
 
+@pytest.fixture(scope="module")
+def alone():
+    python = PythonAlone()
+    yield python.runs
+    python.close()
+
+
 @pytest.mark.parametrize("name", ["body_temperature", "rate_16"])
-def test_the_standalone_solver_far_from_zero(name, tmp_path):
+def test_the_standalone_solver_far_from_zero(alone, name, tmp_path):
     arguments = SYSTEMS[name].arguments
-    path = ro.compile(ro.Problem.from_strings(**arguments)).export(tmp_path / "solver.py")
-    script_ = (
-        "import solver; s = solver.solve(rtol=1e-5); print(s.success); "
-        "print(float(s(t=1.3, a=1.05)[1]))"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", script_], cwd=path.parent, capture_output=True, text=True, check=True
-    )
+    ro.compile(ro.Problem.from_strings(**arguments)).export(tmp_path / "solver.py")
+    script_ = "s = solver.solve(rtol=1e-5); print(s.success); print(float(s(t=1.3, a=1.05)[1]))"
+    (run,) = alone(tmp_path, script_)
+    assert run.returncode == 0, run.stderr
     success, value = run.stdout.split()
     exact = SYSTEMS[name].exact(np.array([0.0, 1.3]), 1.05, 0.0)[1]
     assert success == "True"

