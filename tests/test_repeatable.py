@@ -31,7 +31,7 @@ FAR = ro.Problem.from_strings(
 CALLS = {
     "success": (EXAMPLES["lotka_volterra"].problem, 1e-4, {}),
     "two engines": (FAR, 1e-5, {"effort": 0.03}),
-    "no budget left": (KINK, 1e-8, {"effort": 0.02}),
+    "no budget left": (KINK, 1e-8, {"effort": 0.005}),
 }
 
 

@@ -8,6 +8,7 @@ import itertools
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -440,9 +441,10 @@ def test_the_runtime_is_whole_modules_of_the_library(method):
             assert imported & {*done}, name
         done.append(name.removeprefix("rankone."))
     assert len(done) == len({*done})
-    for_types = [n for n in ast.walk(tree) if isinstance(n, ast.If) and "TYPE_" in ast.dump(n.test)]
-    ignored = {id(inner) for node in for_types for inner in ast.walk(node)}
-    imports = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.level]
+    inside = [*statements_within(tree)]
+    for_types = [n for n in inside if isinstance(n, ast.If) and "TYPE_" in ast.dump(n.test)]
+    ignored = {id(inner) for node in for_types for inner in statements_within(node)}
+    imports = [n for n in inside if isinstance(n, ast.ImportFrom) and n.level]
     assert {n.module for n in imports if id(n) not in ignored} <= {*done}
     assert not [name for name in done if name.startswith(("symbolic", "codegen", "frontend"))]
 
@@ -452,11 +454,19 @@ def statements_of_library(name: str) -> list[str]:
     return statements(ast.parse(source_text(name)).body)
 
 
+def statements_within(node: ast.AST) -> Iterator[ast.AST]:
+    """A statement and all those inside it, without their expressions."""
+    yield node
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for inner in getattr(node, field, ()):
+            yield from statements_within(inner)
+
+
 def statements(body: list[ast.stmt]) -> list[str]:
     """Statements as the bundler leaves them, docstrings without their indentation."""
     texts = []
     for node in body:
-        for inner in ast.walk(node):
+        for inner in statements_within(node):
             if isinstance(inner, ast.ImportFrom) and (inner.module or "").startswith("rankone."):
                 inner.module = inner.module.removeprefix("rankone.")
             if isinstance(inner, ast.ImportFrom):
