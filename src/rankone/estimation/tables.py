@@ -67,8 +67,9 @@ def columns_of(table: Any) -> dict[str, Any]:
 def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> list[Block]:
     """The experiments of a table.
 
-    Empty cells (NaN or None) are left out, and so are rows without anything measured. An
-    OptionError if the columns do not say what they are.
+    Empty cells (NaN or None) are left out, and so are rows without anything measured. A table with
+    columns of all parameters, such as one that a page saved, holds none of them. An OptionError if
+    the columns do not say what they are.
     """
     columns = columns_of(table)
     time = _time_column(solution, columns)
@@ -76,6 +77,8 @@ def blocks_of(solution: SolutionCore, table: Any, observe: object = None) -> lis
     numbers = {name: _numbers(name, columns[name]) for name in measured}
     clock = _numbers(time, columns[time])
     held = {name: _numbers(name, columns[name]) for name in solution.parameters if name in columns}
+    if len(held) == len(solution.parameters):
+        held = {}  # a table that a page saved says everything
     spreads = {name: _numbers(name, columns[name]) for name in columns if _is_sigma(name, measured)}
     labels = _labels(columns, held, len(clock))
     blocks = []

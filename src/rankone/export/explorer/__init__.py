@@ -12,6 +12,8 @@ file            subject
 ``curves.js``, ``phase.js``, ``shares.js``
                 curves over time, two unknowns against each other, Sobol indices
 ``events.js``   events as ticks and times
+``measurements.js``
+                tables of measurements, and the fit of parameters to them
 ``controls.js``, ``legend.js``
                 sliders and number fields; names and values of the unknowns
 ``state.js``    everything that changes
@@ -53,7 +55,17 @@ _FOLDER = Path(__file__).parent
 _VENDOR = _FOLDER.parent / "vendor"
 # In an order in which each one needs only those before it
 _SCRIPTS = (
-    *("values", "looks", "events", "curves", "phase", "shares", "controls", "legend"),
+    *(
+        "values",
+        "measurements",
+        "looks",
+        "events",
+        "curves",
+        "phase",
+        "shares",
+        "controls",
+        "legend",
+    ),
     *("state", "drawing", "actions", "main"),
 )
 _IMPORT = re.compile(r"^import .*?;\n", re.M | re.S)

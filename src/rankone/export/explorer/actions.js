@@ -1,8 +1,9 @@
 /** What happens: values set, links, tables, time that goes on. */
 
+import { fitParameters, readMeasurements } from "./measurements.js";
 import { fromFragment, toFragment, toTable } from "./values.js";
-import { drawWaiting, setTime, showAll } from "./drawing.js";
-import { unbroken } from "./looks.js";
+import { arrange, drawWaiting, setTime, showAll, views } from "./drawing.js";
+import { shown, unbroken } from "./looks.js";
 import { $, data, start, state, visibleRows } from "./state.js";
 
 const SECONDS = 8; // to play from start to end
@@ -75,6 +76,58 @@ export function saveTable() {
   link.download = `${document.title.replace(/[^\p{L}\p{N}]+/gu, "_")}.csv`;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+/** Take the measurements of a table: they are drawn beside the curves. An error if it has none. */
+export function load(text) {
+  const measurements = readMeasurements(text, data);
+  state.measurements = measurements;
+  for (const { row } of measurements.series) {
+    state.visible[row] = true;
+    views.legend[row].press(true);
+  }
+  for (const [j, value] of measurements.held) state.p[j] = value;
+  $("fit").hidden = !data.parameters.length;
+  arrange();
+  showAll();
+  return measurements;
+}
+
+export async function loadFile() {
+  const [file] = $("file").files;
+  if (!file) return;
+  $("file").value = "";
+  try {
+    const { count, held } = load(await file.text());
+    const names = [...held.keys()].map((j) => data.parameters[j].text);
+    const fixed = names.length ? ` It fixes ${names.join(", ")}.` : "";
+    say(`${count} measurements of ${file.name} are drawn as rings.${fixed}`);
+  } catch (error) {
+    say(`${file.name} cannot be used: ${error.message}.`);
+  }
+}
+
+/** Set the parameters that fit the measurements best. */
+export function fit() {
+  const result = fitParameters(model, data.parameters, state.measurements, state.p);
+  state.p.set(result.p);
+  showAll();
+  return result;
+}
+
+export function fitAndSay() {
+  try {
+    const { squares, free, atBounds } = fit();
+    const { count, weighted } = state.measurements;
+    const names = free.map((j) => data.parameters[j].text).join(", ");
+    const rest = shown(Math.sqrt(squares / count), 4);
+    const size = weighted ? `${rest} standard deviations` : rest;
+    const ends = atBounds.map((j) => data.parameters[j].text).join(", ");
+    const limited = ends ? ` At an end of its range: ${ends}.` : "";
+    say(`Fitted ${names} to ${count} measurements; the root mean square deviation is ${size}.${limited}`);
+  } catch (error) {
+    say(`There is no fit: ${error.message}.`);
+  }
 }
 
 function say(text) {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rankone.export.explorer.mathml import Notation
+from rankone.export.explorer.mathml import Notation, with_exponents
 from rankone.export.packing import PackedModel
 from rankone.ir.measures import LINEAR, with_measure
 from rankone.ir.metadata import Role
@@ -62,7 +62,8 @@ def content(
 
     def named(name: str) -> dict[str, Any]:
         symbol, text = notation.symbol(name), notation.text(name)
-        return {"name": name, "text": text, "symbol": symbol, "unit": units.get(name, "")}
+        unit = with_exponents(units.get(name, ""))
+        return {"name": name, "text": text, "symbol": symbol, "unit": unit}
 
     probabilities = (0.0, *_BAND_PROBABILITIES, 1.0)
     with warnings.catch_warnings():  # the page says itself that some may have ended
@@ -92,12 +93,27 @@ def content(
             }
             for name, ends in solution.parameters.items()
         ],
-        "time": {**named(metadata.time), "range": list(model.intervals[0])},
+        "time": {
+            **named(metadata.time),
+            "range": list(model.intervals[0]),
+            "start": _opening_time(times, low, high),
+        },
         "times": times.tolist(),
         "stretches": _stretches(model),
         "terminal": model.timeline is not None and model.timeline.terminal,
         "sobol": sobol,
     }
+
+
+def _opening_time(times: Array, low: Array, high: Array) -> float:
+    """The time at which the bands of the unknowns (n, times) are widest, beside their own largest.
+
+    The beginning where nothing varies.
+    """
+    widths = np.nan_to_num(high - low, nan=0.0)
+    largest = widths.max(axis=1, keepdims=True, initial=0.0)
+    shares = np.divide(widths, largest, out=np.zeros(widths.shape), where=largest > 0.0)
+    return float(times[int(np.argmax(shares.sum(axis=0)))])
 
 
 def _has_indices(solution: DistributionOverBox) -> bool:

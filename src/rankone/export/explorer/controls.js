@@ -22,8 +22,9 @@ export function parameterControl(place, parameter, number, onValue) {
   const box = document.createElement("div");
   box.className = "parameter";
   box.innerHTML =
-    `<div class="row"><label for="p${number}">${symbol} <span class="unit"></span></label>` +
-    '<input type="text" role="spinbutton" autocomplete="off" spellcheck="false"></div>' +
+    `<div class="row"><label for="p${number}">${symbol}</label><span class="quantity">` +
+    '<input type="text" role="spinbutton" autocomplete="off" spellcheck="false">' +
+    '<span class="unit"></span></span></div>' +
     `<input type="range" id="p${number}" min="0" max="${STEPS}" step="1">` +
     '<div class="ends"><span></span><span></span><span></span></div>' +
     `<p class="wrong" id="w${number}" role="alert" hidden></p>`;
@@ -31,7 +32,7 @@ export function parameterControl(place, parameter, number, onValue) {
   const field = box.querySelector('[type="text"]');
   const wrong = box.querySelector(".wrong");
   const [left, middle, right] = box.querySelectorAll(".ends span");
-  box.querySelector(".unit").textContent = unit && `[${unit}]`;
+  box.querySelector(".unit").textContent = unit;
   field.inputMode = lower < 0 ? "text" : "decimal"; // some keys for decimals have no minus
   field.style.minWidth = `calc(${digits + 2}ch + 18px)`;
   field.setAttribute("aria-label", `${name} as a number`);

@@ -1,7 +1,7 @@
 /** Curves over time, with bands behind them and a mark at the present time. */
 
 import { around, between, jumpsAt } from "./values.js";
-import { axis, colour, dashOf, digitsOf, follow, ownColour } from "./looks.js";
+import { axis, colour, dashOf, digitsOf, follow, ownColour, textWithUnit } from "./looks.js";
 import { drawTicks } from "./events.js";
 
 /** How strong the bands are; weaker where there are many. */
@@ -20,7 +20,11 @@ const band = (count) => (count > 3 ? 0.09 : 0.17);
  */
 export function curvesPlot(place, data, rows, state, height, onTime) {
   const { times, unknowns, time } = data;
-  let range = around(rows.map((i) => unknowns[i].extent));
+  const measured = () => (state.measurements?.series ?? []).filter(({ row }) => rows.includes(row));
+  let range = around([
+    ...rows.map((i) => unknowns[i].extent),
+    ...measured().map(({ values }) => [Math.min(...values), Math.max(...values)]),
+  ]);
   const series = [{}];
   const bands = [];
   const edges = []; // of bands: the position among the columns, and values at the times of the data
@@ -50,7 +54,7 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
       legend: { show: false },
       cursor: { show: false },
       scales: { x: { time: false, range: () => time.range }, y: { range: () => range } },
-      axes: [axis(2), axis(3)],
+      axes: [axis(2, textWithUnit(time)), axis(3)],
       series,
       bands,
       hooks: { draw: [drawMark] },
@@ -80,6 +84,7 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
   function drawMark(u) {
     const { ctx, bbox } = u;
     drawTicks(u, state.happenings, digitsOf(time.range));
+    for (const one of measured()) drawMeasurements(u, one);
     const x = u.valToPos(state.time, "x", true);
     ctx.save();
     ctx.strokeStyle = colour("soft", 0.7);
@@ -114,6 +119,30 @@ export function curvesPlot(place, data, rows, state, height, onTime) {
       plot.destroy();
     },
   };
+}
+
+/** Measurements as rings, with bars of one standard deviation where it is known. */
+function drawMeasurements(u, { row, times, values, sigma, weighted }) {
+  const { ctx } = u;
+  ctx.save();
+  ctx.strokeStyle = ownColour(row);
+  ctx.fillStyle = colour("card");
+  ctx.lineWidth = 1.6 * devicePixelRatio;
+  ctx.setLineDash([]);
+  times.forEach((t, i) => {
+    const [x, y] = [u.valToPos(t, "x", true), u.valToPos(values[i], "y", true)];
+    ctx.beginPath();
+    if (weighted) {
+      ctx.moveTo(x, u.valToPos(values[i] - sigma[i], "y", true));
+      ctx.lineTo(x, u.valToPos(values[i] + sigma[i], "y", true));
+      ctx.stroke();
+      ctx.beginPath();
+    }
+    ctx.arc(x, y, 3.6 * devicePixelRatio, 0, 2 * Math.PI);
+    ctx.fill();
+    ctx.stroke();
+  });
+  ctx.restore();
 }
 
 /** The path of a line that begins anew after a jump; where there is no value there is no line. */

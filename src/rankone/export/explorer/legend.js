@@ -29,7 +29,7 @@ export function legendEntry(place, unknown, i, visible, toggle) {
   item.innerHTML =
     '<button type="button"><svg class="line" width="22" height="4" aria-hidden="true">' +
     `<path d="M0 2h22" style="--own: var(--c${i % 8})" stroke-dasharray="${dashOf(i)}"/></svg>` +
-    `${unknown.symbol}<span class="value"></span><span class="unit"></span></button>`;
+    `${unknown.symbol}<span class="reading"><span class="value"></span> <span class="unit"></span></span></button>`;
   const button = item.firstElementChild;
   const value = item.querySelector(".value");
   item.querySelector(".unit").textContent = unknown.unit;
@@ -39,6 +39,8 @@ export function legendEntry(place, unknown, i, visible, toggle) {
   place.append(item);
   const noise = noiseOf(unknown);
   return {
+    /** Mark its curve as shown or hidden. */
+    press: (shows) => button.setAttribute("aria-pressed", String(shows)),
     show(number) {
       const ended = Number.isNaN(number);
       value.textContent = ended ? "–" : shown(Math.abs(number) < noise ? 0 : number);

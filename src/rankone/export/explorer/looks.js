@@ -84,6 +84,9 @@ export function ticks(values, step) {
   return values.map((v) => v.toFixed(needed ? decimals : decimals + 1).replace("-", "−"));
 }
 
+/** The name of something, and its unit in brackets. */
+export const textWithUnit = ({ text, unit }) => (unit ? `${text} [${unit}]` : text);
+
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, Arial, sans-serif';
 
 /** An axis of a plot; `label` is written beside it. */

@@ -9,7 +9,9 @@ import { legendEntry } from "./legend.js";
 import { eventList } from "./events.js";
 import { $, data, evaluateModel, start, state } from "./state.js";
 import { arrange, drawWaiting, latencies, recolour, schedule, setTime, showAll, timeDigits, views } from "./drawing.js";
-import { copyLink, play, presentParameters, readLink, reset, saveTable, set, table } from "./actions.js";
+import {
+  copyLink, fit, fitAndSay, load, loadFile, play, presentParameters, readLink, reset, saveTable, set, table,
+} from "./actions.js";
 
 const { unknowns, parameters } = data;
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
@@ -78,6 +80,9 @@ $("play").addEventListener("click", play);
 $("reset").addEventListener("click", reset);
 $("link").addEventListener("click", copyLink);
 $("csv").addEventListener("click", saveTable);
+$("load").addEventListener("click", () => $("file").click());
+$("file").addEventListener("change", loadFile);
+$("fit").addEventListener("click", fitAndSay);
 $("theme").addEventListener("click", () => {
   const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
   keepTheme(theme === systemTheme() ? null : theme);
@@ -102,7 +107,8 @@ readLink();
  * `values()` is what is drawn: `time`, `parameters` by name, `values` of the unknowns at that time,
  * `times` and `curves` by unknown, `shares` (first, total) by parameter; with events `events` (times
  * and names) and `end`, after which values are NaN. `set({name: value})` sets parameters and time,
- * or throws and changes nothing. `latencies` are milliseconds from what somebody did to the end of
+ * or throws and changes nothing. `load(text)` takes a table of measurements, and `fit()` sets the
+ * parameters that fit them best and returns the sum of squares. `latencies` are milliseconds from what somebody did to the end of
  * the drawing.
  */
 window.rankone = {
@@ -118,6 +124,8 @@ window.rankone = {
     ...(data.stretches && { events: state.happenings, end: state.end }),
   }),
   set,
+  load,
+  fit: () => fit().squares,
   table,
   latencies,
 };

@@ -260,6 +260,20 @@ class Notation:
         raise _NoFormulaError
 
 
+_EXPONENT = re.compile(r"(?:\^|\*\*)(?:\((-?\d+)\)|(-?\d+))")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def with_exponents(unit: str) -> str:
+    """A unit with raised exponents, and dots between factors: ``kg·m²/s``.
+
+    >>> with_exponents("kg*m^2/s^-1")
+    'kg·m²/s⁻¹'
+    """
+    raised = _EXPONENT.sub(lambda match: (match[1] or match[2]).translate(_RAISED), unit)
+    return raised.replace("*", "·")
+
+
 def _begins_with_number(node: ast.expr) -> bool:
     """Whether a formula begins with digits, which would run into digits before it."""
     match node:

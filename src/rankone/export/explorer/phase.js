@@ -1,7 +1,7 @@
 /** Two unknowns against each other; what lies behind the present time is drawn stronger, jumps dashed. */
 
 import { around, jumpsAt } from "./values.js";
-import { axis, colour, follow } from "./looks.js";
+import { axis, colour, follow, textWithUnit } from "./looks.js";
 import { dot } from "./curves.js";
 
 /** @param {object} state the present values: `time`, `times`, `curves`, `values`, `phase` (two unknowns) */
@@ -10,10 +10,7 @@ export function phasePlot(place, data, state) {
   let ranges = [];
   let shownPair = "";
   const text = (k) => unknowns[state.phase[k]].text;
-  const label = (k) => {
-    const { unit } = unknowns[state.phase[k]];
-    return unit ? `${text(k)} [${unit}]` : text(k);
-  };
+  const label = (k) => textWithUnit(unknowns[state.phase[k]]);
   let plot;
   let observer;
 

@@ -19,6 +19,7 @@ export const state = {
   together: true,
   phase: [0, Math.min(1, data.unknowns.length - 1)],
   sharesOf: 0,
+  measurements: null, // from a table
   playing: false,
   frame: 0, // the next one of playing
 };
@@ -50,10 +51,10 @@ export function evaluateModel(all) {
   model.evaluate(state.time, state.p, state.values);
 }
 
-/** The values at which the page opens: the median of every parameter, the beginning of time. */
+/** The values at which the page opens: the median of every parameter, a time at which much varies. */
 export function start() {
   data.parameters.forEach(({ median }, j) => (state.p[j] = median));
-  state.time = data.time.range[0];
+  state.time = data.time.start;
 }
 
 /** The unknowns that are shown. */

@@ -10,6 +10,19 @@ const SCALES = {
   reciprocal: [(x) => -1 / x, (s) => -1 / s],
 };
 
+/** A parameter as a coordinate from 0 to 1, even on its scale, and the way back with its slope. */
+export function scaleOf({ range, scale = "linear" }) {
+  const [to, from] = SCALES[scale];
+  const [first, end] = range.map(to);
+  const derivative = { linear: () => 1, log: (x) => x, reciprocal: (x) => x * x }[scale];
+  const value = (z) => Math.min(range[1], Math.max(range[0], from(first + (end - first) * z)));
+  return {
+    place: (x) => (to(x) - first) / (end - first),
+    value,
+    slope: (z) => (end - first) * derivative(value(z)),
+  };
+}
+
 /** The value at a step of a slider: one with few digits, inside of the range. */
 export function valueAt(range, step, scale = "linear") {
   const [lower, upper] = range;
