@@ -103,11 +103,11 @@ def generate_source(
         **_further_sections(writer, features, system.jumps, system.differential, []),
         "Kernels": kernel_blocks(system),
     }
-    n, names = len(system.differential), system.names
+    n = len(system.differential)
     start = number(system.coordinates[0].lower)
     rates = [(t.coefficient, t.equation, t.factors, t.monomial) for t in system.rhs]
     starts = [(_start(t, system), t.equation, t.factors[1:]) for t in system.initial]
-    tables = _tables(True, names, n, system.products, system.coordinates)
+    tables = _tables(True, system.states, n, system.products, system.coordinates)
     tables.append("# coefficient, state, row of the factor of each coordinate, states multiplied")
     tables += described_table("TERMS", rates, _term_texts(system.rhs, "{}'", system))
     tables.append("# coefficient, state, row of the factor of each parameter")
@@ -143,8 +143,7 @@ def general_source(system: FirstOrderSystem, title: str | None = None) -> str:
         **_further_sections(writer, features, system.jumps, system.states, writer.named_rates()),
         "Events": _events(writer, system.events, [c.symbol for c in system.coordinates[1:]]),
     }
-    names = [state.name for state in system.states]
-    tables = _tables(False, names, len(names), (), system.coordinates)
+    tables = _tables(False, system.states, len(system.states), (), system.coordinates)
     printed = [*expressions, *writer.printed]
     return _module(
         lambda scipy: general_header(system, writer.operations, title, scipy),
@@ -194,23 +193,25 @@ def _start(term: Term, system: QuadraticSystem) -> Fraction | float | Formula:
 
 def _tables(
     separated: bool,
-    names: Iterable[str],
+    states: Sequence[State],
     n: int,
     products: Iterable[tuple[int, int]],
     coordinates: Sequence[Coordinate],
 ) -> list[str]:
-    """Whether it separates, its states, its parameters and their domain."""
+    """Whether it separates, its states, its parameters, their domain, absolute tolerances."""
     clock, *parameters = coordinates
     scaled = any(c.scale != LINEAR for c in parameters)
+    atol = nested((state.name, float(state.atol)) for state in states if state.atol)
     return [
         f"SEPARATED = {separated}",
-        *table("STATES", [quoted(name) for name in names]),
+        *table("STATES", [quoted(state.name) for state in states]),
         f"N_DIFFERENTIAL = {n}",
         *table("PRODUCTS", nested(products)),
         *table("PARAMETERS", [quoted(parameter.name) for parameter in parameters]),
         f"TIME = {literal((float(clock.lower), float(clock.upper)))}",
         *table("BOX", nested((float(c.lower), float(c.upper)) for c in parameters)),
         *(table("SCALES", [quoted(c.scale) for c in parameters]) if scaled else ()),
+        *(table("ATOL", atol) if atol else ()),
     ]
 
 

@@ -191,6 +191,33 @@ def real_number(value: Any, subject: str, remedy: str) -> float:
     return real
 
 
+def check_tolerances(atol: object, states: Iterable[sp.Expr], time: sp.Symbol) -> dict[str, float]:
+    """Absolute tolerances by the names of states, those of zero left out."""
+    remedy = "give {unknown: error}, for example {x: 1e-6}"
+    if not isinstance(atol, Mapping | None):
+        raise ProblemError(f"atol is {shown(atol)}, not a mapping", term=atol, remedy=remedy)
+    names = [name_of(state) for state in states]
+    tolerances: dict[str, float] = {}
+    for key, written in (atol or {}).items():
+        try:
+            name = name_of(key, time.name)
+        except EvaluationError as error:
+            raise ProblemError(f"atol: {error.message}", term=key, remedy=error.remedy) from None
+        if name not in names:
+            raise ProblemError(
+                f"atol has {quote(name)}, which is no unknown{did_you_mean(name, names)}",
+                term=key,
+                remedy=f"choose from {listing(names)}",
+            )
+        size = real_number(written, f"the absolute tolerance of {quote(name)}", remedy)
+        if size < 0.0 or name in tolerances:
+            fault = "given twice" if name in tolerances else f"{size:g}, which is negative"
+            message = f"the absolute tolerance of {quote(name)} is {fault}"
+            raise ProblemError(message, term=key, remedy=remedy)
+        tolerances[name] = size
+    return {name: size for name, size in tolerances.items() if size}
+
+
 def check_units(
     units: object, time: sp.Symbol, named: Iterable[sp.Expr], states: Iterable[sp.Expr]
 ) -> dict[str, str]:

@@ -15,7 +15,13 @@ from rankone.discretization.coordinates import Coordinates, name_of
 from rankone.expressions.admissible import closed
 from rankone.expressions.notation import initial_latex, initial_texts, latex_of, text_of
 from rankone.frontend.algebraic import Reduction, has_constraints, reduced
-from rankone.frontend.box import check_correlation, check_parameters, check_time, check_units
+from rankone.frontend.box import (
+    check_correlation,
+    check_parameters,
+    check_time,
+    check_tolerances,
+    check_units,
+)
 from rankone.frontend.changes import changes_of, with_constants, with_parameters
 from rankone.frontend.consistency import (
     check_consistent,
@@ -129,6 +135,10 @@ class Problem:
         Symbols that stand for expressions of unknowns, parameters, constants, time and each other,
         in any order: ``{F: k*x + c*v}``. One that is differentiated is a function of time,
         ``{F(t): k*x}``. Solutions give their values: ``solution.output("F")``.
+    atol : mapping of Expr to float, optional
+        Absolute tolerances of unknowns, for those that are or become numerically zero. The error of
+        ``x`` is relative to its largest reference value plus ``atol/rtol``, so that with
+        ``{x: 1e-6}`` one of up to 1e-6 is always within the tolerance.
 
     Attributes
     ----------
@@ -138,6 +148,8 @@ class Problem:
         initial values, jumps and events constants and definitions are put in.
     constants : mapping of Symbol to Expr
         Exact numbers.
+    atol : mapping of str to float
+        By the names of states.
     definitions : mapping of (Symbol or applied function of time) to Expr
         In unknowns, time, parameters and constants.
     distributions : mapping of str to str
@@ -187,6 +199,7 @@ class Problem:
     events: Sequence[Event] = ()
     constants: Mapping[sp.Symbol, Any] | None = None
     definitions: Mapping[sp.Expr, Any] | None = None
+    atol: Mapping[Any, float] | None = None
     distributions: Mapping[str, str] = field(init=False)
     unknowns: tuple[sp.Expr, ...] = field(init=False)
     residuals: tuple[sp.Expr, ...] = field(init=False)
@@ -261,6 +274,7 @@ class Problem:
             "units": MappingProxyType(
                 check_units(self.units, time[0], [*box, *shorthand.symbols], states)
             ),
+            "atol": MappingProxyType(check_tolerances(self.atol, states, time[0])),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
         }
@@ -329,6 +343,7 @@ class Problem:
         events: Sequence[Mapping[str, Any]] = (),
         constants: Mapping[str, float | str] | None = None,
         definitions: Mapping[str, str | float] | None = None,
+        atol: Mapping[str, float] | None = None,
     ) -> Problem:
         """Build a problem from text.
 
@@ -360,6 +375,8 @@ class Problem:
             Numbers by name; a text is a formula of numbers, ``"2*pi"``.
         definitions : mapping of str to str or float, optional
             Formulas by name, in any order: ``{"F": "k*x + c*v"}``.
+        atol : mapping of str to float, optional
+            Absolute tolerances of unknowns by name.
 
         Raises
         ------
@@ -421,6 +438,7 @@ class Problem:
                 symbols[name]: formula(text, names, f"definition of {quote(name)}", None)
                 for name, text in definitions.items()
             },
+            atol=atol,
         )
 
     @classmethod
@@ -678,6 +696,9 @@ class Problem:
         with_units = [name for name in map(name_of, self.initial) if name in units]
         if with_units:
             lines.append("  " + ", ".join(f"{name} in {units[name]}" for name in with_units))
+        if self.atol:
+            tolerances = (f"{name} to {size:g}" for name, size in self.atol.items())
+            lines.append(f"  absolute tolerances: {', '.join(tolerances)}")
         texts = jump_texts(list(self.initial), self._jumps(), self.time[0].name)
         return "\n".join([*lines, *(f"  {text}" for text in (*texts, *event_texts(self.events)))])
 

@@ -59,13 +59,16 @@ t = "years"
 # [definitions]            # formulas by name, in any order; may be left out
 # eaten = "c*x*y"
 
+# [atol]                   # errors of unknowns that are or become zero; may be left out
+# y = 1e-6
+
 [parameters]               # the box; may be left out; or a distribution: "norm(1, 0.1)"
 x0 = [8, 12]
 y0 = [4, 6]                # over decades with a scale: [1e-3, 10, "log"]
 """
 
 _REQUIRED = ("time", "rhs", "initial")
-_OPTIONAL = ("parameters", "name", "jumps", "units", "events", "constants", "definitions")
+_OPTIONAL = ("parameters", "name", "jumps", "units", "events", "constants", "definitions", "atol")
 _SHOWN = "`rankone solve --help` shows the layout"
 
 
@@ -166,6 +169,7 @@ def _from_toml(file: Path) -> Problem:
         initial=_formulas(content, "initial"),
         constants=_formulas(content, "constants"),
         definitions=_formulas(content, "definitions"),
+        atol=dict(_table(content, "atol")),
         parameters={
             name: ends if isinstance(ends, str) else _scaled(name, ends)
             for name, ends in _table(content, "parameters").items()

@@ -448,6 +448,7 @@ class CompiledProblem:
                 for symbol, number in (self.problem.constants or {}).items()
             ),
             definitions=tuple(self.problem.shorthand.texts),
+            atol=tuple((self.problem.atol or {}).items()),
         )
 
 

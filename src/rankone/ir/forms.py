@@ -57,12 +57,14 @@ class State:
 
     Its name is the unknown's, with ``_t`` appended once per time derivative (``x_t``, ``x_tt``);
     the expression is the applied function, its derivative or the product of states, as the user
-    writes it.
+    writes it. ``atol`` over the relative tolerance adds to the size that errors of it are relative
+    to.
     """
 
     name: str
     expression: sp.Expr
     role: Role = Role.UNKNOWN
+    atol: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

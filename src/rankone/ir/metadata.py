@@ -36,7 +36,8 @@ class SolutionMetadata:
     ``norm(1.0, 0.1)``; other parameters are uniform. ``correlations`` are pairs of parameters and
     the correlation of their Gaussian copula. ``fixed`` has the coordinates that ``fix`` or ``at``
     set. ``name`` is empty if the problem has none. ``constants`` are numbers by name, and
-    ``definitions`` formulas by name, of states, coordinates and numbers.
+    ``definitions`` formulas by name, of states, coordinates and numbers. ``atol`` has absolute
+    tolerances of states by name: errors are relative to the largest value plus that over ``rtol``.
     """
 
     states: tuple[str, ...]
@@ -58,6 +59,7 @@ class SolutionMetadata:
     name: str = ""
     constants: tuple[tuple[str, float], ...] = ()
     definitions: tuple[tuple[str, str], ...] = ()
+    atol: tuple[tuple[str, float], ...] = ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:

@@ -125,7 +125,7 @@ class System:
     from, if rankone compiled it. ``events`` reset its trajectories or end them; a system in
     stretches between them has the ``clock`` that it runs by. ``separated_stretches`` makes a
     separated system of that kind, of a clock and a box, where that is asked for. ``constraints``
-    vanish on all trajectories.
+    vanish on all trajectories. ``atol`` has absolute tolerances of states by name.
     """
 
     separated: bool
@@ -157,6 +157,7 @@ class System:
     clock: Clock | None = None
     separated_stretches: Callable[[Clock, Box], System] | None = None
     constraints: Constraints = field(default_factory=Constraints)
+    atol: tuple[tuple[str, float], ...] = ()
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -311,6 +312,7 @@ def system_of(names: Mapping[str, object]) -> System:
         gaps=Gaps(member("GAPS", ()), member("gaps", no_rows)),
         events=_events(names),
         constraints=constraints,
+        atol=member("ATOL", ()),
     )
 
 

@@ -132,6 +132,7 @@ def with_outputs(
         timeless=quantities.timeless,
         units=(*(u for u in metadata.units if u[0] in metadata.coordinates), *units.items()),
         definitions=(),
+        atol=(),
     )
 
 
@@ -200,7 +201,10 @@ class OutputInterpolation:
             sampler, finer = self._sampler(grid), self._sampler(split(grid))
             critical = critical_points(sampler, domain)
             check = Check.at(finer, np.concatenate([points.further, critical]))
-            amplified = check.amplified(finer, solution.rtol)
+            absolute, states = dict(solution.metadata.atol), solution.states
+            sources = self.quantities.sources
+            atol = np.array([absolute.get(states[source.row], 0.0) for source in sources])
+            amplified = check.amplified(finer, solution.rtol, atol)
             if rtol is None:
                 effect = float(amplified.sum(axis=0).max(initial=0.0))
                 default = _DEFAULT_MARGIN * max(solution.rtol, effect)

@@ -71,7 +71,7 @@ def derivative(solution: SolutionCore, coordinate: object) -> tuple[Outcome, Sol
     interpolation = OutputInterpolation(solution, quantities)
     outcome, _ = interpolation.solve(solution.rtol, operations_for("normal"), math.inf)
     units = of_derivatives(metadata.units, metadata.states, name)
-    metadata = replace(metadata, equations=(), source=None, units=units, definitions=())
+    metadata = replace(metadata, equations=(), source=None, units=units, definitions=(), atol=())
     return replace(outcome, cause=DerivativeOf(name), notes=()), metadata
 
 

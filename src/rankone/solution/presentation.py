@@ -111,6 +111,9 @@ def _error(solution: SolutionCore) -> str:
         text += f", 95 % below {measured.quantile:.2g}"
     if len(solution.errors) > 1:
         text += "; " + _some(f"{name} {error:.2g}" for name, error in solution.errors.items())
+    if solution.metadata.atol:
+        absolute = (f"{name} {size:.2g}" for name, size in solution.metadata.atol)
+        text += f"; absolute tolerances {_some(absolute)}"
     return text
 
 

@@ -40,7 +40,9 @@ def derived(outcome: Outcome, metadata: SolutionMetadata, coordinate: object) ->
         notes=(),
     )
     units = of_derivatives(metadata.units, metadata.states, name)
-    return derivative, replace(metadata, equations=(), source=None, units=units, definitions=())
+    return derivative, replace(
+        metadata, equations=(), source=None, units=units, definitions=(), atol=()
+    )
 
 
 def at_time(outcome: Outcome, metadata: SolutionMetadata, time: float) -> _Pair:

@@ -303,6 +303,8 @@ def _check_texts(metadata: SolutionMetadata) -> None:
         raise ValueError("a fixed coordinate is not finite")
     if not all(math.isfinite(number) for _, number in metadata.constants):
         raise ValueError("a constant is not finite")
+    if not all(name in metadata.states and 0.0 <= size < math.inf for name, size in metadata.atol):
+        raise ValueError("an absolute tolerance is not finite, or of something else than a state")
 
 
 def _check_timeline(timeline: Timeline, horizon: tuple[float, float], parameters: int) -> None:

@@ -182,7 +182,12 @@ def first_order(problem: Problem) -> FirstOrderSystem:
     solved, equations = problem.mass.solved()
     expressions = list(problem.initial)
     states = tuple(
-        State(name_of(e), e, Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN)
+        State(
+            name_of(e),
+            e,
+            Role.DERIVATIVE if isinstance(e, sp.Derivative) else Role.UNKNOWN,
+            (problem.atol or {}).get(name_of(e), 0.0),
+        )
         for e in expressions
     )
     functions = {s.expression: sp.Function(s.name)(time) for s in states}

@@ -174,6 +174,7 @@ class ReferenceSet:
     def sizes(self) -> Array:
         """Largest absolute value of each state, products included; one for a vanishing state.
 
+        Absolute tolerances over the relative one are added.
         Over the centre and the interior points: states at corners of a box of many parameters may
         be larger by orders of magnitude and are seen by nobody. States that are numerically zero
         get a size of which their rounding errors are a small part.
@@ -189,8 +190,15 @@ class ReferenceSet:
         sizes = np.abs(self._without_corners(states, axis=1)).max(axis=(1, 2))
         n = self.system.n_differential
         rounded = np.where(self.reference.zero, self.reference.rounded, 0.0)
-        sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy)
+        sizes[:n] = np.maximum(sizes[:n], rounded / self.accuracy) + self._added
         return np.where(sizes > 0.0, sizes, 1.0)
+
+    @cached_property
+    def _added(self) -> Array:
+        """What absolute tolerances add to the sizes of the differential states."""
+        absolute = dict(self.system.atol)
+        names = self.system.states[: self.system.n_differential]
+        return np.array([absolute.get(name, 0.0) / (self.rtol or 1.0) for name in names])
 
     @property
     def states(self) -> Array:
@@ -220,7 +228,7 @@ class ReferenceSet:
                 states = slab.on_grid(times, contraction)
                 errors = np.maximum(errors, np.abs(states - exact).max(axis=2))
                 off = np.maximum(off, self._off_constraints(times, states))
-                at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0)
+                at_corners = np.abs(exact[:, corners]).max(axis=(1, 2), initial=0.0) + self._added
                 largest = np.maximum(largest, at_corners)
         units = np.repeat(self.states[:, None], m, axis=1)
         units[:, corners] = largest[:, None]
@@ -244,7 +252,7 @@ class ReferenceSet:
         slabs = [slab.with_first(slab.cores[0][:unknowns]) for slab in slabs]
         with unlimited():
             errors = clock_errors(self.reference, clock, slabs, self.rtol)
-        largest = errors.largest
+        largest = errors.largest + self._added[: len(errors.largest), None]
         interior = self._without_corners(largest, axis=1).max(axis=1)
         units = np.repeat(np.where(interior > 0.0, interior, 1.0)[:, None], largest.shape[1], 1)
         corners = slice(1, 1 + self.corners)
