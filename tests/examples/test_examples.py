@@ -51,10 +51,10 @@ def test_main(name, capsys, monkeypatch):
 )
 def test_solution_by_lifting(name):
     """The separated engine takes them with functions of the unknowns as further unknowns."""
-    solution = ro.solve(GENERAL[name].problem, rtol=1e-5, method="train")
+    solution = ro.solve(GENERAL[name].problem, rtol=1e-4, method="train")
     errors = measured_errors(solution, INDEPENDENT[name])[: len(solution.unknowns)]
     assert solution.success, solution.message
-    assert np.all(errors <= 5e-5), errors
+    assert np.all(errors <= 5e-4), errors
 
 
 def test_toml_is_the_same_problem():
