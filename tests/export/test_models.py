@@ -33,7 +33,7 @@ from tests.problems import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
 DRIVER = Path(__file__).parent / "model_driver.c"
-COUNT = 10_000
+COUNT, SANITIZED_COUNT = 10_000, 500
 
 COMPILER = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (gcc, clang or cc)")
@@ -319,9 +319,11 @@ def test_c_agrees(name, tmp_path):
     slope_size = np.abs(slopes).max(axis=2, keepdims=True)
     slope_size = np.maximum(slope_size, size[:, :, None] / widths(solution)[:, None])
     for flags in (["-O2"], ["-O3", "-DMODEL_PORTABLE"], SANITIZED):
-        values, gradients, batch = run_driver(compiled_driver(tmp_path, *flags), solution, where)
-        assert np.all(np.abs(values - wanted) <= 1e-12 * size)
-        assert np.all(np.abs(gradients - slopes) <= 1e-12 * slope_size)
+        count = SANITIZED_COUNT if flags is SANITIZED else COUNT
+        first = {key: row[:count] for key, row in where.items()}
+        values, gradients, batch = run_driver(compiled_driver(tmp_path, *flags), solution, first)
+        assert np.all(np.abs(values - wanted[:, :count]) <= 1e-12 * size)
+        assert np.all(np.abs(gradients - slopes[..., :count]) <= 1e-12 * slope_size)
         np.testing.assert_array_equal(batch, values)
 
 
