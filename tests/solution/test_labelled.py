@@ -1,58 +1,77 @@
-"""Values with labels."""
+"""Results print as tables, also in notebooks, and become tables of pandas and data sets."""
 
 import functools
-import sys
 
 import numpy as np
 import pytest
 
 import rankone as ro
-from tests.problems import EXAMPLES
+from tests.estimation.systems import decay
 
-xarray = pytest.importorskip("xarray")
+TIMES = np.linspace(0.1, 2, 12)
+DATA = 2.0 * np.exp(-1.3 * TIMES) + 0.02 * np.random.default_rng(0).standard_normal(12)
 
 
 @functools.cache
-def solution():
-    return ro.solve(EXAMPLES["lotka_volterra"].problem, 1e-4)
+def results():
+    fit = decay().fit(TIMES, DATA, sigma=0.02)
+    return {
+        "sobol": decay().sobol([0.5, 1.0, 1.5, 2.0]),
+        "density": decay().density(1.0),
+        "fit": fit,
+        "posterior": ro.posterior(fit),
+        "optimum": decay().minimize("u", t=1.0, fixed={"a": 1}),
+        "design": decay().design(2, after=fit),
+    }
 
 
-def test_a_grid_with_labels():
-    times, x0 = np.linspace(0, 6, 7), [9.0, 10.0, 11.0]
-    data = solution().to_xarray(t=times, x0=x0, y0=5.0)
-    assert set(data.data_vars) == {"x", "y"}
-    assert dict(data.sizes) == {"t": 7, "x0": 3}
-    assert float(data.y0) == 5.0
-    np.testing.assert_array_equal(data.x, solution().grid(t=times, x0=x0, y0=5.0)[0, :, :, 0])
-    assert data.x.attrs["error"] == solution().errors["x"]
-    assert data.attrs["rtol"] == 1e-4
-    found = float(data.y.interp(t=3.0, x0=10.0))
-    assert found == pytest.approx(float(solution()["y"](t=3.0, x0=10.0, y0=5.0)))
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("sobol", ["Sobol indices of u at 4 times", "unknown  parameter  first at 0.5"]),
+        ("density", ["Density of u", "peak", "97.5 %"]),
+        ("fit", ["Fit to 12 values of u: chi2", "parameter  estimate", "success: "]),
+        ("posterior", ["Posterior of k, a by quadrature", "parameter", "95 % interval"]),
+        ("optimum", ["Optimum: 0.0183", "parameter  best", "fixed: a = 1"]),
+        ("design", ["D-optimal design: 2 times", "expected std"]),
+    ],
+)
+def test_printed(name, lines):
+    result = results()[name]
+    for line in lines:
+        assert line in repr(result)
+    page = result._repr_html_()
+    assert page.startswith("<table>")
+    assert lines[0] in page
 
 
-def test_times_are_chosen_and_symbols_understood():
-    x0, y0 = EXAMPLES["lotka_volterra"].problem.parameters
-    data = solution().to_xarray({x0: 10.0, y0: [4.0, 5.0]})
-    assert dict(data.sizes) == {"t": 101, "y0": 2}
+def test_a_table_of_sobol_indices():
+    pytest.importorskip("pandas")
+    sobol = results()["sobol"]
+    rows = sobol.to_dataframe()
+    assert rows.index.names == ["unknown", "parameter", "time"]
+    assert rows.loc[("u", "k", 1.0), "first"] == sobol.first[0, 0, 1]
+    assert list(rows.columns) == ["first", "total"]
 
 
-def test_a_table():
-    table = solution().to_dataframe(t=[0.0, 1.0], x0=[9.0, 10.0], y0=5.0)
-    assert table.index.names == ["t", "x0"]
-    value = solution()["x"](t=1.0, x0=9.0, y0=5.0)
-    assert table.loc[(1.0, 9.0), "x"] == pytest.approx(value, rel=1e-12)
+def test_data_sets():
+    pytest.importorskip("xarray")
+    sobol, fit = results()["sobol"], results()["fit"]
+    second = sobol.to_xarray().second.sel(unknown="u", parameter="k", other="a", time=0.5)
+    assert float(second) == sobol.second[0, 0, 1, 0]
+    np.testing.assert_array_equal(fit.to_xarray().covariance, fit.covariance)
+    gain = results()["design"].to_xarray().gain
+    assert gain.sizes == {"time": 201}
 
 
-def test_a_table_of_one_point():
-    assert len(solution().to_dataframe(t=1.0, x0=9.0, y0=5.0)) == 1
-
-
-def test_what_is_missing_is_said(monkeypatch):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(ro.RankoneError, match=r"need xarray, .*; remedy: pip install xarray"):
-        solution().to_xarray(x0=9.0, y0=5.0)
-
-
-def test_bad_coordinates():
-    with pytest.raises(ro.RankoneError, match="no value for `y0`"):
-        solution().to_xarray(x0=9.0)
+def test_estimates_as_a_table():
+    pytest.importorskip("pandas")
+    for name in ("fit", "posterior"):
+        result = results()[name]
+        rows = result.to_dataframe()
+        low, high = result.interval()["k"]
+        assert list(rows.index) == ["k", "a"]
+        assert (rows.loc["k", "lower"], rows.loc["k", "upper"]) == (low, high)
+    density = results()["density"]
+    np.testing.assert_array_equal(density.to_dataframe()["density"], density.density)
+    assert density.quantile(0.5) == pytest.approx(float(decay().quantile(0.5, 1.0)[0]), rel=0.02)

@@ -18,6 +18,7 @@ from rankone.support.errors import with_remedy
 from rankone.support.wording import quote
 
 _UNLIKELY = 1e-3  # Probability by chance below which something is said
+_NEGLIGIBLE = 0.1  # Residuals below this, in standard deviations, are no noise
 _LEAST = 8  # Least number of data of an observable for patterns among them
 
 
@@ -40,7 +41,7 @@ def residual_checks(
 
 def _of_observable(name: str, series: Sequence[tuple[Array, Array, Array]]) -> Iterator[str]:
     r, p, times = (np.concatenate(column) for column in zip(*series, strict=True))
-    if not np.isfinite(r).all() or r.size < 3 or not np.ptp(r) > 0.0:
+    if not np.isfinite(r).all() or r.size < 3 or not np.abs(r).max() > _NEGLIGIBLE:
         return
     yield from _outlier(name, r, times)
     if r.size < _LEAST:

@@ -23,6 +23,7 @@ from rankone.estimation.observations import Sigma, checked_times
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError, with_remedy
+from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_number
 from rankone.support.wording import count, did_you_mean, listing, quote, shown
 
@@ -38,7 +39,7 @@ _LEAST_EIGENVALUE = 1e-10
 
 
 @dataclass(frozen=True, repr=False)
-class Design:
+class Design(Labelled):
     """Sampling times, and what they will tell.
 
     Attributes
@@ -106,19 +107,34 @@ class Design:
         share = float(self._score(base + other.sum(axis=1))[0] - best[0])
         return math.exp(share) if math.isfinite(share) else 0.0
 
-    def __repr__(self) -> str:
-        listed = ", ".join(f"{time:.6g}" for time in self.times)
-        lines = [f"{self.criterion}-optimal design: {count(len(self.times), 'time')}, {listed}"]
-        width = max(map(len, self.parameters))
-        level = f"{100 * self.level:g} %"
+    def _table(self) -> Table:
+        rows = []
         for name, (low, high) in self.interval().items():
-            text = "not identified"
-            if self.success:
-                ends = f"{level} expected in [{low:.6g}, {high:.6g}]"
-                text = ends if self.sigma_known else f"{self.std[name]:.4g} sigma"
-            lines.append(f"  {name:<{width}}  {text}")
-        lines.append(f"  {'success' if self.success else 'no success'}: {self.message}")
-        return "\n".join(lines)
+            expected = [f"{self.std[name]:.4g}", f"[{low:.6g}, {high:.6g}]"]
+            if not self.success:
+                expected = ["not identified", ""]
+            elif not self.sigma_known:
+                expected = [f"{self.std[name]:.4g} sigma", ""]
+            rows.append([name, *expected])
+        listed = ", ".join(f"{time:.6g}" for time in self.times)
+        return Table(
+            f"{self.criterion}-optimal design: {count(len(self.times), 'time')}, {listed}",
+            ["parameter", "expected std", f"{100 * self.level:g} % interval"],
+            rows,
+            [f"{'success' if self.success else 'no success'}: {self.message}"],
+        )
+
+    def _variables(self) -> Variables:
+        """Expected deviations and covariance; the gain at the candidates."""
+        names = list(self.parameters)
+        return Variables(
+            {
+                "std": (("parameter",), np.array(list(self.std.values()))),
+                "covariance": (("parameter", "other"), self.covariance),
+                "gain": (("time",), self.gain),
+            },
+            {"parameter": names, "other": names, "time": self.candidates},
+        )
 
 
 def design(

@@ -19,11 +19,12 @@ from rankone.estimation.identification import Best, Identification, Profile, Sto
 from rankone.estimation.jumps import Jump
 from rankone.estimation.likelihood import Likelihood
 from rankone.estimation.observations import Observations
-from rankone.estimation.presentation import fit_text
+from rankone.estimation.presentation import fit_table
 from rankone.estimation.residuals import Rows, model_errors, rows_of
 from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.errors import OptionError
+from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_number
 from rankone.support.wording import did_you_mean, listing, quote
 
@@ -34,7 +35,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, repr=False)
-class Fit:
+class Fit(Labelled):
     """Parameters from data: best values, intervals, and whether to believe them.
 
     Attributes
@@ -491,8 +492,25 @@ class Fit:
         """Parameters whose estimate is at the ``"lower"`` or ``"upper"`` end of its bounds."""
         return self._problem.free.at_bounds(self._z)
 
-    def __repr__(self) -> str:
-        return fit_text(self)
+    def _table(self) -> Table:
+        return fit_table(self)
+
+    def _variables(self) -> Variables:
+        """Estimates with deviations and intervals, and the covariance."""
+        low, high = np.array(list(self.interval().values())).T
+        columns = {
+            "estimate": np.array(list(self.x.values())),
+            "std": np.array(list(self.std.values())),
+            "lower": low,
+            "upper": high,
+            "identified": np.array(list(self.identifiable.values())),
+        }
+        arrays = {name: (("parameter",), column) for name, column in columns.items()}
+        names = list(self.parameters)
+        return Variables(
+            {**arrays, "covariance": (("parameter", "other"), self.covariance)},
+            {"parameter": names, "other": names},
+        )
 
 
 def checked_level(level: float) -> float:

@@ -28,6 +28,7 @@ from rankone.solution.core import SolutionCore
 from rankone.support.arrays import Array
 from rankone.support.budget import NORMAL, operations_for
 from rankone.support.errors import OptionError, with_remedy
+from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_number
 from rankone.support.wording import count, quote
 
@@ -57,8 +58,8 @@ _LOCAL = "; it may be a local one"
 _LOCAL_REMEDY = "raise effort, or narrow the bounds"
 
 
-@dataclass(frozen=True)
-class Optimum:
+@dataclass(frozen=True, repr=False)
+class Optimum(Labelled):
     """The best parameters found.
 
     Attributes
@@ -95,6 +96,20 @@ class Optimum:
     searches: int = 1
     agreeing: int = 1
     is_global: bool = False
+
+    def _table(self) -> Table:
+        """The free parameters; the others and the values there are below."""
+        rows = [[name, f"{x:.6g}"] for name, x in self.x.items()]
+        remarks = [f"{'success' if self.success else 'no success'}: {self.message}"]
+        held = {name: x for name, x in self.parameters.items() if name not in self.x}
+        if held:
+            fixed = ", ".join(f"{name} = {x:.6g}" for name, x in held.items())
+            remarks.insert(0, f"fixed: {fixed}")
+        return Table(f"Optimum: {self.fun:.6g}", ["parameter", "best"], rows, remarks)
+
+    def _variables(self) -> Variables:
+        best = np.array(list(self.x.values()))
+        return Variables({"best": (("parameter",), best)}, {"parameter": list(self.x)})
 
 
 def minimize(

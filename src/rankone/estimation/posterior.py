@@ -25,6 +25,7 @@ from rankone.statistics.joint_distribution import Distributions, by_name, measur
 from rankone.statistics.over_box import checked_probabilities
 from rankone.support.arrays import Array, spread
 from rankone.support.errors import OptionError, with_remedy
+from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count, checked_number
 from rankone.support.wording import listing, quote, shown
 
@@ -78,7 +79,7 @@ class LogPosterior:
 
 
 @dataclass(frozen=True, repr=False)
-class Posterior:
+class Posterior(Labelled):
     """The distribution of the parameters after the data are known.
 
     Attributes
@@ -188,15 +189,36 @@ class Posterior:
         z = self._distribution.sample(count, density, generator)
         return dict(zip(self._free.order, self._free.points(z), strict=True))
 
-    def __repr__(self) -> str:
-        lines = [f"Posterior of {', '.join(self.parameters)} by {self.method}"]
+    def _table(self) -> Table:
         ends, deviations = self.interval(), self.std
+        rows = []
         for name, mean in self.mean.items():
             low, high = ends[name]
-            spread = f"{mean:.6g} ± {deviations[name]:.2g}"
-            lines.append(f"  {name}  {spread}, 95 % in [{low:.6g}, {high:.6g}]")
-        lines.append(f"  {'success' if self.success else 'no success'}: {self.message}")
-        return "\n".join(lines)
+            rows.append(
+                [name, f"{mean:.6g}", f"{deviations[name]:.2g}", f"[{low:.6g}, {high:.6g}]"]
+            )
+        return Table(
+            f"Posterior of {', '.join(self.parameters)} by {self.method}",
+            ["parameter", "mean", "std", "95 % interval"],
+            rows,
+            [f"{'success' if self.success else 'no success'}: {self.message}"],
+        )
+
+    def _variables(self) -> Variables:
+        """Means with deviations and intervals, and the covariance."""
+        low, high = np.array(list(self.interval().values())).T
+        columns = {
+            "mean": np.array(list(self.mean.values())),
+            "std": np.array(list(self.std.values())),
+            "lower": low,
+            "upper": high,
+        }
+        arrays = {name: (("parameter",), column) for name, column in columns.items()}
+        names = list(self.parameters)
+        return Variables(
+            {**arrays, "covariance": (("parameter", "other"), self.covariance)},
+            {"parameter": names, "other": names},
+        )
 
 
 def posterior(

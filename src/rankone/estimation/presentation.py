@@ -1,14 +1,15 @@
-"""Fits as text."""
+"""Fits as tables."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
+from rankone.support.labelled import Table
 from rankone.support.wording import count
 
 
 class Shown(Protocol):
-    """What the text needs of a fit."""
+    """What the table needs of a fit."""
 
     @property
     def level(self) -> float: ...
@@ -49,9 +50,8 @@ class Shown(Protocol):
     def value_of(self, given: object) -> float: ...
 
 
-def fit_text(fit: Shown) -> str:
+def fit_table(fit: Shown) -> Table:
     """The estimates, a line each, and whether to believe them."""
-    level = f"{100 * fit.level:g} %"
     noise = f"chi2 {fit.chi2:.4g}"
     if not fit.unit_known:
         noise = f"sigma {fit.sigma:.4g} estimated"
@@ -60,16 +60,17 @@ def fit_text(fit: Shown) -> str:
     of = f"{count(fit.size, 'value')} of {', '.join(fit.observed)}"
     if len(fit.trials) > 1:
         of += f" in {len(fit.trials)} experiments"
-    lines = [f"Fit to {of}: {noise}, {fit.dof} degrees of freedom"]
-    width = max(len(name) for name in fit.parameters)
+    rows = []
     for name, (low, high) in fit.interval().items():
-        text = "not identified"
-        if fit.identifiable[name]:
-            text = f"{fit.x[name]:.6g}  {level} in [{low:.6g}, {high:.6g}]"
-        lines.append(f"  {name:<{width}}  {text}")
+        identified = [f"{fit.x[name]:.6g}", f"[{low:.6g}, {high:.6g}]"]
+        rows.append([name, *(identified if fit.identifiable[name] else ["not identified", ""])])
     for name in fit.combinations:
         low, high = fit.interval_of(name)
-        lines.append(f"  {name}  {fit.value_of(name):.6g}  {level} in [{low:.6g}, {high:.6g}]")
-    lines.append(f"  {'success' if fit.success else 'no success'}: {fit.message}")
-    lines += [f"  note: {check}" for check in fit.checks]
-    return "\n".join(lines)
+        rows.append([name, f"{fit.value_of(name):.6g}", f"[{low:.6g}, {high:.6g}]"])
+    verdict = f"{'success' if fit.success else 'no success'}: {fit.message}"
+    return Table(
+        f"Fit to {of}: {noise}, {fit.dof} degrees of freedom",
+        ["parameter", "estimate", f"{100 * fit.level:g} % interval"],
+        rows,
+        [verdict, *(f"note: {check}" for check in fit.checks)],
+    )

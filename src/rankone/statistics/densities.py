@@ -16,16 +16,19 @@ from rankone.statistics.joint_distribution import Correlations, Distributions
 from rankone.statistics.over_box import StatisticsOverBox, Times
 from rankone.support.arrays import Array
 from rankone.support.errors import EvaluationError, OptionError, RankoneWarning
+from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.options import checked_count
 from rankone.support.wording import listing, quote, shown
 
 _BINS = 4096  # Bins of the histogram that is smoothed; far narrower than any kernel
+# Probabilities of the quantiles that a density prints
+_SHOWN_PROBABILITIES = (0.025, 0.25, 0.5, 0.75, 0.975)
 _POINT_SETS = 8  # Sets of points whose spread is the error of a probability
 _STILL = 1e-12  # Range of values, relative to their size, below which there is no density: rounding
 
 
-@dataclass(frozen=True)
-class Density:
+@dataclass(frozen=True, repr=False)
+class Density(Labelled):
     """Probability density of one unknown at one time.
 
     Attributes
@@ -43,6 +46,23 @@ class Density:
     values: Array
     density: Array
     bandwidth: float
+
+    def quantile(self, q: ArrayLike) -> Array:
+        """Quantiles of the unknown at probabilities, from the density at the values."""
+        steps = 0.5 * (self.density[1:] + self.density[:-1]) * np.diff(self.values)
+        cumulative = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.asarray(np.interp(np.asarray(q) * cumulative[-1], cumulative, self.values))
+
+    def _table(self) -> Table:
+        peak = float(self.values[np.argmax(self.density)])
+        shares = self.quantile(_SHOWN_PROBABILITIES)
+        header = ["", "peak", *(f"{100 * q:g} %" for q in _SHOWN_PROBABILITIES)]
+        row = [self.unknown, *(f"{x:.5g}" for x in (peak, *shares))]
+        remark = f"{self.values.size} values, details finer than {self.bandwidth:.2g} are lost"
+        return Table(f"Density of {self.unknown}", header, [row], [remark])
+
+    def _variables(self) -> Variables:
+        return Variables({"density": (("value",), self.density)}, {"value": self.values})
 
 
 @dataclass(frozen=True)

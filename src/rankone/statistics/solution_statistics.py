@@ -13,6 +13,7 @@ from rankone.statistics.higher_moments import HigherMoments
 from rankone.statistics.joint_distribution import JointDistribution
 from rankone.statistics.moments import ConditionalMoments, TrainMoments
 from rankone.support.arrays import Array
+from rankone.support.labelled import Labelled, Table, Variables
 from rankone.support.wording import quote
 from rankone.tensors.slab import SlabTrain
 
@@ -26,8 +27,8 @@ ROUNDING_ERROR = 1e-13
 _CLEAR_RATIO = 5.0
 
 
-@dataclass(frozen=True)
-class Sobol:
+@dataclass(frozen=True, repr=False)
+class Sobol(Labelled):
     """Variance-based sensitivities as functions of time.
 
     Where the variance vanishes they are not defined (NaN).
@@ -52,6 +53,31 @@ class Sobol:
     first: Array
     total: Array
     second: Array
+
+    def _table(self) -> Table:
+        """Shares at the times, or at the first, the middle and the last of many."""
+        timeless = self.first.ndim < 3
+        count = 1 if timeless else self.first.shape[2]
+        chosen = range(count) if count <= 3 else (0, count // 2, count - 1)
+        at = [""] if timeless else [f" at {self.times[k]:.4g}" for k in chosen]
+        header = ["unknown", "parameter", *(f"{of}{t}" for t in at for of in ("first", "total"))]
+        rows = []
+        for i, unknown in enumerate(self.unknowns):
+            for j, parameter in enumerate(self.parameters):
+                shares = np.stack([self.first[i, j], self.total[i, j]]).reshape(2, count)
+                cells = [f"{share:.3f}" for k in chosen for share in shares[:, k]]
+                rows.append([unknown, parameter, *cells])
+        many = "" if len(chosen) == count else f" at {count} times"
+        return Table(f"Sobol indices of {', '.join(self.unknowns)}{many}", header, rows, labels=2)
+
+    def _variables(self) -> Variables:
+        axes = ("unknown", "parameter", "time")[: self.first.ndim]
+        pairs = ("unknown", "parameter", "other", "time")[: self.second.ndim]
+        labels = {"unknown": list(self.unknowns), "parameter": list(self.parameters)}
+        labels["other"] = list(self.parameters)
+        clock = {"time": self.times} if "time" in axes else {}
+        arrays = {"first": (axes, self.first), "total": (axes, self.total)}
+        return Variables({**arrays, "second": (pairs, self.second)}, {**labels, **clock})
 
 
 @dataclass(frozen=True)

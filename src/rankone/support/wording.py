@@ -106,15 +106,23 @@ def name_defect(named: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
     return None
 
 
-def text_table(summary: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table with aligned columns under a line of summary; many rows are cut in the middle."""
+def text_table(
+    summary: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    right: Sequence[str] = (_RIGHT,),
+) -> str:
+    """A table with aligned columns under a line of summary; many rows are cut in the middle.
+
+    The columns named ``right`` are aligned on the right.
+    """
     shown = [[_cut(cell) for cell in row] for row in rows]
     hidden = len(shown) - _MOST_ROWS
     if hidden > 1:
         shown[_MOST_ROWS // 2 : -(_MOST_ROWS // 2)] = []
     widths = [max(map(len, column)) for column in zip(header, *shown, strict=True)]
-    right = header.index(_RIGHT)
-    lines = [_aligned(row, widths, right) for row in [header, *shown]]
+    sides = [name in right for name in header]
+    lines = [_aligned(row, widths, sides) for row in [header, *shown]]
     if hidden > 1:
         lines.insert(1 + _MOST_ROWS // 2, f"... {hidden} more ...")
     return "\n".join([summary, *lines])
@@ -136,10 +144,10 @@ def _cut(cell: str) -> str:
     return cell if len(cell) <= _WIDEST_CELL else cell[: _WIDEST_CELL - 3] + "..."
 
 
-def _aligned(row: Sequence[str], widths: Sequence[int], right: int) -> str:
+def _aligned(row: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
     cells = [
-        cell.rjust(width) if i == right else cell.ljust(width)
-        for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        cell.rjust(width) if on_right else cell.ljust(width)
+        for cell, width, on_right in zip(row, widths, right, strict=True)
     ]
     return "  ".join(cells).rstrip()
 
