@@ -163,8 +163,8 @@ def test_valid(name, fmi, sources):
 
 @pytest.mark.slow
 @runs
-def test_valid_on_the_command_line(archive):
-    path, _ = archive("units", "3.0")
+def test_valid_on_the_command_line(sources):
+    path, _ = sources("units", "3.0")
     command = [sys.executable, "-m", "fmpy", "validate", str(path)]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 0, run.stdout + run.stderr
@@ -174,18 +174,18 @@ def test_valid_on_the_command_line(archive):
 @pytest.mark.slow
 @needs_compiler
 @both
-def test_strict_c(fmi, archive, tmp_path):
+def test_strict_c(fmi, sources, tmp_path):
     """Without a warning, also behind a prefix, and against the headers of the standard."""
     for name in ("decay", "no parameters", "no time", "awkward names"):
-        _, folder = archive(name, fmi)
-        sources = shutil.copytree(folder / "sources", tmp_path / name)
-        compile_strictly(sources, "-O2", "-o", str(tmp_path / "library"))
-        compile_strictly(sources, f"-DFMI{fmi[0]}_FUNCTION_PREFIX=model_", "-fsyntax-only")
+        _, folder = sources(name, fmi)
+        copy = shutil.copytree(folder / "sources", tmp_path / name)
+        compile_strictly(copy, "-O2", "-o", str(tmp_path / "library"))
+        compile_strictly(copy, f"-DFMI{fmi[0]}_FUNCTION_PREFIX=model_", "-fsyntax-only")
         if fmpy is not None:
             headers = Path(fmpy.__file__).parent / "c-code"
-            interface = sources / f"fmi{fmi[0]}_interface.h"
+            interface = copy / f"fmi{fmi[0]}_interface.h"
             interface.write_text(f'#include "fmi{fmi[0]}Functions.h"\n')
-            compile_strictly(sources, "-isystem", str(headers), "-fsyntax-only")
+            compile_strictly(copy, "-isystem", str(headers), "-fsyntax-only")
 
 
 def compile_strictly(sources, *flags):
@@ -214,13 +214,13 @@ t=0.0000 k=2.7500 u=1.0000
 @pytest.mark.slow
 @needs_compiler
 @both
-def test_sanitized(fmi, archive, tmp_path):
+def test_sanitized(fmi, sources, tmp_path):
     """No leak and no undefined behaviour; the log says all that is refused."""
-    _, folder = archive("decay", fmi)
-    sources, program = folder / "sources", tmp_path / "driver"
-    flags = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{sources}"]
+    _, folder = sources("decay", fmi)
+    text, program = folder / "sources", tmp_path / "driver"
+    flags = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{text}"]
     flags.append(f"-DFMI={fmi[0]}")
-    files = [*map(str, sources.glob("*.c")), str(DRIVER)]
+    files = [*map(str, text.glob("*.c")), str(DRIVER)]
     strict = [flag for flag in STRICT if flag not in ("-shared", "-fPIC")]
     command = [COMPILER, *strict, *flags, *files, "-o", str(program)]
     run = subprocess.run(command, capture_output=True, text=True)
