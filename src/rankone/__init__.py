@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rankone.interface.compiled import compile_problem as compile
     from rankone.interface.compiled import solve_problem as solve
     from rankone.interface.solution import Solution, load
+    from rankone.interface.steady import steady_state
     from rankone.ir.forms import GeneralTerm, QuadraticSystem, SeparatedForm
     from rankone.ir.functions import (
         at_event,
@@ -121,6 +122,7 @@ __all__ = [
     "read_sbml",
     "separate",
     "solve",
+    "steady_state",
     "table",
     "weak_form",
 ]
@@ -140,6 +142,7 @@ _MODULES = {
     "frontend.trajectory": ("Trajectory",),
     "interface.compiled": ("CompiledProblem", "compile", "solve"),
     "interface.solution": ("Solution", "load"),
+    "interface.steady": ("steady_state",),
     "ir.forms": ("GeneralTerm", "QuadraticSystem", "SeparatedForm"),
     "ir.functions": (
         *("at_event", "duration", "event_time", "first_crossing"),

@@ -23,6 +23,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from os import PathLike
@@ -348,11 +349,7 @@ class CompiledProblem:
             check_moved(self.problem, self.first_order, self.separated, self.system, request.domain)
         truth = self.system if isinstance(form, LiftedProblem) else None
         began = time.perf_counter()
-        # Small products run fastest on one thread, and two busy pools slow each other down
-        with (
-            resolve_progress(progress) as report,
-            _thread_pools().limit(limits=1, user_api="blas"),
-        ):
+        with resolve_progress(progress) as report, one_thread():
             outcome, metadata = solve_with(
                 engines, form.system, request, self.metadata(), report, truth
             )
@@ -579,6 +576,12 @@ def solve_problem(
     """
     with preparing(options.get("max_seconds")):
         return compile_problem(problem).solve(rtol, *arguments, **options)
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """BLAS on one thread: small products run fastest so, and two busy pools slow each other."""
+    limit: AbstractContextManager[object] = _thread_pools().limit(limits=1, user_api="blas")
+    return limit
 
 
 @cache

@@ -18,7 +18,8 @@ _MOST_STEPS = 100  # Steps of Newton's method; damped ones from far away are man
 _MOST_HALVINGS = 30  # Of a step that does not lower the residual
 _LEAST_FALL = 0.1  # Part of the residual by which a step lowers it, at least, for its length
 _SHORT = 1e-8  # Relative length of steps from which rounding decides on the residual
-_CONVERGED = 1e-13  # Relative change by the last step
+_CONVERGED = 1e-12  # Relative change by the last step
+_LEAST_SIZE = 1e-9  # Of a state beside the largest one: smaller changes are relative to it
 _SATISFIED = 1e-9  # Relative residual left by it, of equations that have a solution
 _MOST_PROJECTIONS = 20  # Steps of Newton's method towards all constraints, from close by
 _DEPENDENT = 1e-12  # Singular values of scaled Jacobians below this share of the largest are zero
@@ -38,61 +39,58 @@ class Constraints:
     residuals: OfStates = no_rows
     slopes: OfStates = no_rows
 
-    def consistent(self, t: float, u: Array, p: Array) -> Array:
+    def consistent(self, t: float, u: Array, p: Array, steps: int = _MOST_STEPS) -> Array:
         """States u (n, m) at p (d, m) with the guessed ones such that constraints hold.
 
-        NaN for those that Newton's method does not find.
+        NaN for those that Newton's method does not find in a number of steps.
         """
         states, rows = np.array(u, dtype=float), list(self.guessed)
         if not rows:
             return states
         with np.errstate(all="ignore"):
             converged = np.zeros(states.shape[1], dtype=bool)
-            for _ in range(_MOST_STEPS):
+            for _ in range(steps):
                 open_ = np.flatnonzero(~converged)
                 if not open_.size:
                     break
-                stepped, steps = self._stepped(t, states[:, open_], p[:, open_])
-                states[:, open_] = stepped
-                size = np.maximum(np.abs(stepped[rows]).max(axis=0), np.finfo(float).tiny)
-                converged[open_] = np.abs(steps).max(axis=0) <= _CONVERGED * size
+                states[:, open_], changes = self._stepped(t, states[:, open_], p[:, open_])
+                converged[open_] = changes <= _CONVERGED
             states[rows] = np.where(converged & self._hold(t, states, p), states[rows], np.nan)
         return states
 
     def _stepped(self, t: float, u: Array, p: Array) -> tuple[Array, Array]:
-        """States after a step of Newton's method, halved until the residual falls; and the step."""
+        """States after a step of Newton's method, and the largest relative change (m,).
+
+        The step is halved until the residual falls.
+        """
         rows = list(self.guessed)
         residuals, slopes = self._at(t, u, p)
-        slopes = slopes[:, rows]
-        scale = np.abs(slopes).max(axis=1, keepdims=True)
+        sizes = np.abs(u[rows])
+        sizes = np.maximum(sizes, _LEAST_SIZE * sizes.max(axis=0))
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        scaled = slopes[:, rows] * sizes
+        scale = np.abs(scaled).max(axis=1)
         scale = np.where(scale > 0.0, scale, np.inf)  # rows without guessed states do not count
-        matrices = np.nan_to_num(np.moveaxis(slopes / scale, 2, 0))
-        scaled = residuals / scale[:, 0]
+        matrices = np.nan_to_num(np.moveaxis(scaled / scale[:, None], 2, 0))
         inverse = np.linalg.pinv(matrices, rcond=_DEPENDENT)
-        steps = -np.einsum("mgk,km->gm", inverse, scaled)
-        before = np.linalg.norm(scaled, axis=0)
-        shares = np.ones(u.shape[1])
+        steps = -np.einsum("mgk,km->gm", inverse, residuals / scale)
+        before, shares = np.linalg.norm(residuals / scale, axis=0), np.ones(u.shape[1])
+        short = np.abs(steps).max(axis=0) <= _SHORT  # rounding decides on the residual
         stepped = u.copy()
         for _ in range(_MOST_HALVINGS):
-            stepped[rows] = u[rows] + shares * steps
-            after = np.linalg.norm(self._at(t, stepped, p)[0] / scale[:, 0], axis=0)
-            falls = after <= before * (1.0 - _LEAST_FALL * shares)
-            worse = np.logical_not(falls | self._short(steps, u[rows]))
+            stepped[rows] = u[rows] + shares * sizes * steps
+            after = np.linalg.norm(self._at(t, stepped, p)[0] / scale, axis=0)
+            worse = np.logical_not((after <= before * (1.0 - _LEAST_FALL * shares)) | short)
             if not worse.any():
                 break
             shares = np.where(worse, 0.5 * shares, shares)
-        return stepped, shares * steps
-
-    @staticmethod
-    def _short(steps: Array, states: Array) -> NDArray[np.bool_]:
-        """Which steps are so short that rounding decides on the residual."""
-        size = np.abs(states).max(axis=0)
-        return np.asarray(np.abs(steps).max(axis=0) <= _SHORT * size)
+        return stepped, shares * np.abs(steps).max(axis=0)
 
     def _hold(self, t: float | Array, u: Array, p: Array) -> NDArray[np.bool_]:
         """At which points (m,) all constraints hold, but for rounding."""
         residuals, slopes = self._at(t, u, p)
-        terms = np.einsum("knm,nm->km", np.abs(slopes), np.abs(u))
+        sizes = np.maximum(np.abs(u), _LEAST_SIZE * np.abs(u).max(axis=0))
+        terms = np.einsum("knm,nm->km", np.abs(slopes), sizes)
         return np.asarray((np.abs(residuals) <= _SATISFIED * terms + 1e-300).all(axis=0))
 
     def _at(self, t: float | Array, u: Array, p: Array) -> tuple[Array, Array]:

@@ -390,6 +390,32 @@ class OtherEngines(Note):
 
 
 @dataclass(frozen=True)
+class SteadyBranch(Note):
+    """The steady states of a solution: at the centre of the box, and how perturbations grow.
+
+    ``growth`` is the largest rate at which any perturbation grows, negative where all decay;
+    ``settled`` is the time by which trajectories from the initial values came close.
+    """
+
+    centre: tuple[tuple[str, float], ...]
+    growth: float
+    settled: float
+
+    def sentence(self, status: Status) -> str:
+        shown = self.centre[:_MOST_NAMES]
+        names = ", ".join(f"{name} = {at:.4g}" for name, at in shown)
+        more = f" and {len(self.centre) - len(shown)} more" if len(shown) < len(self.centre) else ""
+        way = f"reached from the initial values by t = {self.settled:.4g}"
+        if not self.settled:
+            way = "which the initial values are"
+        if self.growth < 0.0:
+            stable = f"stable: perturbations decay at rates of {-self.growth:.3g} or more"
+        else:
+            stable = f"unstable: some perturbation grows at a rate of {self.growth:.3g}"
+        return f"the branch with {names}{more} at the centre of the box, {way}, is {stable}"
+
+
+@dataclass(frozen=True)
 class SwitchingTerm(Note):
     """A term that switches where unknowns cross a boundary, and how to smooth it."""
 

@@ -1,0 +1,315 @@
+"""Steady states: where trajectories come to rest, made exact by Newton's method.
+
+A trajectory decides which of several steady states is reached. It is followed over longer and
+longer times until a stable one is close. Linear combinations of states that no rate changes, such
+as totals of species, keep the values of the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rankone.ir.constraints import Constraints
+from rankone.ir.features import Features, Jumps, VectorLike
+from rankone.ir.system import System
+from rankone.support.arrays import Array
+from rankone.support.errors import BlowUpError, ConvergenceError
+from rankone.trajectories.choice import integrator_for
+from rankone.trajectories.integrator import Tolerances
+
+_ACCURACY = 1e-5  # Relative tolerance of trajectories that only have to come close
+_LEAST_SIZE = 1e-6  # Of a state beside the largest one, for its absolute tolerance
+_CLOSE = 1e-3  # Distance from a steady state, in sizes of the states, that counts as having settled
+_AT_REST = 1e-11  # The same at which a trajectory has not moved from its start
+_MOST_NEWTON_STEPS = 15  # From where a steady state is that is close
+_NOISE = 1e-18  # A state below this share of the largest one is zero
+_LENGTHENED = 4.0  # Factor from one time to the next at which trajectories are looked at
+_NEUTRAL = 1e-9  # Growth rates above minus this, in units of the horizon, do not decay
+_SAMPLES = 8  # Random states for each state that show what no rate changes
+_CONSERVED = 1e-11  # Singular values of their rates, over the largest, that are zero
+_SEED = 1864  # Of these states: the same system always has the same conserved quantities
+
+
+@dataclass(frozen=True)
+class Stability:
+    """How perturbations of steady states grow: the largest growth rate at any point, and where.
+
+    ``growth`` is negative if all are stable.
+    """
+
+    growth: float
+    point: tuple[float, ...]
+
+
+class SteadyStates:
+    """The steady states that trajectories of a system reach, at parameter points.
+
+    The system is autonomous, without jumps and events. Trajectories take up to the time ``settle``;
+    the first look at them is at ``first``.
+    """
+
+    def __init__(self, system: System, first: float, settle: float) -> None:
+        self.system, self.first, self.settle = system, min(first, settle), settle
+        self.conserved = conserved(system)
+        self.latest = 0.0
+        self._reached: dict[bytes, Array] = {}
+        self._last: dict[bytes, Array] = {}  # where trajectories were at the end
+        self._constraints = self.constraints(range(system.n_differential))
+
+    def __call__(self, p: VectorLike) -> Array:
+        """The steady states (n, m) at parameters p (d, m).
+
+        Raises
+        ------
+        ConvergenceError
+            If a trajectory has not settled in time.
+        BlowUpError
+            If one blows up.
+        """
+        states = self.reached(p)
+        if np.isnan(states).any():
+            points = np.asarray(p, dtype=float).T
+            raise self._not_settled(points[np.isnan(states).any(axis=0)])
+        return states
+
+    def reached(self, p: VectorLike) -> Array:
+        """The steady states (n, m) at parameters p (d, m), NaN where trajectories do not settle.
+
+        Each is followed once.
+        """
+        points = np.ascontiguousarray(np.asarray(p, dtype=float).T)
+        keys = [point.tobytes() for point in points]
+        new = sorted({key: i for i, key in enumerate(keys) if key not in self._reached}.values())
+        if new:
+            for i, state in zip(new, self._followed(points[new]).T, strict=True):
+                self._reached[keys[i]] = state
+        states = [self._reached[key] for key in keys]
+        return np.array(states).reshape(len(keys), self.system.n_differential).T
+
+    def constraints(self, rows: Sequence[int]) -> Constraints:
+        """What vanishes at steady states, of the states at some positions; the others are zero."""
+        system, columns = self.system, list(rows)
+
+        def whole(u: VectorLike) -> Array:
+            states = np.zeros((system.n_differential, *np.shape(u)[1:]))
+            states[columns] = u
+            return states
+
+        def residuals(_t: float | Array, u: VectorLike, p: VectorLike) -> Array:
+            states, parameters = whole(u), np.asarray(p)
+            rates = np.broadcast_to(system.rhs(0.0, states, parameters), states.shape)
+            kept = self.conserved @ (states - system.initial(parameters))
+            further = system.constraints
+            others = [further.residuals(0.0, states, parameters)] if further.names else []
+            return np.concatenate([rates, kept, *others])
+
+        def slopes(_t: float | Array, u: VectorLike, p: VectorLike) -> Array:
+            states, parameters = whole(u), np.asarray(p)
+            n, m = states.shape
+            jacobian = np.broadcast_to(system.jacobian(0.0, states, parameters), (n, n, m))
+            invariants = self._invariants(states, parameters)
+            return np.concatenate([jacobian, *invariants])[:, columns]
+
+        names = [f"rate of {name}" for name in system.states[: system.n_differential]]
+        names += ["conserved"] * len(self.conserved)
+        return Constraints(
+            (*names, *system.constraints.names), tuple(range(len(columns))), residuals, slopes
+        )
+
+    def growth(self, states: Array, points: Array) -> Array:
+        """The largest growth rate (m,) of perturbations of states (n, m) at points (m, d).
+
+        They keep to what no rate changes, and to the constraints.
+        """
+        n, m = states.shape
+        columns = np.ascontiguousarray(points.T)
+        jacobian = np.broadcast_to(self.system.jacobian(0.0, states, columns), (n, n, m))
+        kept = np.concatenate([*self._invariants(states, columns)])
+        sizes = np.abs(states)
+        sizes = np.maximum(sizes, _LEAST_SIZE * sizes.max(axis=0))
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        matrices = np.moveaxis(jacobian * sizes / sizes[:, None], 2, 0)
+        finite = np.isfinite(matrices.sum(axis=(1, 2)) + kept.sum(axis=(0, 1)))
+        matrices = np.where(finite[:, None, None], matrices, 0.0)
+        across = np.where(finite[:, None, None], np.moveaxis(kept * sizes, 2, 0), 0.0)
+        along = np.linalg.svd(across)[2][:, len(kept) :]  # rows that span what is left
+        if not along.size:
+            return np.where(finite, -np.inf, np.inf)
+        rates = np.linalg.eigvals(along @ matrices @ np.swapaxes(along, 1, 2))
+        return np.where(finite, rates.real.max(axis=1), np.inf)
+
+    def _invariants(self, states: Array, columns: Array) -> Iterator[Array]:
+        """Derivatives (k, n, m) of what is the same on all of a trajectory, by the states."""
+        kept = self.conserved[:, :, None]
+        yield np.broadcast_to(kept, (len(kept), *states.shape))
+        further = self.system.constraints
+        if further.names:
+            slopes = further.slopes(0.0, states, columns)
+            yield np.broadcast_to(slopes, (len(further.names), *states.shape))
+
+    def stability(self, points: Array) -> Stability:
+        """How perturbations grow at points (m, d)."""
+        growth = self.growth(self(points.T), points)
+        worst = int(np.argmax(growth))
+        return Stability(float(growth[worst]), tuple(points[worst].tolist()))
+
+    def _followed(self, points: Array) -> Array:
+        """The steady states (n, m) that trajectories at points (m, d) reach, or NaN."""
+        states = self.system.initial(np.ascontiguousarray(points.T))
+        largest = np.abs(states)
+        settled = self._nearby(states, points, largest, _AT_REST)
+        time, later = 0.0, self.first
+        while time < self.settle:
+            open_ = np.flatnonzero(np.isnan(settled[0]))
+            if not open_.size:
+                break
+            ends, sizes = self._integrated(states[:, open_], points[open_], time, later)
+            states[:, open_], largest[:, open_] = ends, np.maximum(largest[:, open_], sizes)
+            close = self._nearby(ends, points[open_], largest[:, open_], _CLOSE)
+            stable = self.growth(np.nan_to_num(close), points[open_]) < 0.0
+            settled[:, open_] = np.where(stable, close, np.nan)
+            time, later = later, min(_LENGTHENED * later, self.settle)
+            self.latest = max(self.latest, time)
+        for key, state in zip(points, states.T, strict=True):
+            self._last[key.tobytes()] = state
+        return settled
+
+    def _nearby(self, states: Array, points: Array, largest: Array, distance: float) -> Array:
+        """The steady states closer than a distance to states (n, m); NaN if there are none."""
+        columns = np.ascontiguousarray(points.T)
+        found = self._constraints.consistent(0.0, states, columns, _MOST_NEWTON_STEPS)
+        units = np.where(largest > 0.0, largest, largest.max(axis=0))
+        far = np.abs(found - states) / np.where(units > 0.0, units, 1.0)
+        found = np.where(np.abs(found) > _NOISE * np.abs(found).max(axis=0), found, 0.0)
+        return np.where((far <= distance).all(axis=0), found, np.nan)
+
+    def _integrated(
+        self, states: Array, points: Array, start: float, end: float
+    ) -> tuple[Array, Array]:
+        """States at the end of trajectories from states (n, m) on, and their largest values."""
+        system = _from_states(self.system, (start, end))
+        moved = np.column_stack([points, states.T])
+        sizes = np.maximum(np.abs(states), _LEAST_SIZE * np.abs(states).max(axis=0))
+        size = sizes.max(axis=1, keepdims=True)
+        absolute = _ACCURACY * _LEAST_SIZE * np.where(size > 0.0, size, 1.0)
+        chosen = integrator_for(system, "auto", accuracy=_ACCURACY)
+        dense = chosen.run(system, moved, [start, end], Tolerances(_ACCURACY, absolute))
+        if dense.end < end * (1.0 - 1e-9):
+            worst = int(np.argmax(np.nan_to_num(np.abs(dense.state).max(axis=0), nan=np.inf)))
+            raise BlowUpError(
+                f"a trajectory blows up at t = {dense.end:.6g}{self._at(points[worst])}",
+                time=dense.end,
+                parameters=dict(zip(self.system.parameters, points[worst].tolist(), strict=True)),
+                remedy="a steady state is where trajectories come to rest; narrow the box",
+            )
+        return dense.state, dense.largest
+
+    def _not_settled(self, points: Array) -> ConvergenceError:
+        """The error for trajectories at points (m, d) that have not come to rest."""
+        states = np.array([self._last[point.tobytes()] for point in points]).T
+        found = self._constraints.consistent(0.0, states, np.ascontiguousarray(points.T))
+        growth = self.growth(np.nan_to_num(found), points)
+        unstable = np.isfinite(found).all(axis=0) & (growth > -_NEUTRAL / self.first)
+        which = int(np.argmax(unstable))
+        message = f"trajectories have not settled by t = {self.settle:g}{self._at(points[which])}"
+        if unstable[which]:
+            message += ": a steady state nearby is not stable, they may oscillate"
+            return ConvergenceError(message, remedy="narrow the box")
+        return ConvergenceError(message, remedy="give a larger settle=, or narrow the box")
+
+    def _at(self, point: Array) -> str:
+        pairs = zip(self.system.parameters, point.tolist(), strict=True)
+        return f" at {', '.join(f'{name} = {x:.6g}' for name, x in pairs)}" if point.size else ""
+
+
+def conserved(system: System) -> Array:
+    """Linear combinations (c, n) of states that no rate changes, orthogonal ones."""
+    n, count = system.n_differential, _SAMPLES * (system.n_differential + 1)
+    rng = np.random.default_rng(_SEED)
+    box = np.asarray(system.box, dtype=float).reshape(-1, 2)
+    p = box[:, :1] + (box[:, 1:] - box[:, :1]) * rng.random((len(box), count))
+    size = np.abs(system.initial(p)).max(axis=1, keepdims=True)
+    size = np.where(size > 0.0, size, size.max(initial=0.0) or 1.0)
+    with np.errstate(all="ignore"):
+        rates = np.broadcast_to(
+            system.rhs(0.0, size * rng.uniform(0.3, 1.5, (n, count)), p), (n, count)
+        )
+    rates = rates[:, np.isfinite(rates).all(axis=0)] / size
+    if not rates.size:
+        return np.zeros((0, n))
+    columns = np.abs(rates).max(axis=0)
+    rates = rates / np.where(columns > 0.0, columns, 1.0)
+    left, singular, _ = np.linalg.svd(rates)
+    rank = int((singular > _CONSERVED * max(singular[0], 1e-300)).sum())
+    return np.asarray((left[:, rank:] / size).T)
+
+
+def _from_states(system: System, horizon: tuple[float, float]) -> System:
+    """The system from states on that follow the parameters, over a horizon."""
+    d, n = len(system.parameters), system.n_differential
+    return replace(
+        system,
+        separated=False,
+        horizon=horizon,
+        initial_terms=(),
+        initial_separates=False,
+        unseparated_initial=lambda p: np.asarray(p)[d : d + n],
+        rhs=lambda t, u, p: system.rhs(t, u, np.asarray(p)[:d]),
+        jacobian=lambda t, u, p: system.jacobian(t, u, np.asarray(p)[:d]),
+        constraints=Constraints(),
+        specification=None,
+        features=_in_first_parameters(system.features, d),
+    )
+
+
+def _in_first_parameters(features: Features, d: int) -> Features:
+    """The features over the states alone, of the first parameters."""
+    return replace(
+        features,
+        n_moving_cuts=0,
+        n_moving_steps=0,
+        state_surfaces=lambda t, u, p: features.state_surfaces(t, u, np.asarray(p)[:d]),
+    )
+
+
+def at_rest(steady: SteadyStates, rows: Sequence[int]) -> System:
+    """The steady states at some positions as a system that never moves, from 0 to 1."""
+    system, columns = steady.system, list(rows)
+    n = len(columns)
+
+    def still(_t: float | Array, u: VectorLike, _p: VectorLike) -> Array:
+        return np.zeros(np.shape(u))
+
+    def no_slopes(_t: float | Array, u: VectorLike, _p: VectorLike) -> Array:
+        return np.zeros((n, *np.shape(u)))
+
+    features = system.features
+    return replace(
+        system,
+        separated=False,
+        states=tuple(system.states[i] for i in columns),
+        n_differential=n,
+        n_lifted=0,
+        products=(),
+        horizon=(0.0, 1.0),
+        terms=(),
+        initial_terms=(),
+        initial_separates=False,
+        unseparated_initial=lambda p: steady(p)[columns],
+        with_products=lambda u: np.array(u, dtype=float),
+        rhs=still,
+        jacobian=no_slopes,
+        quadratic_jacobian=no_slopes,
+        features=Features(
+            cuts=((), *features.cuts[1:]),
+            periodic_cuts=((), *features.periodic_cuts[1:]),
+            n_parameter_surfaces=features.n_parameter_surfaces,
+            parameter_surfaces=features.parameter_surfaces,
+        ),
+        jumps=Jumps(),
+        constraints=replace(steady.constraints(columns), guessed=()),
+        specification=None,
+    )
