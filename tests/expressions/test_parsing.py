@@ -22,6 +22,22 @@ def parse(text: str, **changes) -> Problem:
     return Problem.from_strings(**given)
 
 
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("k*x^2 + 2^-k", "k*x**2 + 2**(-k)"),
+        ("pow(x, k)", "x**k"),
+        ("arctan(x) + arcsinh(k) + arctan2(x, k)", "atan(x) + asinh(k) + atan2(x, k)"),
+        ("log10(x)", "log(x)/log(10)"),
+        ("log2(x) + heaviside(t)", "log(x)/log(2) + Heaviside(t)"),
+        ("ceiling(x) + coth(x)", "ceil(x) + 1/tanh(x)"),
+    ],
+)
+def test_other_spellings(text, same):
+    sides = [sp.expand(parse(each).residuals[0].rewrite(sp.tanh)) for each in (text, same)]
+    assert sides[0] == sides[1]
+
+
 def test_equals_the_sympy_problem():
     wanted = REFERENCE["lotka_volterra"]()
     found = Problem.from_strings(
@@ -84,13 +100,17 @@ def test_numbers_are_welcome():
         ("kk*x", r"unknown name `kk` \(did you mean `k`\?\)"),
         ("k*x +", r"`k\*x \+`, is not a formula \(invalid syntax\)"),
         ("", "is not a formula"),
-        ("k^2", r"`\^` is not a power .*remedy: write `\*\*`"),
+        ("x' = -k*x", "not a formula.*remedy: give what stands on the right of `=` alone"),
+        ("-2x*k", r"not a formula.*remedy: write products with `\*`"),
+        ("k if x > 1 else 0", "remedy: write Piecewise"),
+        ("np.exp(x)", "`np.exp` is not understood.*remedy: write exp"),
+        ("pow(x)", "`pow` takes two arguments, not 1"),
         ("sinn(k)", r"unknown function `sinn` \(did you mean `sin`\?\)"),
         ("sin(k, x)", "`sin` takes one argument, not 2"),
         ("sqrt()", "`sqrt` takes one argument, not 0"),
         ("k*exp", "function `exp` has no argument"),
         ("x(k)", r"`x\(k\)` is not understood"),
-        ("x(t - 1)", r"`x\(t - 1\)` is not understood"),
+        ("x(t - 1)", r"`x\(t - 1\)` is an unknown at another time.*delays are not supported"),
         ("k/0", "division by zero"),
         ("9**9**9", "too large a number"),
         ("(" * 300 + "k" + ")" * 300, "is not a formula"),

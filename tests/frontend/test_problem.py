@@ -80,6 +80,18 @@ def test_latex():
     assert r"k &\in [1, 2]" in text
 
 
+def test_a_symbol_is_no_unknown():
+    equation = sp.Eq(q.diff(t), -k * q)  # SymPy: 0 = -k q
+    with pytest.raises(ProblemError, match=r'1: `q` .* is a symbol.*sympy.Function\("q"\)\(t\)'):
+        problem([equation], initial={q: 1})
+
+
+@pytest.mark.parametrize("key", ["x'", "dx/dt"])
+def test_keys_are_unknowns(key):
+    with pytest.raises(ProblemError, match=r"a derivative; remedy: write the name .* `x`"):
+        Problem.from_strings({key: "-k*x"}, {"x": 1}, {"k": (1, 2)}, (0, 1))
+
+
 def test_unused_parameter_warns():
     with pytest.warns(RankoneWarning, match="parameter `m` appears nowhere") as caught:
         problem(parameters={k: (1, 2), m: (0, 1)})
@@ -121,7 +133,14 @@ OTHER_T = sp.Symbol("t", real=True)
         (None, "not a list"),
         ([3.0], "equation 1: `3.0` is a float, not a scalar equation"),
         ([GOOD, "y"], "equation 2: `y` is a str"),
-        ([sp.Eq(dx, k * x.subs(t, t - 1))], r"`x\(t - 1\)` .* delays are not supported"),
+        (
+            [sp.Eq(dx, k * x.subs(t, t - 1))],
+            "delays are not supported.*chain of n further unknowns",
+        ),
+        ([sp.Eq(dx, k * x.subs(t, t - k))], "delays are not supported"),
+        ([sp.Eq(dx, k * dx.subs(t, t - 1))], "delays are not supported"),
+        ([sp.Eq(dx, k * x.subs(t, 2 * t))], "at another time than `t`; .* at the time t alone"),
+        ([sp.Eq(dx, q * x), sp.Eq(q, x**2)], r"2: `q` is given by an equation.*{q: x\(t\)\*\*2}"),
         ([sp.Eq(dx, k * x.subs(t, s))], r"`x\(s\)` is not a function of the time `t` alone"),
         ([sp.Eq(dx, k * x.subs(t, OTHER_T))], "another symbol `t` than the time"),
         ([sp.Eq(dx, sp.Integral(x, t))], r"`Integral\(x\(t\), t\)` is not supported"),

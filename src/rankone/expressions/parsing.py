@@ -28,8 +28,10 @@ from rankone.support.wording import clip, did_you_mean, quote
 _AS_IN_SYMPY = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh"),
     *("atanh", "exp", "log", "ln", "sqrt", "erf", "erfc", "gamma", "floor", "Abs", "sign"),
-    *("Heaviside", "DiracDelta", "Min", "Max"),
+    *("Heaviside", "DiracDelta", "Min", "Max", "sec", "csc", "cot", "asec", "acsc", "acot"),
+    *("sech", "csch", "coth", "asech", "acsch", "acoth", "atan2"),
 )
+_INVERSE = ("sin", "cos", "tan", "sinh", "cosh", "tanh")
 FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     **{name: getattr(sp, name) for name in _AS_IN_SYMPY},
     "ceil": sp.ceiling,
@@ -37,13 +39,21 @@ FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "min": sp.Min,
     "max": sp.Max,
     "Mod": sp.Mod,
+    **{f"arc{name}": getattr(sp, f"a{name}") for name in _INVERSE},
+    "arctan2": sp.atan2,
+    "ceiling": sp.ceiling,
+    "heaviside": sp.Heaviside,
+    "log10": lambda x: sp.log(x) / sp.log(10),
+    "log2": lambda x: sp.log(x) / sp.log(2),
+    "pow": sp.Pow,
 }
-"""Functions by name; all take one argument, except ``min``, ``max`` and ``Mod``."""
+"""Functions by name; all take one argument, but for those of two and ``min`` and ``max``."""
 
 CONSTANTS: dict[str, sp.Expr] = {"pi": sp.pi}
 """Constants by name, unless the user gives the name another meaning."""
 
-_VARIADIC = {"min", "Min", "max", "Max", "Mod"}
+_OF_TWO = {"Mod", "atan2", "arctan2", "pow"}
+_VARIADIC = {"min", "Min", "max", "Max", *_OF_TWO}
 # Operators that join any number of terms to one sum, or of factors to one product
 _CHAINED = ((ast.Add, ast.Sub), (ast.Mult, ast.Div))
 _COMPARED: dict[type[ast.cmpop], Callable[[sp.Expr, sp.Expr], sp.Basic]] = {
@@ -85,15 +95,17 @@ def parse_expression(
     """Translate a formula into a SymPy expression.
 
     A formula is Python's arithmetic: ``+ - * / **``, parentheses, numbers, names and calls of
-    :data:`FUNCTIONS`. The user's ``names`` come before :data:`CONSTANTS`; a name that stands for
-    an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say ``where`` the
-    formula is, ``"right-hand side of `x`"``, and the number of the equation. ``further``
-    functions take any number of arguments. Anything else is a ProblemError that quotes the text;
-    for an unknown name its remedy is ``unknown_name_remedy``.
+    :data:`FUNCTIONS`; ``^`` is a power too. The user's ``names`` come before :data:`CONSTANTS`; a
+    name that stands for an applied function ``x(t)`` may be written ``x`` or ``x(t)``. Messages say
+    ``where`` the formula is, ``"right-hand side of `x`"``, and the number of the equation.
+    ``further`` functions take any number of arguments. Anything else is a ProblemError that quotes
+    the text; for an unknown name its remedy is ``unknown_name_remedy``.
     """
     translator = _Translator(text, names, where, equation, further or {}, unknown_name_remedy)
     try:
-        one_line = " ".join(text.split())  # with lambda and other keywords as ordinary names
+        one_line = " ".join(text.split()).replace(
+            "^", "**"
+        )  # with lambda and other keywords as ordinary names
         names_only = _WORD.sub(lambda m: m[0] + _KEYWORD_SUFFIX * keyword.iskeyword(m[0]), one_line)
         terms = [translator.translated(piece) for piece in _pieces(names_only)]
     except (RecursionError, MemoryError):
@@ -110,9 +122,20 @@ def parse_expression(
             f"the {where}, {quote(text)}, is not a formula{reason}",
             equation=equation,
             term=text,
-            remedy="write it as in Python, for example `-k*x**2 + sin(t)`",
+            remedy=_remedy(text),
         ) from None
     return terms[0] if len(terms) == 1 else sp.Add(*terms)
+
+
+def _remedy(text: str) -> str:
+    """What to do about a text that is no formula."""
+    if re.search(r"(?<![<>=!])=(?!=)", text):
+        return "give what stands on the right of `=` alone"
+    if re.search(r"(?<![\w.])\d+\.?\d*[^\W\d_]", re.sub(r"\d[eE][-+]?\d", "0", text)):
+        return "write products with `*`, for example `2*x`"
+    if re.search(r"\bif\b", text):
+        return "write Piecewise((-k*x, x > 1), (0, True))"
+    return "write it as in Python, for example `-k*x**2 + sin(t)`"
 
 
 def _pieces(text: str) -> list[str]:
@@ -214,8 +237,6 @@ class _Translator(ast.NodeVisitor):
     def visit_BinOp(self, node: ast.BinOp) -> sp.Expr:
         if isinstance(node.op, ast.Pow):
             return self._power(self.visit(node.left), self.visit(node.right))
-        if isinstance(node.op, ast.BitXor):
-            raise self.error("`^` is not a power", "write `**`")
         alike = next((kinds for kinds in _CHAINED if isinstance(node.op, kinds)), None)
         if alike is None:
             return self.generic_visit(node)
@@ -253,14 +274,16 @@ class _Translator(ast.NodeVisitor):
         return power
 
     def visit_Call(self, node: ast.Call) -> sp.Expr:
+        if isinstance(node.func, ast.Attribute) and node.func.attr in FUNCTIONS:
+            plain = node.func.attr
+            raise self.error(f"{quote(ast.unparse(node.func))} is not understood", f"write {plain}")
         if not isinstance(node.func, ast.Name) or node.keywords:
             return self.generic_visit(node)
         name = node.func.id.removesuffix(_KEYWORD_SUFFIX)
         if name in self.names:
             arguments = [self.visit(argument) for argument in node.args]
-            if not arguments or list(self.names[name].args) != arguments:
-                message = f"{_call(name, arguments)} is not understood"
-                raise self.error(message, f"write {name} alone")
+            if list(self.names[name].args) != arguments or not arguments:
+                raise self._wrong_argument(name, arguments)
             return self.names[name]
         if name == "Piecewise":
             return self._piecewise(node.args)
@@ -281,8 +304,10 @@ class _Translator(ast.NodeVisitor):
         if len(node.args) > _MOST_ARGUMENTS:
             raise self.error(f"{quote(name)} has {len(node.args)} arguments")
         arguments = [self.visit(argument) for argument in node.args]
-        if name == "Mod" and len(arguments) != 2:
+        if name in _OF_TWO and len(arguments) != 2:
             raise self.error(f"{quote(name)} takes two arguments, not {len(arguments)},")
+        if name == "pow":
+            return self._power(*arguments)
         if not arguments or (len(arguments) > 1 and name not in _VARIADIC):
             raise self.error(f"{quote(name)} takes one argument, not {len(arguments)},")
         if (
@@ -292,6 +317,16 @@ class _Translator(ast.NodeVisitor):
         ):
             raise self.error(f"{quote(f'gamma({arguments[0]})')} is too large a number")
         return self._called(name, arguments)
+
+    def _wrong_argument(self, name: str, arguments: list[sp.Expr]) -> ProblemError:
+        """The error for a name of the user that is called: x(2), or x(t - 1) for a delay."""
+        call, proper = _call(name, arguments), self.names[name].args
+        if not proper or len(arguments) != 1 or proper[0] not in arguments[0].free_symbols:
+            return self.error(f"{call} is not understood", f"write {name} alone")
+        return self.error(
+            f"{call} is an unknown at another time",
+            f"delays are not supported; unknowns are at the time {proper[0]} alone",
+        )
 
     def _called(self, name: str, arguments: list[sp.Expr]) -> sp.Expr:
         """One of :data:`FUNCTIONS` of arguments."""

@@ -7,6 +7,7 @@
 :mod:`~.run_time`       which constants are run-time values of compiled problems
 :mod:`~.changes`        other problems from one: constants set, parameters fixed or set free
 :mod:`~.matrices`       equations between matrices, problems from mass, damping and stiffness
+:mod:`~.mistakes`       what is often written in place of an unknown at the time t
 :mod:`~.equations`      equations, unknowns and their initial values
 :mod:`~.mass`           the mass matrix in front of the highest derivatives
 :mod:`~.algebraic`      algebraic equations reduced to rates and constraints

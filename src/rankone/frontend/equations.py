@@ -11,6 +11,7 @@ from sympy.core.function import AppliedUndef
 from rankone.expressions.notation import exact
 from rankone.frontend.box import Time
 from rankone.frontend.matrices import scalar_equations
+from rankone.frontend.mistakes import unsupported, wrong_argument
 from rankone.frontend.shorthand import Shorthand
 from rankone.support.errors import ProblemError
 from rankone.support.wording import count, did_you_mean, listing, name_defect, quote
@@ -73,7 +74,7 @@ def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) 
         )
     if isinstance(equation, list | tuple | sp.Tuple):
         raise error(
-            f"equation {index} is a list of {count(len(equation), 'equation')}",
+            f"it is a list of {count(len(equation), 'equation')}",
             equation,
             "write all equations in one list: [*first, *second]",
         )
@@ -88,15 +89,11 @@ def _residual(equation: Any, index: int, time: sp.Symbol, shorthand: Shorthand) 
             "write sympy.Eq(left, right), or an expression that vanishes, for each scalar equation",
         )
     for term in _in_order(residual.atoms(*_UNSUPPORTED)):
-        raise error(
-            f"{quote(term)} is not supported in an equation",
-            term,
-            "integrals can be written as unknowns with equations of their own",
-        )
+        raise error(*unsupported(term, time))
     residual = _carry_out_derivatives(shorthand.put_in(residual), time, error)
     for applied in _in_order(residual.atoms(AppliedUndef)):
         if applied.args != (time,):
-            raise error(*_wrong_argument(applied, time))
+            raise error(*wrong_argument(applied, time))
     if residual.has(sp.I):
         raise error(f"{quote(equation)} has complex coefficients", equation, "write real equations")
     if residual.has(*_NOT_FINITE):
@@ -127,24 +124,6 @@ def _carry_out_derivatives(
             break
         residual = residual.xreplace(carried_out)
     return residual
-
-
-def _wrong_argument(applied: sp.Expr, time: sp.Symbol) -> tuple[str, sp.Expr, str]:
-    """Say what is wrong with x(s), x(t - 1), x(0) or x(t, k): (message, term, remedy)."""
-    proper = f"{applied.func.__name__}({time})"
-    fault = f"is not a function of the time {quote(time)} alone"
-    remedy = f"write {proper}; parameters are symbols of their own"
-    if len(applied.args) == 1:
-        argument = applied.args[0]
-        if isinstance(argument, sp.Symbol) and argument.name == time.name:
-            remedy = "use one symbol for the time everywhere"
-            fault = f"uses another symbol {quote(argument)} than the time, with other assumptions"
-        elif time in argument.free_symbols:
-            remedy = f"write {proper}"
-            fault = (
-                f"takes the unknown at another time than {quote(time)}; delays are not supported"
-            )
-    return f"{quote(applied)} {fault}", applied, remedy
 
 
 def _in_order(expressions: Iterable[sp.Expr]) -> list[sp.Expr]:

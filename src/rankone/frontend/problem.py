@@ -60,10 +60,18 @@ from rankone.frontend.jumps import (
 )
 from rankone.frontend.mass import MassForm, check_mass
 from rankone.frontend.matrices import MatrixSystem
+from rankone.frontend.mistakes import check_symbols_as_unknowns
 from rankone.frontend.numeric import NumericEquations
 from rankone.frontend.run_time import coupled_by, with_decisive
 from rankone.frontend.shorthand import Shorthand, check_apart, check_shorthand
-from rankone.frontend.text import events_of_text, formula, has_names, jumps_of_text, normalised
+from rankone.frontend.text import (
+    check_keys,
+    events_of_text,
+    formula,
+    has_names,
+    jumps_of_text,
+    normalised,
+)
 from rankone.frontend.trajectory import Trajectory
 from rankone.ir.forms import Coordinate, Jump
 from rankone.ir.functions import check_distinct
@@ -226,6 +234,8 @@ class Problem:
         shorthand = check_shorthand(self.written["constants"], self.written["definitions"], time[0])
         check_apart(shorthand, box, self.initial)
         equations = listed_equations(self.written["equations"])
+        declared = [*box, *shorthand.symbols]
+        check_symbols_as_unknowns(equations, declared, self.initial, time[0])
         arguments = {**self.written, "equations": equations}
         shorthand = with_decisive(shorthand, arguments)
         residuals = check_equations(equations, time[0], shorthand)
@@ -271,9 +281,7 @@ class Problem:
             "constants": MappingProxyType(dict(shorthand.constants)),
             "definitions": MappingProxyType(dict(shorthand.definitions)),
             "shorthand": shorthand,
-            "units": MappingProxyType(
-                check_units(self.units, time[0], [*box, *shorthand.symbols], states)
-            ),
+            "units": MappingProxyType(check_units(self.units, time[0], declared, states)),
             "atol": MappingProxyType(check_tolerances(self.atol, states, time[0])),
             "unknowns": unknowns,
             "residuals": tuple(residuals),
@@ -390,6 +398,7 @@ class Problem:
         parameters = normalised("parameters", parameters)
         constants = normalised("constants", constants or {})
         definitions = normalised("definitions", definitions or {})
+        check_keys(rhs)
         for state in initial:
             if state not in rhs:
                 raise ProblemError(

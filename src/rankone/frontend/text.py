@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import numbers
+import re
 import unicodedata
 from collections.abc import Mapping
 from typing import Any, TypeGuard, TypeVar
@@ -18,6 +19,18 @@ from rankone.support.wording import did_you_mean, listing, quote, shown
 Entry = TypeVar("Entry")
 Names = Mapping[str, sp.Expr]
 _EVENT_KEYS = tuple(field.name for field in dataclasses.fields(Event))
+
+
+def check_keys(rhs: Mapping[str, Any]) -> None:
+    """Raise for a key that is written as the derivative of an unknown, ``x'`` or ``dx/dt``."""
+    for key in rhs:
+        written = re.fullmatch(r"\s*(?:(\w+)\s*'|d\s*(\w+)\s*/\s*dt)\s*", key)
+        if written is not None:
+            raise ProblemError(
+                f"`rhs` has the key {quote(key)}, a derivative",
+                term=key,
+                remedy=f"write the name of the unknown, {quote(written[1] or written[2])}",
+            )
 
 
 def jumps_of_text(jumps: object, names: Names, unknowns: Names) -> Any:
